@@ -39,6 +39,7 @@ from gauge_envs.experiments.task_files import load_task
 from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import data_folder
+from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import BandSidecar, read_band
 from gauge_envs.references.tables import read_toml, scoring_folder
 from gauge_envs.runs.episodes import run_episode
@@ -50,7 +51,7 @@ from gauge_envs.tools.compare.words import comparison_markdown
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
 from gauge_envs.tools.conformance.matrix_file import read_columns, write_columns
-from gauge_envs.tools.conformance.matrix_words import matrix_markdown
+from gauge_envs.tools.conformance.words import matrix_document
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.tools.dataset.trial import TrialError, parse_trial
 from gauge_envs.tools.leaderboard.statement import read_statement
@@ -323,7 +324,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "sweep": Target(".toml", [SWEEP.encode()], sweep_read, 1.0),
         "store": Target(".sqlite", [swept.store_path.read_bytes()], store_read, 0.1),
         "matrix": Target(
-            ".json", [matrix], lambda file: matrix_markdown(read_columns(file), checks(["free-fall"])), 1.0
+            ".json", [matrix], lambda file: as_markdown(matrix_document(read_columns(file), checks(["free-fall"]))), 1.0
         ),
         "statement": Target(".toml", [STATEMENT.encode()], lambda file: read_statement(file, file.name), 1.0),
         "camera": Target(".toml", [text.encode() for text in CAMERAS], read_camera, 1.0),

@@ -16,11 +16,12 @@ from pathlib import Path
 
 from generated import write_or_check
 
+from gauge_envs.pages.document import as_markdown
 from gauge_envs.pages.text import markdown_text
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn
 from gauge_envs.tools.conformance.matrix_file import read_columns
-from gauge_envs.tools.conformance.matrix_words import error_text, expected_text, matrix_markdown, measured_text
+from gauge_envs.tools.conformance.words import error_text, expected_text, matrix_document, measured_text
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "engines" / "matrix.md"
@@ -60,7 +61,7 @@ def generate(scoring: Path) -> dict[Path, str]:
     _, _, after = rest.partition(END)
     lines = [BEGIN, "", "### Failures of default configurations", "", *failures(columns), ""]
     lines += ["### Why scenes are declined", "", *declined(columns), ""]
-    generated = "\n".join([*lines, matrix_markdown(columns, checks(CANONICAL))])
+    generated = "\n".join([*lines, as_markdown(matrix_document(columns, checks(CANONICAL)))])
     return {PAGE: f"{before}{generated}{END}{after}"}
 
 

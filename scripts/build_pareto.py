@@ -35,13 +35,13 @@ from pydantic import TypeAdapter
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.files import json_ready, write_whole
+from gauge_envs.pages.document import as_markdown
+from gauge_envs.pages.figures import save_png
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.tools.cost.figure import save_pareto
-from gauge_envs.tools.cost.pareto import Tradeoff, tradeoff
-from gauge_envs.tools.cost.words import pareto_markdown
+from gauge_envs.tools.cost import Tradeoff, draw_pareto, pareto_document, tradeoff
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "scoring" / "pareto.json"
@@ -241,7 +241,7 @@ def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
             "",
             f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
             "",
-            pareto_markdown(found),
+            as_markdown(pareto_document(found)),
         ]
     )
 
@@ -285,7 +285,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             print(f"{PAGE} is not current: run python scripts/build_pareto.py --docs", file=sys.stderr)
         return int(new != text)
     write_whole(PAGE, new.encode())
-    save_pareto(found, FIGURE)
+    save_png(draw_pareto(found), FIGURE)
     return 0
 
 

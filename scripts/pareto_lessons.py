@@ -7,7 +7,7 @@ from textwrap import fill
 
 import numpy as np
 
-from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
+from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff
 
 __all__ = ["LessonError", "lessons"]
 

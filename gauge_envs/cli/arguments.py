@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -17,8 +18,7 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 
 if TYPE_CHECKING:
     from gauge_envs.experiments.scene_builder import Parameters
-
-Row = TypeVar("Row", bound=Mapping[str, Any])
+    from gauge_envs.pages.table import Table
 
 FormatOption = Annotated[
     Format,
@@ -216,20 +216,16 @@ def split_details(
     return others, values
 
 
-def matching(rows: Iterable[Row], patterns: Sequence[str], *, kind: str, key: str) -> list[Row]:
-    """Return the rows whose name matches one of the patterns; all without patterns.
-
-    Args:
-        rows: Mappings.
-        patterns: Names or patterns; each matches a row.
-        kind: What the rows are, for messages.
-        key: Key of the name in a row.
-    """
-    named = [(row[key], row) for row in rows]
+def matching(tables: Sequence[Table], patterns: Sequence[str], *, kind: str) -> list[Table]:
+    """Return tables with the rows whose first column matches a name or a pattern; all rows without patterns."""
+    named = [[(str(table.columns[0].value(row)), row) for row in table.rows] for table in tables]
+    names = [name for rows in named for name, _ in rows]
     for pattern in patterns:
-        if not any(fnmatchcase(name, pattern) for name, _ in named):
-            raise UnknownNameError(kind, pattern, (name for name, _ in named))
-    return [row for name, row in named if not patterns or any(fnmatchcase(name, one) for one in patterns)]
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise UnknownNameError(kind, pattern, names)
+    chosen = {name for name in names if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)}
+    kept = [[row for name, row in rows if name in chosen] for rows in named]
+    return [replace(table, rows=rows) for table, rows in zip(tables, kept, strict=True) if rows]
 
 
 def whole(least: int) -> Callable[[str], int]:

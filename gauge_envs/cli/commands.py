@@ -53,7 +53,7 @@ the name of the command.
 """
 
 LISTINGS = {
-    "backends": "catalog",
+    "backends": "conformance",
     "checks": "conformance",
     "phenomena": "sanity",
     "materials": "recipes",

@@ -25,7 +25,7 @@ from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
 
 if TYPE_CHECKING:
-    pass
+    from gauge_envs.pages.document import Shown
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
@@ -177,35 +177,33 @@ class Format(StrEnum):
 
 
 def print_document(
-    shown: Any,
+    shown: Shown,
     form: Format,
     *,
     files: Mapping[str, Path] | None = None,
     writers: Mapping[str, Callable[[Path], object]] | None = None,
 ) -> None:
-    """Transition."""
-    from gauge_envs.pages.table import as_markdown, as_rich, as_rows
+    """Print a document on stdout, and write it to files, whose paths go to stderr.
 
-    for table in shown if isinstance(shown, list) else [shown]:
-        print_result(
-            form,
-            rows=lambda: as_rows(table),
-            view=lambda w: as_rich(table, wide=w),
-            markdown=lambda: as_markdown(table),
-        )
+    Args:
+        shown: What to print.
+        form: The format.
+        files: Files by suffix, of `arguments.by_suffix`; `.json` and `.md` are as on stdout.
+        writers: What writes the files of other suffixes, and returns their paths.
+    """
+    from gauge_envs.pages.document import Terminal, as_markdown, as_rows, save_file
 
-
-def save_text(file: Path, text: str) -> Path:
-    """Transition."""
-    from gauge_envs.errors import ResultFileError
-    from gauge_envs.files import write_whole
-
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(file, text.encode())
-    except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
-    return file
+    if form is Format.JSON:
+        print_json_lines(as_rows(shown))
+    elif form is Format.MARKDOWN:
+        echo(as_markdown(shown), nl=False)
+    else:
+        stdout_console().print(Terminal(shown, form is Format.WIDE))
+    for suffix, file in (files or {}).items():
+        if suffix in (others := writers or {}):
+            message(others[suffix](file))
+        else:
+            message(save_file(file, json_text(as_rows(shown)) if suffix == ".json" else as_markdown(shown)))
 
 
 def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
@@ -216,30 +214,6 @@ def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
 def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
     """Return rows as JSON, one object a line."""
     return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)
-
-
-def print_result(
-    form: Format,
-    *,
-    rows: Callable[[], Iterable[Mapping[str, Any]]],
-    view: Callable[[bool], Any],
-    markdown: Callable[[], str] | None = None,
-    files: Mapping[str, Path] | None = None,
-    writers: Mapping[str, Callable[[Path], object]] | None = None,
-) -> None:
-    """Transition: as print_document, with old words."""
-    if form is Format.JSON:
-        print_json_lines(rows())
-    elif form is Format.MARKDOWN and markdown:
-        echo(markdown(), nl=False)
-    else:
-        stdout_console().print(view(form is Format.WIDE))
-    others = writers or {}
-    for suffix, file in (files or {}).items():
-        if suffix in others:
-            message(others[suffix](file))
-        else:
-            message(save_text(file, json_text(rows()) if suffix == ".json" else markdown()))
 
 
 def counted(number: int, noun: str) -> str:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from gauge_envs.errors import MissingExtraError, ResultFileError
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.pages.document import save_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -22,24 +24,8 @@ ENGINES = ("#8c8c8c", "#b0b0b0", "#d0d0d0")
 
 REAL = "#303030"
 
-UNSCORED = "#f4f4f4"
-
-ENGINE_MARKERS = ("s", "^", "D")
-
-LINE_STYLES = ("-", "--", ":", "-.")
-
 LEGEND_WIDTH, KEY_WIDTH = 100, 6
 """Width of a legend that fits above a panel beside bars, and of its lines and gaps [characters]."""
-
-HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
-
-WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
-
-HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 5}
-
-CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
-
-BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -55,16 +41,13 @@ def save_png(figure: Figure, path: Path) -> Path:
     """Write a figure as PNG and return its path."""
     from matplotlib.text import Text
 
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        for text in figure.findobj(Text):
-            # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
-            if isinstance(text, Text) and "$" in text.get_text():
-                text.set_parse_math(False)
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
-    return path
+    for text in figure.findobj(Text):
+        # A dollar sign in the name or title of an experiment starts no formula; ticks get their formulas later.
+        if isinstance(text, Text) and "$" in text.get_text():
+            text.set_parse_math(False)
+    stream = BytesIO()
+    figure.savefig(stream, format="png", dpi=120)
+    return save_file(path, stream.getvalue())
 
 
 def tidy_axis(axis: Axes) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.pages.html import Html, element
-from gauge_envs.pages.text import quantity_text, score_text
+from gauge_envs.pages.text import interval_text, quantity_text, score_text
 
 FloatArray = NDArray[np.float64]
 
@@ -57,14 +57,12 @@ class ForestRow:
         color: Colour in CSS.
         value: The score.
         interval: Its 95 % interval, or None.
-        note: Text behind the label.
     """
 
     label: str
     color: str
     value: float
     interval: tuple[float, float] | None
-    note: str = ""
 
 
 def curve_panel(panel: CurvePanel) -> Html:
@@ -104,6 +102,7 @@ def curve_panel(panel: CurvePanel) -> Html:
         viewBox=f"0 0 {WIDTH:.0f} {HEIGHT:.0f}",
         role="img",
         aria_label=f"{panel.title} over time",
+        class_="plot",
     )
 
 
@@ -115,7 +114,7 @@ def _band(
     times, mean, sigma = (values[shown] for values in (panel.times_s, panel.mean, panel.sigma))
     measured = panel.measured[shown]
     parts: list[Html] = []
-    for first, last in _runs(np.isfinite(mean)):
+    for first, last in runs(np.isfinite(mean)):
         piece = slice(first, last)
         for reach, kind in ((2.0, "sigma2"), (1.0, "sigma1")):
             spread = reach * np.nan_to_num(sigma[piece])
@@ -124,7 +123,7 @@ def _band(
             points = np.column_stack([to_x(along), np.clip(to_y(edge), TOP, HEIGHT - BOTTOM)])
             parts.append(element("polygon", points=_points(points), class_=kind))
     for flags, dashes in ((measured, None), (~measured, "1 3")):
-        for first, last in _runs(flags & np.isfinite(mean)):
+        for first, last in runs(flags & np.isfinite(mean)):
             # A piece reaches the next point, so that pieces join.
             piece = slice(first, min(last + 1, len(mean)))
             known = np.isfinite(mean[piece])
@@ -136,7 +135,7 @@ def _band(
     return parts
 
 
-def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return half-open ranges of true flags."""
     edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
     return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
@@ -250,14 +249,9 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
         if row.value >= LEAST_SCORE:
             parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
         parts.append(element("text", score_text(row.value), x=WIDTH - 2, y=f"{y + 4:.1f}", text_anchor="end"))
-    label = "; ".join(
-        f"{row.label} {score_text(row.value)}"
-        + ("" if row.interval is None else f" [{score_text(row.interval[0])}, {score_text(row.interval[1])}]")
-        for row in rows
-    )
-    drawing = element(
-        "svg", *parts, viewBox=f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", role="img", aria_label=f"{title}: {label}"
-    )
+    values = "; ".join(f"{row.label} {interval_text(row.value, row.interval, score_text)}" for row in rows)
+    box, label = f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", f"{title}: {values}"
+    drawing = element("svg", *parts, viewBox=box, role="img", aria_label=label, class_="plot")
     is_cut = any(row.value < LEAST_SCORE for row in rows)
     cut = [f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."] if is_cut else []
     return element("figure", drawing, *(element("figcaption", note) for note in (*notes, *cut)))

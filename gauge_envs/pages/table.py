@@ -1,22 +1,22 @@
-"""Tables: columns and rows that print in a terminal, as Markdown, or as JSON objects.
+"""Tables: columns and rows that print in a terminal, as Markdown, as HTML, or as JSON objects.
 
-A row is a JSON-ready mapping, or an object with attributes. A column states which value of a row it shows and how to
-write it. In a terminal no cell is cut or wrapped. What does not fit beside the others is written below its row.
+A row is a JSON-ready mapping, a sequence, or an object with attributes. A column states which value of a row it shows
+and how to write it. In a terminal no cell is cut or wrapped. What does not fit beside the others is written below its
+row.
 """
 
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from enum import StrEnum
 from itertools import chain, repeat
 from typing import Any
 
-from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
-from gauge_envs.files import json_ready
+from gauge_envs.pages.html import Html, element, join
 from gauge_envs.pages.text import markdown_row, markdown_text, value_text
 
 GAP = "  "
@@ -33,14 +33,14 @@ MOST_KEY_WIDTH = 22
 
 
 class Place(StrEnum):
-    """Where a column stands in a terminal. In Markdown, every column is a column."""
+    """Where a column stands in a terminal. In Markdown every column is a column, on a page all but those below are."""
 
     CELL = "cell"
     """In the row."""
     HEADING = "heading"
     """In a line above all neighbouring rows that share the value."""
     BELOW = "below"
-    """In lines of its own below the row, wrapped."""
+    """In lines of its own below the row, wrapped; on a page in a row of its own."""
 
 
 @dataclass(frozen=True)
@@ -54,8 +54,10 @@ class Column:
         unit: Unit of all values; it stands in brackets behind the title.
         is_number: Whether the texts are aligned on the right.
         wide_only: Whether a terminal shows the column only with `--format wide`.
+        narrow_only: Whether only a terminal without `--format wide` shows the column.
         place: Where the column stands in a terminal.
-        style: Rich style of a value; None for plain text.
+        style: Rich style of a value, which is the class of its cell on a page; None for plain text.
+        html: Markup of a value on a page; None for its text.
     """
 
     key: str
@@ -65,8 +67,10 @@ class Column:
     unit: str = ""
     is_number: bool = False
     wide_only: bool = False
+    narrow_only: bool = False
     place: Place = Place.CELL
     style: Callable[[Any], str] | None = None
+    html: Callable[[Any], Html | str] | None = None
 
     @property
     def label(self) -> str:
@@ -77,7 +81,10 @@ class Column:
         """Return the value of a row; None for a missing one."""
         value = row
         for part in filter(None, self.key.split(".")):
-            value = value.get(part) if isinstance(value, Mapping) else getattr(value, part, None)
+            if isinstance(value, Mapping):
+                value = value.get(part)
+            else:
+                value = value[int(part)] if isinstance(value, list | tuple) else getattr(value, part, None)
         return value
 
     def text(self, row: Any) -> str:
@@ -91,6 +98,10 @@ class Column:
         """Return the rich style of a row."""
         return "" if self.style is None else self.style(self.value(row))
 
+    def markup(self, row: Any) -> Html | str:
+        """Return what a page shows of a row."""
+        return self.text(row) if self.html is None else self.html(self.value(row))
+
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
@@ -98,10 +109,12 @@ class Table:
 
     Attributes:
         columns: From left to right.
-        rows: Mappings or objects that the columns read.
+        rows: Mappings, sequences or objects that the columns read.
         title: Line above the table; empty for none.
         notes: Lines below the table.
         wide_only: Whether a terminal shows the table only with `--format wide`.
+        narrow_only: Whether only a terminal without `--format wide` shows the table.
+        look: Classes of the table on a page.
     """
 
     columns: tuple[Column, ...]
@@ -109,59 +122,88 @@ class Table:
     title: str = ""
     notes: tuple[str, ...] = ()
     wide_only: bool = False
+    narrow_only: bool = False
+    look: str = "stack dense"
 
-
-def as_rows(table: Table) -> list[dict[str, Any]]:
-    """Return the rows of a table as JSON-ready objects."""
-    rows: list[dict[str, Any]] = json_ready([row if isinstance(row, Mapping) else vars(row) for row in table.rows])
-    return rows
-
-
-def as_markdown(table: Table) -> str:
-    """Return a table as GitHub Markdown, with all columns."""
-    lines = [f"**{markdown_text(table.title)}**", ""] if table.title else []
-    lines.append(markdown_row([column.label for column in table.columns]))
-    lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in table.columns)} |")
-    lines += [markdown_row([column.text(row) for column in table.columns]) for row in table.rows]
-    # Two blanks end a line in Markdown.
-    lines += ["", *(f"{markdown_text(note)}  " for note in table.notes)] if table.notes else []
-    return "\n".join(lines) + "\n"
-
-
-def as_rich(table: Table, *, wide: bool = False) -> TerminalTable:
-    """Return a table for a terminal.
-
-    Args:
-        table: What to print.
-        wide: Whether to show the columns that are `wide_only`.
-    """
-    return TerminalTable(table, wide)
-
-
-@dataclass(frozen=True)
-class TerminalTable:
-    """A table that rich prints at the width of its console."""
-
-    table: Table
-    wide: bool = False
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """Yield the lines of the table."""
-        if self.table.wide_only and not self.wide:
+    def lines(self, width: int, *, wide: bool) -> Iterator[Text]:
+        """Yield the lines of the table for a terminal, none longer than the width."""
+        if self.narrow_only if wide else self.wide_only:
             return
-        if self.table.title:
-            yield Text(f"\n{self.table.title}", style="bold")
-        if self.table.rows:
-            yield from _lines(self.table, self.wide, options.max_width)
+        if self.title:
+            yield Text(f"\n{self.title}", style="bold")
+        if self.rows:
+            yield from _lines(self, wide, width)
         else:
             yield Text("none", style="dim")
-        for note in self.table.notes:
-            yield from _wrapped(note, options.max_width, style="dim")
+        for note in self.notes:
+            yield from _wrapped(note, width, style="dim")
+
+    def markdown(self) -> str:
+        """Return the table as GitHub Markdown, with all columns."""
+        lines = [f"**{markdown_text(self.title)}**", ""] if self.title else []
+        columns = [column for column in self.columns if not column.narrow_only]
+        lines.append(markdown_row([column.label for column in columns]))
+        lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in columns)} |")
+        lines += [markdown_row([column.text(row) for column in columns]) for row in self.rows]
+        # Two blanks end a line in Markdown.
+        lines += ["", *(f"{markdown_text(note)}  " for note in self.notes)] if self.notes else []
+        return "\n".join(lines)
+
+    def html(self) -> Html:
+        """Return the table as an element; on a narrow screen the cells of a row may stand below each other."""
+        columns = [column for column in self.columns if not column.narrow_only]
+        beside = [column for column in columns if column.place is not Place.BELOW]
+        below = [column for column in columns if column.place is Place.BELOW]
+        head = (
+            element("th", column.title if isinstance(column.title, Html) else column.label, scope="col", class_=kind)
+            for column in beside
+            for kind in ["n" if column.is_number else None]
+        )
+        body: list[Html] = []
+        for row in self.rows:
+            body.append(element("tr", *(_cell(column, row) for column in beside)))
+            texts = filter(None, (column.markup(row) for column in below))
+            body += [element("tr", element("td", text, colspan=len(beside)), class_="more") for text in texts]
+        table = element("table", element("thead", element("tr", *head)), element("tbody", *body), class_=self.look)
+        title = [element("h3", self.title)] if self.title else []
+        notes = (element("p", note, class_="small") for note in self.notes)
+        return join([*title, element("div", table, class_="scroll"), *notes])
+
+
+def _cell(column: Column, row: Any) -> Html:
+    label = None if isinstance(column.title, Html) else column.label or None
+    kinds = " ".join(filter(None, ("n" if column.is_number else "", column.style_of(row))))
+    return element("td", column.markup(row), data_label=label, class_=kinds or None)
+
+
+def grid(
+    titles: Sequence[str],
+    rows: Iterable[Sequence[str]],
+    *,
+    number_from: int = 99,
+    look: str = "stack dense",
+    notes: tuple[str, ...] = (),
+) -> Table:
+    """Return a table of cells that are texts or markup already.
+
+    Args:
+        titles: Titles of the columns, texts or markup.
+        rows: The cells.
+        number_from: First column of numbers.
+        look: Classes of the table on a page.
+        notes: Lines below the table.
+    """
+    columns = (
+        Column(str(index), title, lambda cell: cell, is_number=index >= number_from)
+        for index, title in enumerate(titles)
+    )
+    return Table(columns=tuple(columns), rows=list(rows), notes=notes, look=look)
 
 
 def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     """Yield headings, rows and what stands below them, none longer than the width."""
-    shown = {place: [c for c in table.columns if c.place is place and (wide or not c.wide_only)] for place in Place}
+    chosen = [c for c in table.columns if not (c.narrow_only if wide else c.wide_only)]
+    shown = {place: [c for c in chosen if c.place is place] for place in Place}
     indent = GAP if shown[Place.HEADING] else ""
     columns, widths = _fitted(shown[Place.CELL], table.rows, width - len(indent))
     spilled = shown[Place.CELL][len(columns) :]
@@ -224,16 +266,24 @@ def _wrapped(text: str, width: int, *, indent: str = "", style: str = "") -> Ite
 
 @dataclass(frozen=True)
 class Facts:
-    """Names and texts below each other; rich prints them at the width of its console."""
+    """Names and texts below each other."""
 
     pairs: Mapping[str, str]
 
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+    def lines(self, width: int, *, wide: bool = False) -> Iterator[Text]:
         """Yield a line for each name; a long text goes on below its beginning."""
         key_width = max((len(key) for key in self.pairs if len(key) <= MOST_KEY_WIDTH), default=0)
         for key, text in self.pairs.items():
             if len(key) > key_width:
-                yield from _wrapped(key, options.max_width, style="cyan")
+                yield from _wrapped(key, width, style="cyan")
             names = chain(["" if len(key) > key_width else key], repeat(""))
-            for name, line in zip(names, _wrap(text, options.max_width - key_width - len(GAP)), strict=False):
+            for name, line in zip(names, _wrap(text, width - key_width - len(GAP)), strict=False):
                 yield Text.assemble((name.ljust(key_width), "cyan"), GAP, line)
+
+    def markdown(self) -> str:
+        """Return a list."""
+        return "\n".join(f"- {markdown_text(f'{key}: {text}')}" for key, text in self.pairs.items())
+
+    def html(self) -> Html:
+        """Return a table of two columns."""
+        return grid(("what", "value"), list(self.pairs.items()), look="anywhere").html()

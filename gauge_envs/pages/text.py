@@ -1,15 +1,13 @@
-"""Texts of names, numbers and lists that all views of the command line share."""
+"""Texts of names, numbers and lists that all documents share."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from rich.text import Text
-
 from gauge_envs.files import printable
-from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 
 BACKEND_TITLES = {
@@ -27,18 +25,11 @@ ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newto
 
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
-ALIGNED_TITLE = "RMSE aligned"
-
 COST_TITLE = "wall s/sim s"
 
 NORMALIZED_NOTE = (
     "Normalized: score over the mean score of the real trials, with its 95 % interval. RMSE and DTW: lower is closer. "
     "LSD, MTE, PD: 1 is ideal. EL: 0 is ideal, never normalized. Engines: as published (GAUGE, Table 5)."
-)
-
-DEFORMATION_NOTE = (
-    "Strain, volume or area ratio, and non-affine residual [mm] of the markers, at the last frame whose real value is "
-    "known. +-: 1-sigma uncertainty of one recording, or scatter over several trials. z: simulated minus real, over +-."
 )
 
 GRADE_NOTES = {
@@ -47,17 +38,6 @@ GRADE_NOTES = {
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
     BandGrade.NONE: "no real reference: RMSE and DTW are not scored",
 }
-
-SIGMA_NOTES = {
-    SigmaSource.TRIALS: "scatter of the trials, per frame",
-    SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
-    SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
-}
-
-
-def heading(text: str) -> Text:
-    """Return the bold line above a part of a view."""
-    return Text(f"\n{text}", style="bold")
 
 
 def pairs_text(values: Mapping[str, Any], *, skip: Sequence[str] = ()) -> str:
@@ -93,8 +73,17 @@ def shortened(names: Sequence[str]) -> str:
 
 def plus_minus_text(mean: float, std: float | None, unit: str) -> str:
     """Return `mean +- std unit`."""
-    scatter = "" if std is None else f" +- {std:g}"
-    return f"{mean:g}{scatter}{'' if unit == '1' else f' {unit}'}"
+    return with_unit(f"{mean:g}" + ("" if std is None else f" +- {std:g}"), unit)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """Return a text with its unit; `1` is the unit of plain numbers, which is not written."""
+    return text if unit == "1" else f"{text} {unit}"
+
+
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: `1 check`, `2 checks`."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def number_text(value: float | None) -> str:
@@ -108,11 +97,12 @@ def score_text(value: float | None) -> str:
     return f"{value:.2g}" if value is not None and abs(value) < 0.1 else number_text(value)
 
 
-def interval_text(value: float | None, interval: Sequence[float] | None) -> str:
+def interval_text(
+    value: float | None, interval: Sequence[float] | None, text: Callable[[float | None], str] = number_text
+) -> str:
     """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
-    if value is None or interval is None:
-        return number_text(value)
-    return f"{number_text(value)} [{number_text(interval[0])}, {number_text(interval[1])}]"
+    ends = "" if value is None or interval is None else f" [{text(interval[0])}, {text(interval[1])}]"
+    return text(value) + ends
 
 
 def quantity_text(value: float) -> str:
@@ -123,6 +113,12 @@ def quantity_text(value: float) -> str:
     return f"{value:.3g}" if size >= 1e-3 or size == 0.0 else f"{value:.1e}"
 
 
+class Markdown(str):
+    """Text whose Markdown marks are meant; all other texts are escaped."""
+
+    __slots__ = ()
+
+
 def markdown_row(cells: Sequence[str]) -> str:
     """Return one row of a table in GitHub Markdown."""
     return f"| {' | '.join(map(markdown_text, cells))} |"
@@ -130,6 +126,8 @@ def markdown_row(cells: Sequence[str]) -> str:
 
 def markdown_text(text: str) -> str:
     """Return a text in one line in which Markdown changes nothing and makes no link, picture or code."""
+    if isinstance(text, Markdown):
+        return text
     plain = printable(" ".join(text.split()))
     # A bracket alone stays, as in intervals; it makes a link only with what follows it.
     return re.sub(r"([|*_<`\\]|\](?=[(\[])|!(?=\[))", r"\\\1", plain)

@@ -18,12 +18,13 @@ from gauge_envs.evaluation.deformation import DeformationScore, deformation_refe
 from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics
 from gauge_envs.observables.observer import observe_markers
-from gauge_envs.pages.results import summary_view
+from gauge_envs.pages.document import Terminal
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.runs.score_file import score_file
+from gauge_envs.tools.run.words import summary_document
 
 NAME = "FoamStretching-soft"
 EXPERIMENT = load_experiment(NAME)
@@ -248,7 +249,7 @@ def test_the_summary_shows_them_apart_from_the_score(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", g=g, markers_m=stretched())
     result, _ = score_file(tmp_path / "a.npz", variant=NAME)
     console = Console(width=120, record=True, file=(tmp_path / "out.txt").open("w"))
-    console.print(summary_view([result]))
+    console.print(Terminal(summary_document([result])))
     text = console.export_text()
     assert "Deformation, grade statistics (no part of the score)" in text
     line = next(line for line in text.splitlines() if "strain.zz" in line)

@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from rich.console import Console, RenderableType
+from rich.console import Console
 
-from gauge_envs.pages.table import Column, Facts, Place, Table, as_markdown, as_rich, as_rows
+from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows
+from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import number_text
 
 ROWS = (
@@ -34,14 +35,14 @@ TABLE = Table(
 )
 
 
-def printed(view: RenderableType, width: int = 80) -> list[str]:
+def printed(shown: Shown, width: int = 80, *, wide: bool = False) -> list[str]:
     stream = StringIO()
-    Console(file=stream, width=width).print(view)
+    Console(file=stream, width=width).print(Terminal(shown, wide))
     return stream.getvalue().splitlines()
 
 
 def test_a_terminal_has_headings_cells_and_lines_below() -> None:
-    assert printed(as_rich(TABLE)) == [
+    assert printed(TABLE) == [
         "",
         "Scores",
         "  first [mm]",
@@ -54,7 +55,7 @@ def test_a_terminal_has_headings_cells_and_lines_below() -> None:
         "    a | b",
         "In millimetres.",
     ]
-    assert printed(as_rich(TABLE, wide=True))[2] == "  first [mm]  second"
+    assert printed(TABLE, wide=True)[2] == "  first [mm]  second"
 
 
 def test_markdown_has_all_columns_in_all_rows() -> None:
@@ -67,7 +68,7 @@ def test_markdown_has_all_columns_in_all_rows() -> None:
         "| GAUGE/A-1 | trials | 12.35 | 3.00 |  |",
         r"| GAUGE/B-2 | none | - | - | a \| b |",
         "",
-        "In millimetres.  ",
+        "In millimetres.",
     ]
 
 
@@ -82,15 +83,15 @@ def test_rows_can_be_objects() -> None:
         size: float
 
     table = Table(columns=(Column("name", "name"), Column("size", "size", unit="m")), rows=[Row("cube", 0.05)])
-    assert printed(as_rich(table)) == ["name  size [m]", "cube  0.05"]
+    assert printed(table) == ["name  size [m]", "cube  0.05"]
     assert as_rows(table) == [{"name": "cube", "size": 0.05}]
 
 
 def test_a_table_without_rows_or_for_wide_terminals_alone() -> None:
-    assert printed(as_rich(Table(columns=TABLE.columns, rows=()))) == ["none"]
+    assert printed(Table(columns=TABLE.columns, rows=())) == ["none"]
     table = Table(columns=(Column("a", "a"),), rows=[{"a": 1}], wide_only=True)
-    assert printed(as_rich(table)) == []
-    assert printed(as_rich(table, wide=True)) == ["a", "1"]
+    assert printed(table) == []
+    assert printed(table, wide=True) == ["a", "1"]
 
 
 NAMED = Table(
@@ -106,7 +107,7 @@ NAMED = Table(
 
 
 def test_a_long_first_cell_gets_lines_of_its_own() -> None:
-    assert printed(as_rich(NAMED), 45) == [
+    assert printed(NAMED, 45) == [
         "phenomenon             reality  default  this",
         "friction of wood on a board of ten degrees",
         "                             1        2     3",
@@ -115,7 +116,7 @@ def test_a_long_first_cell_gets_lines_of_its_own() -> None:
 
 
 def test_columns_that_do_not_fit_are_written_below_the_row() -> None:
-    assert printed(as_rich(NAMED), 30) == [
+    assert printed(NAMED, 30) == [
         "phenomenon       reality",
         "friction of wood on a board of",
         "ten degrees",
@@ -128,7 +129,7 @@ def test_columns_that_do_not_fit_are_written_below_the_row() -> None:
 
 def test_long_titles_are_wrapped_at_blanks() -> None:
     columns = (Column("a", "metric"), Column("b", "mujoco, contact_solimp=0.95", is_number=True), Column("c", "newton"))
-    assert printed(as_rich(Table(columns=columns, rows=[{"a": "RMSE", "b": "1.23", "c": "4.56"}]))) == [
+    assert printed(Table(columns=columns, rows=[{"a": "RMSE", "b": "1.23", "c": "4.56"}])) == [
         "                    mujoco,",
         "metric  contact_solimp=0.95  newton",
         "RMSE                   1.23  4.56",
@@ -154,7 +155,7 @@ def test_no_line_is_too_long_and_no_word_is_lost(
         *(Column(str(index), title, place=places[index]) for index, title in enumerate(titles[1:], start=1)),
     )
     rows: list[dict[str, Any]] = [{str(index): text for index, text in enumerate(line)} for line in cells]
-    lines = printed(as_rich(Table(columns=columns, rows=rows)), width)
+    lines = printed(Table(columns=columns, rows=rows), width)
     assert max(map(len, lines)) <= width
     words = {word.strip(";") for line in lines for word in line.split()}
     assert words >= {word for row in rows for index in range(len(columns)) for word in row[str(index)].split()}
@@ -173,4 +174,4 @@ def test_facts_have_their_texts_beside_the_names_and_long_names_above() -> None:
 
 @pytest.mark.parametrize("text", ["[red]", "[/]", "a [b] c"])
 def test_brackets_are_text(text: str) -> None:
-    assert printed(as_rich(Table(columns=(Column("a", text),), rows=[{"a": text}]))) == [text, text]
+    assert printed(Table(columns=(Column("a", text),), rows=[{"a": text}])) == [text, text]

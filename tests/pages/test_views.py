@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.pages.document import Terminal
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -22,7 +23,7 @@ from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.tools import sanity
 from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
 from gauge_envs.tools.dataset.statistics import TrialSpread
-from gauge_envs.tools.dataset.words import import_view
+from gauge_envs.tools.dataset.words import import_document
 from gauge_envs.tools.sanity.model import Report
 
 IDS = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal", "BouncingBall-rubber")
@@ -144,7 +145,7 @@ def test_an_import_fits_the_terminal(width: int) -> None:
     one = ImportedTrials(variant=variant, record=record, used=20, left_out=1, rows=rows, findings=())
     console = Console(width=width)
     with console.capture() as capture:
-        console.print(import_view([one]))
+        console.print(Terminal(import_document([one])))
     text = capture.get()
     assert max(map(len, text.splitlines())) <= width
     assert {variant.name, "12.35", "RMSE", "board", "0.12", "0.34"} <= words(text)

@@ -15,7 +15,7 @@ from gauge_envs.errors import ReferenceFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
-from gauge_envs.pages.convergence import convergence_text
+from gauge_envs.pages.results import convergence_text
 from gauge_envs.references.convergence import Convergence, ConvergenceTable, convergence_table
 from gauge_envs.references.published import published_baselines
 

@@ -21,7 +21,9 @@ from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.catalog import listing
-from gauge_envs.tools.catalog.listing import backend_rows, list_rows
+from gauge_envs.tools.catalog.listing import list_rows
+from gauge_envs.tools.conformance import words
+from gauge_envs.tools.conformance.words import backends_table
 
 WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
 
@@ -88,7 +90,7 @@ def test_lists_name_broken_engines_with_their_cause(
 ) -> None:
     installed("well", "other-name", "no-backend", "at-import", "supports", "supports-exit", "supports-crash")
     notes: list[str] = []
-    (row,) = list_rows([find_variant(WOOD)], isolate=True, notify=notes.append)
+    (row,) = list_rows([find_variant(WOOD)], notify=notes.append)
     assert row["backends"]["mujoco"] == row["backends"]["well"] == []
     causes = {
         "other-name": "the class has the name 'another'",
@@ -103,8 +105,8 @@ def test_lists_name_broken_engines_with_their_cause(
         assert any(repr(name) in note and cause in note for note in notes)
     assert len(notes) == len(causes)
     # Each engine outside this package is another process.
-    monkeypatch.setattr(listing, "backend_names", lambda: ("mujoco", "well", "supports", "at-import"))
-    errors = {row["name"]: row["error"] for row in backend_rows(isolate=True)}
+    monkeypatch.setattr(words, "backend_names", lambda: ("mujoco", "well", "supports", "at-import"))
+    errors = {row["name"]: row["error"] for row in backends_table().rows}
     assert errors["mujoco"] is errors["well"] is errors["supports"] is None
     assert "SystemExit" in errors["at-import"]
 
@@ -112,13 +114,14 @@ def test_lists_name_broken_engines_with_their_cause(
 def test_a_list_waits_for_no_engine_that_hangs(installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
     installed("supports-hang")
     monkeypatch.setattr(listing, "QUERY_LIMIT_S", 6.0)
-    (row,) = list_rows([find_variant(WOOD)], isolate=True)
+    (row,) = list_rows([find_variant(WOOD)])
     assert row["backends"]["mujoco"] == []
     assert "time limit of 6 s" in row["backends"]["supports-hang"][0]
 
 
-def test_one_process_asks_broken_engines_too(installed: Callable[..., None]) -> None:
+def test_one_process_asks_broken_engines_too(installed: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
     installed("supports", "supports-exit", "at-import", "other-name")
+    monkeypatch.setattr(listing, "is_bundled", lambda name: True)
     backends = list_rows([find_variant(WOOD)])[0]["backends"]
     assert backends["mujoco"] == []
     assert "SystemExit" in backends["supports-exit"][0] and "SystemExit" in backends["at-import"][0]

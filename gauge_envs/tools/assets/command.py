@@ -43,7 +43,7 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
         Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
         Column("of", "of", _owners_text),
     )
-    return [Table(columns=columns, rows=matching(asset_rows(assets_folder()), patterns, kind="scene", key="file"))]
+    return matching([Table(columns=columns, rows=asset_rows(assets_folder()))], patterns, kind="scene")
 
 
 def _owners_text(names: str) -> str:

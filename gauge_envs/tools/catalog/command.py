@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, FormatOption, UseOption, matching, parsed_use
+from gauge_envs.cli.arguments import AssetOption, FormatOption, UseOption, parsed_use
 from gauge_envs.cli.commands import LISTINGS, load
-from gauge_envs.cli.output import Format, counted, message, note, print_document, print_result, stdout_console
-
-if TYPE_CHECKING:
-    from gauge_envs.pages.table import Table
+from gauge_envs.cli.output import Format, counted, message, note, print_document, stdout_console
 
 EXPERIMENTS = "experiments"
 """The kind that `gauge list` lists by default."""
@@ -34,10 +31,12 @@ def list_(
     Experiments have their observable, the grade of their reference, and the engines that can run them. The pattern '*'
     lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
     """
+    from gauge_envs.pages.document import Document
+
     kind, *patterns = words if words and words[0] in (EXPERIMENTS, *LISTINGS) else [EXPERIMENTS, *(words or ())]
     if kind == EXPERIMENTS:
         return _list_experiments(patterns, scored, form)
-    print_document(load(LISTINGS[kind], f"list {kind}")(patterns), form)
+    print_document(Document(parts=load(LISTINGS[kind], f"list {kind}")(patterns)), form)
     return False
 
 
@@ -46,13 +45,14 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.references.bands import BandGrade
-    from gauge_envs.tools.catalog.listing import list_rows, list_table
+    from gauge_envs.tools.catalog.listing import list_rows
+    from gauge_envs.tools.catalog.words import list_table
 
     faults = task_file_faults()
     for fault in faults.values():
         message(fault, "skipped")
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
-    found = list_rows([one for one in variants if one.family not in faults], isolate=True, notify=note)
+    found = list_rows([one for one in variants if one.family not in faults], notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
     print_document(list_table(rows), form)
     if form in (Format.TEXT, Format.WIDE):
@@ -62,7 +62,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
 
 def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
     from gauge_envs.experiments.variants import beyond_variants
-    from gauge_envs.tools.catalog.control import control_summary
+    from gauge_envs.tools.catalog.words import control_summary
 
     families = len({row["family"] for row in rows})
     console = stdout_console()
@@ -70,14 +70,6 @@ def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
         console.print(control_summary())
         console.print(f"Beyond the benchmark: {', '.join(variant.id for variant in beyond_variants())}")
     console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
-
-
-def list_backends(patterns: Sequence[str]) -> list[Table]:
-    """Return the table of the installed engines and their versions."""
-    from gauge_envs.tools.catalog.listing import backend_rows, backend_table
-
-    rows = backend_rows(isolate=True)
-    return [backend_table(matching(rows, patterns, kind="backend", key="name"))]
 
 
 def show(
@@ -92,12 +84,12 @@ def show(
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
-    from gauge_envs.tools.catalog.control import control_description, control_view
-    from gauge_envs.tools.catalog.description import description, description_view
+    from gauge_envs.tools.catalog.description import control_description, description
+    from gauge_envs.tools.catalog.words import control_document, experiment_document
 
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-        values, view = control_description(find_control_task(name)), control_view
+        document = control_document(control_description(find_control_task(name)))
     else:
-        values = description(resolve_experiment(name, asset=asset, **parsed_use(use, "drivers", "reference")))
-        view = description_view
-    print_result(form, rows=lambda: [values], view=lambda _: view(values))
+        experiment = resolve_experiment(name, asset=asset, **parsed_use(use, "drivers", "reference"))
+        document = experiment_document(description(experiment))
+    print_document(document, form)

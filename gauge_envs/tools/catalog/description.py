@@ -1,43 +1,30 @@
-"""One experiment in full: scene, constants and where each number is from, reference, published scores."""
+"""All that defines an experiment or a control task, with the source of each number, JSON-ready."""
 
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
-from collections.abc import Mapping
 from typing import Any
 
+import gymnasium
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.text import Text
 
 from gauge_envs.backends.registry import backend_names
+from gauge_envs.envs.control.env import ControlEnv
+from gauge_envs.envs.control.tasks import ControlTask
 from gauge_envs.evaluation.reference import load_band, reference_band
-from gauge_envs.experiments.experiment import AssetKind, Experiment, TaskExperiment
+from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import json_ready
-from gauge_envs.pages.convergence import convergence_rows, convergence_text
-from gauge_envs.pages.table import Column, Facts, Place, Table, as_rich
-from gauge_envs.pages.text import (
-    ENGINE_TITLES,
-    GRADE_NOTES,
-    METRIC_TITLES,
-    NORMALIZED_NOTE,
-    SIGMA_NOTES,
-    heading,
-    number_text,
-    pairs_text,
-    plus_minus_text,
-    shortened,
-    vector_text,
-)
-from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.pages.results import convergence_rows
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.published import law_for
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Driver, Profile, SampledProfile
-from gauge_envs.tools.catalog.listing import unsupported_features_of
+from gauge_envs.tools.catalog.listing import lacking_features
 
 
 def description(experiment: Experiment) -> dict[str, Any]:
@@ -69,7 +56,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
             "reference": _reference(experiment),
             "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
-            "backends": unsupported_features_of(experiment),
+            "backends": {name: lacking_features(name, [experiment])[0] for name in backend_names()},
             "convergence": {name: convergence_rows(name, experiment.name) for name in backend_names()},
         }
     )
@@ -218,136 +205,18 @@ def _recorded_note(record: DriverRecord) -> str:
     )
 
 
-def description_view(values: Mapping[str, Any]) -> Group:
-    """Return the dictionary of `description` for a terminal."""
-    parts: list[RenderableType] = [
-        Text(f"{values['id']}  {values['title']}", style="bold"),
-        Text(values["summary"]),
-        Text(""),
-        Facts(_general_facts(values)),
-        as_rich(Table(title="Bodies", columns=BODY_COLUMNS, rows=values["bodies"])),
-        as_rich(Table(title="Contacts", columns=CONTACT_COLUMNS, rows=values["contacts"])),
-    ]
-    if joints := (*values["joints"], *values["attachments"]):
-        parts += [heading("Joints"), *(Text(pairs_text(joint)) for joint in joints)]
-    if values["air"] is not None:
-        parts += [heading("Air"), Text(pairs_text(values["air"]))]
-    for driver in values["drivers"]:
-        parts += [
-            heading(f"Driver of {driver['body']} ({driver['provenance']})"),
-            Text(driver["note"]),
-            *(Text(f"  {pairs_text(motion)}") for motion in driver["motions"]),
-        ]
-    sets = {
-        name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
-        for name, chosen in values["parameter_sets"].items()
-    }
-    return Group(
-        *parts,
-        heading("Constants"),
-        Facts({name: pairs_text(table) for name, table in values["constants"].items()}),
-        heading("Where the numbers are from"),
-        Facts(values["provenance"]),
-        heading("Decisions"),
-        *(Text(f"- {line}") for line in values["decisions"] or ["none"]),
-        heading("Parameter sets"),
-        Facts(sets),
-        as_rich(Table(title="Published", columns=BASELINE_COLUMNS, rows=values["baselines"], notes=(NORMALIZED_NOTE,))),
+def control_description(task: ControlTask) -> dict[str, Any]:
+    """Return what defines one control task, JSON-ready."""
+    env = gymnasium.make(task.id).unwrapped
+    assert isinstance(env, ControlEnv)
+    bases = [base for base in type(env).__mro__ if issubclass(base, ControlEnv) and base is not ControlEnv]
+    return json_ready(
+        {
+            "id": task.id,
+            "scene": env.experiment.id,
+            "duration_s": env.DURATION_S,
+            "observed": env.OBSERVED,
+            "limit": dataclasses.asdict(env.limit),
+            "task": "\n\n".join((inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases),
+        }
     )
-
-
-def _general_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    observable, reference = values["observable"], values["reference"]
-    grade = BandGrade(reference["grade"])
-    trials = f", {reference['trial_count']} trials" if reference["trial_count"] else ""
-    note = GRADE_NOTES[grade]
-    if reference["single_shot"]:
-        trials, note = "", "one real trial with the same start; each trial has its own"
-    withheld = reference["withheld"] is not None
-    return {
-        "evaluates": ", ".join(values["evaluates"]),
-        "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
-        "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
-        "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
-        "grade": f"{grade.value}{trials} ({note})" + (", recording withheld" * withheld),
-        "reference": reference["source"] or reference["law"] or "none",
-        **_asset_facts(values),
-        **_band_facts(values),
-        **{f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()},
-        **_convergence_facts(values),
-    }
-
-
-def _convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return what half the step and half the cell change on each engine that runs the experiment."""
-    has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
-    return {
-        f"convergence, {name}": convergence_text(rows, has_cells=has_cells, with_unit=True)
-        for name, rows in values["convergence"].items()
-        if not values["backends"].get(name)
-    }
-
-
-def _asset_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the file of the scene, and how it differs from the calibrated one."""
-    asset = values["asset"]
-    if asset is None:
-        return {}
-    facts = {"asset": f"{asset['file']}, sha256 {asset['sha256'][:8]}"}
-    if asset["kind"] != AssetKind.EXPERIMENT:
-        facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
-    return facts
-
-
-def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the limits of a band: known frames, source of sigma, why it is withheld."""
-    reference = values["reference"]
-    facts = {}
-    if reference["known_frames"] is not None and reference["known_frames"] < values["frames"]:
-        facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
-    if reference["sigma_source"] is not None:
-        facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
-    if reference["single_shot"]:
-        facts["normalized"] = "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
-    elif reference["normalized_by_baseline"] is False:
-        facts["normalized"] = "no: the published baseline is of another span of the motion"
-    if reference["withheld"] is not None:
-        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
-    return facts
-
-
-def _shape(body: Mapping[str, Any]) -> str:
-    shape = dict(body.get("shape") or {"kind": body["kind"]})
-    kind = shape.pop("kind")
-    if "pieces_m" in shape:
-        return f"{kind}, {len(shape['pieces_m'])} pieces"
-    skip = ("name", "kind", "recorded", "motion", "shape", "mass_kg", "position_m", "quaternion_wxyz")
-    return " ".join(filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip))))
-
-
-def _body_text(body: Mapping[str, Any]) -> str:
-    return body["name"] + (" (recorded)" if body["recorded"] else "")
-
-
-BODY_COLUMNS = (
-    Column("", "name", _body_text),
-    Column("", "motion", lambda body: body.get("motion", body["kind"])),
-    Column("", "mass [kg]", lambda body: f"{body['mass_kg']:.10g}" if body["mass_kg"] else "-", is_number=True),
-    Column("position_m", "position [m]", vector_text),
-    Column("quaternion_wxyz", "quaternion wxyz", vector_text),
-    Column("", "shape", _shape, place=Place.BELOW),
-)
-
-CONTACT_COLUMNS = (
-    Column("first", "first", shortened),
-    Column("second", "second", shortened),
-    Column("friction", "friction", is_number=True),
-    Column("restitution", "restitution", is_number=True),
-    Column("mode", "mode"),
-)
-
-BASELINE_COLUMNS = (
-    Column("metric", "metric", METRIC_TITLES.__getitem__),
-    Column("", "real trials", lambda line: plus_minus_text(line["mean"], line["std"], line["unit"]), is_number=True),
-    *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
-)

@@ -10,7 +10,7 @@ import typer
 
 from gauge_envs.cli.arguments import FormatOption, SourcesArgument, WithheldOption, split_details, split_list
 from gauge_envs.cli.commands import DRAWINGS, load
-from gauge_envs.cli.output import Format, echo, print_result
+from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError, UnknownNameError
 
@@ -23,18 +23,11 @@ def compare(sources: SourcesArgument = None, form: FormatOption = Format.TEXT) -
     metrics alone. Exit code 1 when a damaged file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
-    from gauge_envs.tools.compare.scores import check_metrics
-    from gauge_envs.tools.compare.words import comparison_json, comparison_markdown, comparison_view
+    from gauge_envs.tools.compare.words import check_metrics, comparison_document
 
     files, names = _split_metrics(sources)
     results, skipped = loaded_results(files)
-    comparison, chosen = compare_results(results), check_metrics(names)
-    print_result(
-        form,
-        rows=lambda: comparison_json(comparison, chosen),
-        view=lambda wide: comparison_view(comparison, chosen, wide=wide),
-        markdown=lambda: comparison_markdown(comparison, chosen),
-    )
+    print_document(comparison_document(compare_results(results), check_metrics(names)), form)
     return bool(skipped)
 
 
@@ -90,7 +83,7 @@ def draw_compare(sources: Sequence[str], out: Path) -> tuple[Iterable[Path], int
 
 def _split_metrics(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return files, and the metrics that the detail `metric` names."""
-    from gauge_envs.tools.compare.scores import check_metrics
+    from gauge_envs.tools.compare.words import check_metrics
 
     files, details = split_details(words, {"metric": split_list})
     names = details.get("metric", [])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -13,6 +13,8 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.pages.results import PERCENTILES, SCORE_METRICS, normalized_score, raw_score, score_interval
+from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
@@ -20,8 +22,8 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.draws import ScoreDraws, score_draws
-from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, compare_grade
-from gauge_envs.tools.compare.scores import COMPARED_METRICS, ComparedMetric, ScoreSpread, repeats_interval
+from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, compare_grade, grade_name
+from gauge_envs.tools.compare.scores import ScoreSpread, repeats_interval
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,48 +48,41 @@ class Cell:
         """Whether any repeat ran, also if it diverged."""
         return any(result.error is None for result in self.results)
 
-    def values(self, metric: ComparedMetric, *, normalized: bool) -> list[float | None]:
+    def values(self, metric: str, *, normalized: bool) -> list[float | None]:
         """Return the metric of each repeat, None for a repeat without it."""
-        name = metric.normalized if normalized else metric.raw
-        return [None if name is None else getattr(result.score, name) for result in self.results]
+        value_of = normalized_score if normalized else raw_score
+        return [value_of(result.score, metric) for result in self.results]
 
-    def spread(self, metric: ComparedMetric, *, normalized: bool) -> ScoreSpread | None:
+    def spread(self, metric: str, *, normalized: bool) -> ScoreSpread | None:
         """Return mean and scatter over the repeats that have the metric."""
         return ScoreSpread.of([value for value in self.values(metric, normalized=normalized) if value is not None])
 
-    def interval_95(self, metric: ComparedMetric) -> tuple[float, float] | None:
+    def interval_95(self, metric: str) -> tuple[float, float] | None:
         """Return the 95 % interval of the mean of the normalized metric; None if a repeat with the metric has none."""
-        if metric.interval is None or metric.normalized is None:
+        scores = [one.score for one in self.results if normalized_score(one.score, metric) is not None]
+        intervals = [ends for score in scores if (ends := score_interval(score, metric)) is not None]
+        if not scores or len(intervals) < len(scores):
             return None
-        known = [
-            (value, getattr(result.score, metric.interval))
-            for result in self.results
-            if (value := getattr(result.score, metric.normalized)) is not None
-        ]
-        if not known or any(ends is None for _, ends in known):
-            return None
-        return repeats_interval([value for value, _ in known], [ends for _, ends in known])
+        return repeats_interval([normalized_score(score, metric) or 0.0 for score in scores], intervals)
 
-    def percentile(self, metric: ComparedMetric) -> float | None:
+    def percentile(self, metric: str) -> float | None:
         """Return the percentage of real trials that are closer to their mean; mean over the repeats that have it."""
-        if metric.percentile is None:
-            return None
-        known = [value for result in self.results if (value := getattr(result.score, metric.percentile)) is not None]
-        return float(np.mean(known)) if known else None
-
-    @property
-    def times_s(self) -> tuple[float, float]:
-        """Total wall time and simulated time of the repeats with a known wall time [s]."""
-        timed = [(result.wall_s, result.sim_s) for result in self.results if result.wall_s is not None]
-        return sum(wall for wall, _ in timed), sum(simulated for _, simulated in timed)
+        field = PERCENTILES.get(metric)
+        known = [getattr(result.score, field) for result in self.results] if field else []
+        spread = ScoreSpread.of([value for value in known if value is not None])
+        return None if spread is None else spread.mean
 
     @property
     def wall_s_per_sim_s(self) -> float | None:
         """Wall seconds per simulated second; None if no repeat has a wall time."""
-        return _ratio(*self.times_s)
+        return _cost([self])
 
 
-def _ratio(wall_s: float, sim_s: float) -> float | None:
+def _cost(cells: Iterable[Cell]) -> float | None:
+    """Return the wall seconds per simulated second of all repeats with a known wall time."""
+    results = [result for cell in cells for result in cell.results]
+    timed = [(result.wall_s, result.sim_s) for result in results if result.wall_s is not None]
+    wall_s, sim_s = sum(wall for wall, _ in timed), sum(simulated for _, simulated in timed)
     return wall_s / sim_s if sim_s > 0.0 and wall_s > 0.0 else None
 
 
@@ -116,7 +111,12 @@ class ExperimentComparison:
     @property
     def name(self) -> str:
         """Id without `GAUGE/`."""
-        return self.id.removeprefix("GAUGE/")
+        return short_id(self.id)
+
+    @property
+    def grade_name(self) -> str:
+        """Grade, and whether its band is withheld."""
+        return grade_name(self.grade, withheld=self.withheld)
 
     @property
     def primary(self) -> str:
@@ -124,15 +124,19 @@ class ExperimentComparison:
         results = [result for cell in self.cells if cell is not None for result in cell.results]
         return next((one.score.primary for one in results if one.score.primary is not None), "rmse")
 
-    def metrics(self, among: Iterable[str] = tuple(COMPARED_METRICS)) -> list[str]:
+    def metrics(self, among: Iterable[str] = tuple(SCORE_METRICS)) -> list[str]:
         """Return the metrics that a result has or whose published scores can stand beside it, the primary first."""
+        cells = [cell for cell in self.cells if cell is not None]
         names = [
             name
             for name in among
-            if self.published(name) is not None
-            or any(cell is not None and cell.spread(COMPARED_METRICS[name], normalized=False) for cell in self.cells)
+            if self.published(name) is not None or any(cell.spread(name, normalized=False) for cell in cells)
         ]
         return sorted(names, key=lambda name: name != self.primary)
+
+    def unit_of(self, metric: str) -> str:
+        """Return the unit of a metric that is not normalized."""
+        return SCORE_METRICS[metric].unit_of(self.unit)
 
     def published(self, metric: str) -> Mapping[str, float | None] | None:
         """Return the published scores of a metric by engine; None where nothing comparable was published.
@@ -140,21 +144,18 @@ class ExperimentComparison:
         The paper scored trajectories against the mean of real trials, so RMSE and DTW need a reference of that grade.
         Event metrics do not depend on the reference.
         """
-        known = COMPARED_METRICS[metric]
-        line = self.baselines.get(known.published or "")
-        if line is None or not (known.is_event or (self.grade == BandGrade.TRIALS.value and not self.withheld)):
-            return None
-        return line.engines
+        line = self.baselines.get(metric)
+        is_comparable = self.grade == BandGrade.TRIALS.value and not self.withheld
+        return line.engines if line is not None and (is_comparable or SCORE_METRICS[metric].is_event) else None
 
     def graded(self) -> GradedExperiment:
         """Return the scores of this experiment for a comparison within its grade."""
-        primary, raw = COMPARED_METRICS[self.primary], COMPARED_METRICS["rmse"]
         return GradedExperiment(
             id=self.id,
             draws=tuple(None if cell is None else cell.draws for cell in self.cells),
             published=self.published("rmse") or {},
-            intervals=tuple(None if cell is None else cell.interval_95(primary) for cell in self.cells),
-            raw_intervals=tuple(None if cell is None else cell.interval_95(raw) for cell in self.cells),
+            intervals=tuple(None if cell is None else cell.interval_95(self.primary) for cell in self.cells),
+            raw_intervals=tuple(None if cell is None else cell.interval_95("rmse") for cell in self.cells),
         )
 
 
@@ -196,16 +197,14 @@ class Comparison:
     @cached_property
     def grades(self) -> tuple[GradeComparison, ...]:
         """What the scores of each grade say, best grade first; an experiment of several references is left out."""
-        graded = [one for one in self.experiments if _has_one_reference(one)]
+        groups: dict[tuple[BandGrade, bool], list[ExperimentComparison]] = {}
+        for one in filter(_has_one_reference, self.experiments):
+            groups.setdefault((BandGrade(one.grade), one.withheld), []).append(one)
+        order = list(BandGrade)
         return tuple(
-            compare_grade(
-                grade.value,
-                withheld=withheld,
-                experiments=[one.graded() for one in graded if (one.grade, one.withheld) == (grade.value, withheld)],
-            )
-            for grade in BandGrade
-            for withheld in (False, True)
-            if any((one.grade, one.withheld) == (grade.value, withheld) and _is_scored(one) for one in graded)
+            compare_grade(grade.value, withheld=withheld, experiments=[one.graded() for one in groups[grade, withheld]])
+            for grade, withheld in sorted(groups, key=lambda group: (order.index(group[0]), group[1]))
+            if any(cell is not None and cell.draws for one in groups[grade, withheld] for cell in one.cells)
         )
 
     @property
@@ -218,11 +217,13 @@ class Comparison:
         return tuple(self._summary(index) for index in range(len(self.configurations)))
 
     def _summary(self, index: int) -> Summary:
-        cells = [cell for one in self.experiments if (cell := one.cells[index]) is not None]
-        common = [cell for one in self.run_by_all if (cell := one.cells[index]) is not None]
+        cells, common = (
+            [cell for one in experiments if (cell := one.cells[index]) is not None]
+            for experiments in (self.experiments, self.run_by_all)
+        )
         return Summary(
             ran=sum(cell.ran for cell in cells),
-            scored=sum(all(one.score.rmse_normalized is not None for one in cell.results) for cell in cells),
+            scored=sum(None not in cell.values("rmse", normalized=True) for cell in cells),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
             wall_s_per_sim_s=_cost(cells),
@@ -230,23 +231,11 @@ class Comparison:
         )
 
 
-def _is_scored(one: ExperimentComparison) -> bool:
-    return any(cell is not None and cell.draws is not None for cell in one.cells)
-
-
 def _has_one_reference(one: ExperimentComparison) -> bool:
     """Return whether all results of an experiment are scored against the same reference."""
     results = [result for cell in one.cells if cell is not None for result in cell.results if result.error is None]
-    return len({_reference_of(result) for result in results}) <= 1
-
-
-def _reference_of(result: Result) -> tuple[object, ...]:
-    return (result.score.grade, result.score.withheld, *sorted(result.dataset.items()))
-
-
-def _cost(cells: Iterable[Cell]) -> float | None:
-    times = [cell.times_s for cell in cells]
-    return _ratio(sum(wall for wall, _ in times), sum(simulated for _, simulated in times))
+    references = {(one.score.grade, one.score.withheld, *sorted(one.dataset.items())) for one in results}
+    return len(references) <= 1
 
 
 def compare(results: Iterable[Result]) -> Comparison:
@@ -265,7 +254,7 @@ def compare(results: Iterable[Result]) -> Comparison:
     for name, cells in by_id.items():
         every_cell = [result for cell in cells if cell is not None for result in cell.results]
         first = next((result for result in every_cell if result.error is None), every_cell[0])
-        baselines = published_baselines(name.removeprefix("GAUGE/"))
+        baselines = published_baselines(short_id(name))
         present = [(index, cell.results) for index, cell in enumerate(cells) if cell is not None]
         distances = (
             trajectory_distance((first, second), some, others, baselines.get("rmse"))
@@ -301,12 +290,12 @@ def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result],
     latest = {result.seed: result for result in sorted(mine, key=lambda result: result.created)}
     if len(latest) < len(mine):
         notes.append(
-            f"{name.removeprefix('GAUGE/')}: {len(mine)} results of {mine[0].backend or 'files'} with "
-            f"{len(latest)} seed{'s' if len(latest) > 1 else ''}; the latest of each counts"
+            f"{short_id(name)}: {len(mine)} results of {mine[0].backend or 'files'} with "
+            f"{counted(len(latest), 'seed')}; the latest of each counts"
         )
     in_force = [result.settings for result in latest.values() if result.error is None]
     if any(settings != in_force[0] for settings in in_force):
-        notes.append(f"{name.removeprefix('GAUGE/')}: repeats of {mine[0].backend} differ in the settings in force")
+        notes.append(f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force")
     kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
     return Cell(results=kept, draws=_cell_draws(kept, configuration, notes)) if kept else None
 
@@ -315,48 +304,42 @@ def _cell_draws(results: Sequence[Result], configuration: RunConfiguration, note
     """Return the draws of repeats; None without them, with a note if they should have some."""
     if any(result.score.rmse_normalized is None for result in results):
         return None
-    name = results[0].id.removeprefix("GAUGE/")
+    refused = f"{short_id(results[0].id)}: not compared in pairs, because its"
     try:
         experiment = recorded_experiment(results[0])
         band = reference_band(experiment, use_withheld=results[0].score.withheld is not None)
         draws = None if band is None else score_draws(results, experiment, band, configuration)
     except GaugeError as error:
-        notes.append(f"{name}: not compared in pairs, because its result cannot be scored again: {error}")
+        notes.append(f"{refused} result cannot be scored again: {error}")
         return None
     stated = [result.score.rmse_normalized for result in results]
     if draws is None or np.allclose(draws.raw, np.array(stated, dtype=np.float64), rtol=1e-6, atol=1e-9):
         return draws
-    notes.append(f"{name}: not compared in pairs, because its score was made against another reference; run it again")
+    notes.append(f"{refused} score was made against another reference; run it again")
     return None
 
 
 def _mismatches(results: Sequence[Result]) -> list[str]:
     """Return a sentence for each way in which results do not belong together."""
     notes = []
-    stale = _names(results, _is_stale)
+    by_id = {name: [one for one in results if one.id == name] for name in sorted({one.id for one in results})}
+    stale = dict.fromkeys(
+        short_id(one.id)
+        for one in results
+        if not one.has_experiment_file and one.task_sha256 != task_sha256(find_variant(one.id).family)
+    )
     if stale:
-        notes.append(f"made from another task file than the installed one: {stale}")
-    for name in sorted({one.id for one in results if one.has_experiment_file}):
-        if len({one.task_sha256 for one in results if one.id == name}) > 1:
-            notes.append(f"{name.removeprefix('GAUGE/')}: made from different versions of its experiment file")
+        notes.append(f"made from another task file than the installed one: {', '.join(stale)}")
+    for name, same in by_id.items():
+        if len({one.task_sha256 for one in same if one.has_experiment_file}) > 1:
+            notes.append(f"{short_id(name)}: made from different versions of its experiment file")
     made_with = sorted({one.versions.get("gauge-envs", "an unknown version") for one in results})
     if len(made_with) > 1:
         notes.append(f"scored by different versions of gauge-envs: {', '.join(made_with)}")
-    for name in sorted({one.id for one in results}):
-        grades = sorted({one.score.grade for one in results if one.id == name})
+    for name, same in by_id.items():
+        grades = sorted({one.score.grade for one in same})
         if len(grades) > 1:
-            notes.append(f"{name.removeprefix('GAUGE/')}: scored against references of grade {' and '.join(grades)}")
-        imports = {tuple(sorted(one.dataset.items())) for one in results if one.id == name}
-        if len(imports) > 1:
-            notes.append(f"{name.removeprefix('GAUGE/')}: real trials or drivers are of different imports, or bundled")
+            notes.append(f"{short_id(name)}: scored against references of grade {' and '.join(grades)}")
+        if len({tuple(sorted(one.dataset.items())) for one in same}) > 1:
+            notes.append(f"{short_id(name)}: real trials or drivers are of different imports, or bundled")
     return notes
-
-
-def _is_stale(result: Result) -> bool:
-    if result.has_experiment_file:
-        return False
-    return result.task_sha256 != task_sha256(find_variant(result.id).family)
-
-
-def _names(results: Iterable[Result], wanted: Callable[[Result], bool]) -> str:
-    return ", ".join(dict.fromkeys(one.id.removeprefix("GAUGE/") for one in results if wanted(one)))

@@ -14,34 +14,28 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.pages.figures import (
-    BACKING,
-    ENGINES,
-    HATCH,
-    LINE_STYLES,
-    OURS,
-    REAL,
-    WHISKER,
-    legend_above,
-    new_figure,
-    save_png,
-    tidy_axis,
-)
-from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import ALIGNED_TITLE, ENGINE_TITLES, GRADE_NOTES, METRIC_TITLES, interval_text, score_text
+from gauge_envs.pages.figures import ENGINES, OURS, REAL, legend_above, new_figure, save_png, tidy_axis
+from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, configuration_labels
+from gauge_envs.pages.svg import runs
+from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, score_text, short_id, with_unit
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.compare.comparison import Cell
 from gauge_envs.tools.compare.distance import distances_over_time
-from gauge_envs.tools.compare.scores import COMPARED_METRICS, ScoreSpread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+
+LINE_STYLES = ("-", "--", ":", "-.")
+HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
+WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
+BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 
 MOST_LEGEND_ENTRIES = 12
 LEAST_RANGE = 0.02
@@ -62,10 +56,10 @@ class _Series:
     @property
     def legend(self) -> str:
         """Entry of the legend."""
-        diverged = sum(result.diverged for result in self.results)
-        count = len(self.results)
-        ending = f", {diverged if count > 1 else ''} diverged".replace("  ", " ") if diverged else ""
-        return f"{self.label}{f', {count} repeats' if count > 1 else ''}{ending}"
+        diverged, count = sum(result.diverged for result in self.results), len(self.results)
+        if count == 1:
+            return f"{self.label}, diverged" if diverged else self.label
+        return f"{self.label}, {count} repeats" + (f", {diverged} diverged" if diverged else "")
 
     @property
     def alpha(self) -> float:
@@ -85,7 +79,7 @@ def save_figures(results: Sequence[Result], folder: Path) -> Iterator[Path]:
         if result.trajectory is not None:
             groups.setdefault(result.id, []).append(result)
     for name, group in groups.items():
-        yield save_png(draw_experiment(group, among=results), folder / f"{name.removeprefix('GAUGE/')}.png")
+        yield save_png(draw_experiment(group, among=results), folder / f"{short_id(name)}.png")
 
 
 def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) -> Figure:
@@ -128,10 +122,20 @@ def draw_experiment(results: Sequence[Result], *, among: Sequence[Result] = ()) 
     axes[-1].set_xlabel("time [s]")
     if bars:
         _draw_bars(figure.add_subplot(grid[:, 1]), bars, depth=5.0 * rows)
-    figure.suptitle(_title(experiment, results, band), x=0.01, ha="left", fontsize=12, fontweight="bold")
-    notes = wrap(_subtitle(experiment, band, has_bars=bool(bars)), 195)
-    figure.supxlabel("\n".join(notes), x=0.01, ha="left", fontsize=8, color="#505050")
+    title = f"{results[0].id}: {experiment.title}{'' if band is not None else ' (no reference trajectory)'}"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=12, fontweight="bold")
+    notes = "\n".join(wrap(_notes(experiment, band, has_bars=bool(bars)), 195))
+    figure.supxlabel(notes, x=0.01, ha="left", fontsize=8, color="#505050")
     return figure
+
+
+def _notes(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
+    grade = BandGrade.NONE if band is None else band.grade
+    parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
+    parts += [f"{band.source}."] if band is not None else []
+    parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
+    parts += ["Grey bars: engines as published (GAUGE, Table 5)."] if has_bars else []
+    return " ".join(parts)
 
 
 def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]:
@@ -160,9 +164,10 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
     # A law is a line that simulations lie on: wide and below them. A measured mean is dots, and above them.
     is_law = band.grade is BandGrade.LAW
     width, order = (3.0, 2) if is_law else (1.1, 5)
-    for measured in (True, False):
-        # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
-        for start, end in _runs(band.measured[:-1] & band.measured[1:], measured):
+    # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
+    segments = band.measured[:-1] & band.measured[1:]
+    for flags, measured in ((segments, True), (~segments, False)):
+        for start, end in runs(flags):
             piece = slice(start, end + 1)
             hatch = {} if measured else HATCH
             for reach, shade in ((2.0, "#e3e3e3"), (1.0, "#c4c4c4")):
@@ -173,7 +178,9 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
             axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
     if column == 0:
-        axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=_mean_label(band))
+        names = {BandGrade.LAW: "law", BandGrade.RECORDING: "real, one trial"}
+        name = names.get(band.grade, "real, mean" + (f" ({band.trial_count} trials)" if band.trial_count else ""))
+        axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=name)
         whose = "law" if is_law else "real"
         axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
         axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
@@ -181,20 +188,6 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
             axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
     tidy_axis(axis)
-
-
-def _mean_label(band: Band) -> str:
-    count = f" ({band.trial_count} trials)" if band.trial_count else ""
-    if band.grade is BandGrade.RECORDING:
-        return "real, one trial"
-    return "law" if band.grade is BandGrade.LAW else f"real, mean{count}"
-
-
-def _runs(flags: NDArray[np.bool_], wanted: bool) -> Iterator[tuple[int, int]]:
-    """Yield half-open ranges of segments with the wanted flag."""
-    padded = np.concatenate([[False], flags == wanted, [False]]).astype(int)
-    edges = np.diff(padded)
-    yield from zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True)
 
 
 def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:
@@ -299,7 +292,7 @@ def _draw_distances(axis: Axes, series: Sequence[_Series]) -> None:
     for one in series[1:]:
         for times, distance in distances_over_time(first.results, one.results):
             axis.plot(times, distance, color=one.color, lw=min(one.width, 1.4), alpha=one.alpha)
-    baseline = published_baselines(first.results[0].id.removeprefix("GAUGE/")).get("rmse")
+    baseline = published_baselines(short_id(first.results[0].id)).get("rmse")
     if baseline is not None:
         axis.axhline(baseline.mean, color=REAL, lw=1.0, ls="--", label="published mean RMSE of the real trials")
         legend_above(axis)
@@ -329,88 +322,71 @@ def _recorded(result: Result) -> RecordedTrajectory:
 
 @dataclass(frozen=True)
 class _Bar:
-    """A normalized score: label, colour, spread, its 95 % interval, and the text for a missing one."""
+    """A normalized score.
+
+    Attributes:
+        label: Its configuration or engine.
+        color: Its colour.
+        text: The score in words, or why there is none.
+        value: The score; 0 without one.
+        ends: Ends of the whisker: the 95 % interval of a single run, or one standard deviation of repeats.
+    """
 
     label: str
     color: str
-    spread: ScoreSpread | None
-    missing: str
-    interval: tuple[float, float] | None = None
-
-    @property
-    def ends(self) -> tuple[float, float]:
-        """Ends of the whisker: the 95 % interval of a single run, or one standard deviation of repeats."""
-        if self.spread is None:
-            return 0.0, 0.0
-        reach = self.spread.std or 0.0
-        return self.interval or (self.spread.mean - reach, self.spread.mean + reach)
-
-    @property
-    def text(self) -> str:
-        """The score beside the bar."""
-        if self.spread is None:
-            return self.missing
-        if self.interval is not None:
-            return interval_text(self.spread.mean, self.interval)
-        reach = self.spread.std
-        return score_text(self.spread.mean) + (f" +- {score_text(reach)}" if reach else "")
+    text: str
+    value: float = 0.0
+    ends: tuple[float, float] = (0.0, 0.0)
 
 
 def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
     """Return normalized scores of the results and of the published engines, for the metrics of the paper."""
     groups: dict[str, list[_Bar]] = {}
-    if any(result.score.primary == "rmse_aligned" for one in series for result in one.results):
-        groups[ALIGNED_TITLE] = [_own_bar(one, "rmse_aligned") for one in series]
-    for metric, line in published_baselines(name.removeprefix("GAUGE/")).items():
+    if any(result.score.primary == ALIGNED.key for one in series for result in one.results):
+        groups[ALIGNED.title] = [_own_bar(one, ALIGNED.key) for one in series]
+    for metric, line in published_baselines(short_id(name)).items():
         if metric == "el":
             continue
         bars = [_own_bar(one, metric) for one in series]
         for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
             value = line.engines[engine]
-            bars.append(
-                _Bar(f"{title}, paper", color, None if value is None else ScoreSpread.of([value]), "not published")
-            )
-        groups[METRIC_TITLES[metric]] = bars
+            text = "not published" if value is None else score_text(value)
+            bars.append(_Bar(f"{title}, paper", color, text, value or 0.0, (value or 0.0, value or 0.0)))
+        groups[SCORE_METRICS[metric].title] = bars
     return groups
 
 
 def _own_bar(one: _Series, metric: str) -> _Bar:
-    """Return the bar of results; a single one has its 95 % interval."""
-    scores = [result.score for result in one.results]
-    values = [getattr(score, f"{metric}_normalized") for score in scores]
-    spread = ScoreSpread.of([value for value in values if value is not None])
-    missing = "diverged" if any(result.diverged for result in one.results) else "no reference"
-    compared = COMPARED_METRICS[metric]
-    raw = ScoreSpread.of([value for score in scores if (value := getattr(score, compared.raw)) is not None])
-    if raw is not None:
-        unit = compared.unit or scores[0].unit
-        missing = f"{score_text(raw.mean)}{'' if unit == '1' else f' {unit}'}, not normalized"
-    return _Bar(
-        one.label,
-        one.color,
-        spread,
-        missing,
-        getattr(scores[0], f"{metric}_normalized_95", None) if len(scores) == 1 else None,
-    )
+    cell = Cell(results=one.results)
+    spread, raw = (cell.spread(metric, normalized=normalized) for normalized in (True, False))
+    if spread is None:
+        text = "diverged" if any(result.diverged for result in one.results) else "no reference"
+        if raw is not None:
+            unit = SCORE_METRICS[metric].unit_of(one.results[0].score.unit)
+            text = f"{with_unit(score_text(raw.mean), unit)}, not normalized"
+        return _Bar(one.label, one.color, text)
+    interval = cell.interval_95(metric) if len(one.results) == 1 else None
+    if interval is not None:
+        return _Bar(one.label, one.color, interval_text(spread.mean, interval), spread.mean, interval)
+    reach = spread.std or 0.0
+    text = score_text(spread.mean) + (f" +- {score_text(reach)}" if reach else "")
+    return _Bar(one.label, one.color, text, spread.mean, (spread.mean - reach, spread.mean + reach))
 
 
 def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> None:
     """Draw bars from the top down; `depth` is the least number that fits, so that no bar is thick."""
-    longest = max(
-        [1.2, *(max(bar.spread.mean, bar.ends[1]) for group in groups.values() for bar in group if bar.spread)]
-    )
+    longest = max([1.2, *(max(bar.value, bar.ends[1]) for group in groups.values() for bar in group)])
     unit = 0.015 * longest
     ticks, places = [], []
     place = 0.0
     for metric, group in groups.items():
         axis.text(unit, place - 0.75, metric, fontsize=9, fontweight="bold", va="center", bbox=BACKING)
         for bar in group:
-            length = 0.0 if bar.spread is None else bar.spread.mean
             low, high = bar.ends
             # The end of an interval may be the score itself, but for its last digit.
-            whisker = [[max(length - low, 0.0)], [max(high - length, 0.0)]] if low < high else None
-            axis.barh(place, length, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
-            end = max(length, high) + unit
+            whisker = [[max(bar.value - low, 0.0)], [max(high - bar.value, 0.0)]] if low < high else None
+            axis.barh(place, bar.value, color=bar.color, height=0.78, xerr=whisker, error_kw=WHISKER)
+            end = max(bar.value, high) + unit
             axis.text(end, place, bar.text, va="center", fontsize=8, color="#404040", bbox=BACKING)
             places.append(place)
             ticks.append("\n".join(wrap(bar.label, 22)))
@@ -420,25 +396,8 @@ def _draw_bars(axis: Axes, groups: dict[str, list[_Bar]], *, depth: float) -> No
     axis.set_yticks(places, ticks, fontsize=8)
     axis.set_ylim(max(place - 1.3, depth), -1.3)
     axis.set_xlim(0.0, 1.45 * longest)
-    meaning = "mean of the real trials" if METRIC_TITLES["rmse"] in groups else "the real mean, ideal"
+    meaning = "mean of the real trials" if SCORE_METRICS["rmse"].title in groups else "the real mean, ideal"
     axis.set_xlabel(f"normalized score; 1 = {meaning}")
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
-
-
-def _title(experiment: Experiment, results: Sequence[Result], band: Band | None) -> str:
-    reference = "" if band is not None else " (no reference trajectory)"
-    return f"{results[0].id}: {experiment.title}{reference}"
-
-
-def _subtitle(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
-    grade = BandGrade.NONE if band is None else band.grade
-    parts = [f"Grade {grade.value}: {GRADE_NOTES[grade]}."]
-    parts += [f"{band.source}."] if band is not None else []
-    parts += [f"Driver: {experiment.driver_provenance}."] if experiment.driver_provenance else []
-    parts += ["Grey bars: engines as published (GAUGE, Table 5)."] if has_bars else []
-    return " ".join(parts)

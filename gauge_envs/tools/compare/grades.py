@@ -144,9 +144,19 @@ class GradeComparison:
     pairs: tuple[PairComparison, ...]
 
     @property
+    def ranked(self) -> list[GradeScore]:
+        """The scores, lowest rank first."""
+        return sorted(self.scores, key=lambda one: (one.rank or 0, one.mean.value if one.mean else 0.0))
+
+    @property
     def name(self) -> str:
         """Grade, and whether its bands are withheld."""
-        return f"{self.grade}, withheld" if self.withheld else self.grade
+        return grade_name(self.grade, withheld=self.withheld)
+
+
+def grade_name(grade: str, *, withheld: bool) -> str:
+    """Return a grade, and whether its bands are withheld by default."""
+    return f"{grade}, withheld" if withheld else grade
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,25 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from gauge_envs.pages.figures import (
-    CROSS,
-    ENGINE_MARKERS,
-    HOLLOW,
-    OURS,
-    REAL,
-    UNSCORED,
-    new_figure,
-    save_png,
-    tidy_axis,
-)
-from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import ALIGNED_TITLE, ENGINE_TITLES, METRIC_TITLES
+from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
+from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
+from gauge_envs.pages.text import ENGINE_TITLES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
 from gauge_envs.tools.compare.experiment_figure import save_figures
-from gauge_envs.tools.compare.scores import COMPARED_METRICS, ScoreSpread
+from gauge_envs.tools.compare.scores import ScoreSpread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,6 +25,11 @@ OVERVIEW = "overview"
 
 LONG_LABEL = 40
 """Length of a label from which the legend has fewer columns [characters]."""
+
+UNSCORED = "#f4f4f4"
+ENGINE_MARKERS = ("s", "^", "D")
+HOLLOW: dict[str, Any] = {"ms": 6, "mfc": "none", "mec": "#707070", "mew": 1.0, "ls": "", "zorder": 5}
+CROSS: dict[str, Any] = {"ms": 6, "mew": 1.8, "ls": "", "zorder": 4}
 
 
 def save_comparison(results: Sequence[Result], folder: Path, *, metric: str | None = None) -> Iterator[Path]:
@@ -70,112 +65,90 @@ def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figur
         The picture; None if no experiment has such a score.
     """
     names: list[str | None] = [metric] if metric is not None else [None, "rmse"]
-    panels = [_panel(comparison, name) for name in names]
-    shown = [one for one in comparison.experiments if any(_is_shown(one, panel) for panel in panels)]
-    if not any(any(panel.spreads[one.id]) or panel.published[one.id] for panel in panels for one in shown):
+    rows = {name: [_Row.of(one, name) for one in comparison.experiments] for name in names}
+    kept = [
+        place
+        for place, one in enumerate(comparison.experiments)
+        if _diverged(one) or any(rows[name][place].has_score for name in names)
+    ]
+    if not any(rows[name][place].has_score for name in names for place in kept):
         return None
+    shown = [comparison.experiments[place] for place in kept]
     figure = new_figure(10.0, 0.3 * len(shown) + 2.2)
-    axes = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
-    for axis, panel in zip(axes, panels, strict=True):
-        _draw_panel(axis, shown, panel)
-    axes[0].set_yticks(range(len(shown)), [f"{one.name}  ({_grade_text(one)})" for one in shown], fontsize=8)
+    axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axis, name in zip(axes, names, strict=True):
+        _draw_panel(axis, [rows[name][place] for place in kept], name)
+    axes[0].set_yticks(range(len(shown)), [f"{one.name}  ({one.grade_name})" for one in shown], fontsize=8)
     axes[0].set_ylim(len(shown) - 0.5, -0.5)
-    has_published = any(panel.published[one.id] for panel in panels for one in shown)
+    has_published = any(rows[name][place].published for name in names for place in kept)
     _overview_legend(
         figure, axes[-1], configuration_labels(comparison.configurations), shown, has_published=has_published
     )
     return figure
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Panel:
-    """What one panel shows.
+@dataclass(frozen=True)
+class _Row:
+    """Scores of one experiment in a panel: of each configuration with its 95 % interval, and as published."""
 
-    Attributes:
-        title: Name of the metric.
-        axis_label: Label of the axis of scores.
-        spreads: Scores of each configuration by id.
-        intervals: Their 95 % intervals by id.
-        published: Published scores by id and engine.
-    """
+    one: ExperimentComparison
+    spreads: Sequence[ScoreSpread | None]
+    intervals: Sequence[tuple[float, float] | None]
+    published: Mapping[str, float | None]
 
-    title: str
-    axis_label: str
-    spreads: Mapping[str, Sequence[ScoreSpread | None]]
-    intervals: Mapping[str, Sequence[tuple[float, float] | None]]
-    published: Mapping[str, Mapping[str, float | None] | None]
+    @classmethod
+    def of(cls, one: ExperimentComparison, metric: str | None) -> _Row:
+        """Return the scores of a metric; None is the primary one, of which nothing comparable is published."""
+        name = metric or one.primary
+        is_comparable = metric is not None and SCORE_METRICS[metric].is_normalized
+        return cls(
+            one,
+            [None if cell is None else cell.spread(name, normalized=True) for cell in one.cells],
+            [None if cell is None else cell.interval_95(name) for cell in one.cells],
+            (one.published(name) if is_comparable else None) or {},
+        )
 
-
-def _panel(comparison: Comparison, metric: str | None) -> _Panel:
-    metrics = {one.id: COMPARED_METRICS[metric or one.primary] for one in comparison.experiments}
-    title = "Primary score" if metric is None else METRIC_TITLES.get(metric, ALIGNED_TITLE)
-    closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "lower is closer"
-    aligned = " (aligned after a release)" if metric is None else ""
-    return _Panel(
-        title=title,
-        axis_label=f"normalized{aligned}, log scale; {closer}; bars: 95 %",
-        spreads={
-            one.id: [None if cell is None else cell.spread(metrics[one.id], normalized=True) for cell in one.cells]
-            for one in comparison.experiments
-        },
-        intervals={
-            one.id: [None if cell is None else cell.interval_95(metrics[one.id]) for cell in one.cells]
-            for one in comparison.experiments
-        },
-        published={
-            one.id: None if metric is None or COMPARED_METRICS[metric].normalized is None else one.published(metric)
-            for one in comparison.experiments
-        },
-    )
+    @property
+    def has_score(self) -> bool:
+        return any(self.spreads) or bool(self.published)
 
 
-def _is_shown(one: ExperimentComparison, panel: _Panel) -> bool:
-    return any(panel.spreads[one.id]) or bool(panel.published[one.id]) or _diverged(one)
-
-
-def _grade_text(one: ExperimentComparison) -> str:
-    return f"{one.grade}, withheld" if one.withheld else one.grade
-
-
-def _draw_panel(axis: Axes, shown: Sequence[ExperimentComparison], panel: _Panel) -> None:
+def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
     # An end of an interval at 0 has no place on a logarithmic axis: the bar reaches the edge.
     axis.set_xscale("log", nonpositive="clip")
     axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axis.axvline(1.0, color=REAL, lw=1.2, ls="--", zorder=1)
     places = [1.0]
-    for place, one in enumerate(shown):
+    for place, row in enumerate(rows):
         for engine, marker in zip(ENGINE_TITLES, ENGINE_MARKERS, strict=True):
-            value = (panel.published[one.id] or {}).get(engine)
+            value = row.published.get(engine)
             # A score of 0 has no place on a logarithmic axis.
             if value:
                 axis.plot(value, place, marker, **HOLLOW)
                 places.append(value)
-        spreads, intervals = panel.spreads[one.id], panel.intervals[one.id]
-        places += [spread.mean for spread in spreads if spread is not None and spread.mean > 0.0]
-        places += [end for interval in intervals if interval is not None for end in interval if end > 0.0]
-        _draw_dots(axis, one, spreads, intervals, place)
+        places += [spread.mean for spread in row.spreads if spread is not None and spread.mean > 0.0]
+        places += [end for interval in row.intervals if interval is not None for end in interval if end > 0.0]
+        _draw_dots(axis, row, place)
     low, high = 0.7 * min(places), 1.4 * max(places)
     axis.set_xlim(low, high)
     # Within two decades, whole decades alone are too few labels.
     digits = ("2", "5") if high < 100.0 * low else ()
     axis.xaxis.set_minor_formatter(lambda value, _: f"{value:g}" if f"{value:e}"[0] in digits else "")
-    axis.set_xlabel(panel.axis_label, fontsize=9)
-    axis.set_title(panel.title, loc="left", fontsize=12, fontweight="bold")
+    closer = "1 is ideal" if metric in ("lsd", "mte", "pd") else "lower is closer"
+    aligned = " (aligned after a release)" if metric is None else ""
+    axis.set_xlabel(f"normalized{aligned}, log scale; {closer}; bars: 95 %", fontsize=9)
+    title = "Primary score" if metric is None else SCORE_METRICS[metric].title
+    axis.set_title(title, loc="left", fontsize=12, fontweight="bold")
     tidy_axis(axis)
     axis.tick_params(axis="y", length=0)
 
 
-def _draw_dots(
-    axis: Axes,
-    one: ExperimentComparison,
-    spreads: Sequence[ScoreSpread | None],
-    intervals: Sequence[tuple[float, float] | None],
-    place: int,
-) -> None:
+def _draw_dots(axis: Axes, row: _Row, place: int) -> None:
     """Draw the scores of one experiment as a row of dots, and crosses at the right edge for diverged results."""
-    for index, (cell, spread, interval) in enumerate(zip(one.cells, spreads, intervals, strict=True)):
+    cells = row.one.cells
+    for index, (cell, spread, interval) in enumerate(zip(cells, row.spreads, row.intervals, strict=True)):
         # Configurations side by side within the row, so that equal scores do not hide each other.
-        height = place + 0.5 * ((index + 0.5) / len(one.cells) - 0.5)
+        height = place + 0.5 * ((index + 0.5) / len(cells) - 0.5)
         color = OURS[index % len(OURS)]
         if interval is not None:
             axis.hlines(height, *interval, color=color, lw=1.2, zorder=3)
@@ -183,7 +156,7 @@ def _draw_dots(
             axis.plot(spread.mean, height, "o", ms=5.5, color=color, zorder=4)
         if cell is not None and cell.count(Outcome.DIVERGED):
             axis.plot(0.985, height, "x", color=color, transform=axis.get_yaxis_transform(), **CROSS)
-    if not any(spreads):
+    if not any(row.spreads):
         axis.axhspan(place - 0.5, place + 0.5, color=UNSCORED, zorder=0)
 
 

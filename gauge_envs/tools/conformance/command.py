@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from shlex import join
@@ -18,11 +19,12 @@ from gauge_envs.cli.arguments import (
     ProcessLimits,
     SettingsOption,
     by_suffix,
+    matching,
     parsed_limits,
     parsed_settings,
     split_list,
 )
-from gauge_envs.cli.output import Format, Progress, counted, echo, message, print_json_lines, print_result
+from gauge_envs.cli.output import Format, Progress, counted, message, print_document, print_json_lines
 from gauge_envs.errors import ParameterError, ResultFileError
 
 if TYPE_CHECKING:
@@ -33,6 +35,13 @@ if TYPE_CHECKING:
 
 LINE_INTERVAL_S = 5.0
 """Least time between two lines of progress where there is no terminal [s]."""
+
+
+def list_backends(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the installed engines and their versions."""
+    from gauge_envs.tools.conformance.words import backends_table
+
+    return matching([backends_table()], patterns, kind="backend")
 
 
 def list_checks(patterns: Sequence[str]) -> list[Table]:
@@ -103,7 +112,7 @@ def _check(
     from gauge_envs.backends import backend_names
     from gauge_envs.backends.registry import is_bundled
     from gauge_envs.tools.conformance import checks, run_checks
-    from gauge_envs.tools.conformance.words import findings_markdown, findings_view
+    from gauge_envs.tools.conformance.words import findings_document
 
     findings: list[CheckResult] = []
     apart = {name for name in backend_names() if limits.isolate or not is_bundled(name)}
@@ -118,12 +127,8 @@ def _check(
             progress.advance(f"{finding.backend}: {finding.check}")
             if form is Format.JSON:
                 print_json_lines([finding.to_dict()])
-    print_result(
-        form,
-        rows=list,
-        view=lambda wide: findings_view(findings, wide=wide),
-        markdown=lambda: f"{findings_markdown(findings)}\n",
-    )
+    if form is not Format.JSON:
+        print_document(findings_document(findings), form)
     bad = sum(finding.is_bad for finding in findings)
     message(f"{counted(len(findings), 'check')}, {bad} failed")
     return bad > 0
@@ -173,11 +178,12 @@ class _Matrix:
             settings: Settings for every column that runs.
             only: Ids or patterns of checks; none are those of the files.
         """
+        from gauge_envs.pages.document import save_file
         from gauge_envs.tools.conformance import checks
         from gauge_envs.tools.conformance.matrix import matrix_columns
         from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
-        from gauge_envs.tools.conformance.matrix_words import matrix_markdown
-        from gauge_envs.tools.conformance.page import save_conformance_page
+        from gauge_envs.tools.conformance.page import conformance_page
+        from gauge_envs.tools.conformance.words import matrix_document
 
         new: list[MatrixColumn] = []
         if names:
@@ -196,9 +202,10 @@ class _Matrix:
             message(write_columns(columns, rows))
         if ".html" in self._files:
             command = join(["gauge", *sys.argv[1:]])
-            message(save_conformance_page(columns, chosen, self._files[".html"], command=command))
-        if self._form is Format.MARKDOWN:
-            echo(matrix_markdown(columns, chosen), nl=False)
+            page = conformance_page(columns, chosen, command=command, when=datetime.now(UTC))
+            message(save_file(self._files[".html"], page))
+        if self._form is not Format.JSON:
+            print_document(matrix_document(columns, chosen), self._form)
         bad = sum(finding.is_bad for column in new for finding in column.findings.values())
         if new:
             message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")

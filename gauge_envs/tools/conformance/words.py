@@ -1,19 +1,62 @@
-"""Results of conformance checks as a table: one row per check, one column per backend."""
+"""Results of conformance checks in words: tables of engines and checks, diagnoses, and matrices of configurations."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from typing import Any
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
-from gauge_envs.pages.table import Column, Place, Table, as_markdown, as_rich
-from gauge_envs.pages.text import pairs_text
+from gauge_envs.backends import backend_names, is_bundled, versions_of
+from gauge_envs.errors import GaugeError
+from gauge_envs.pages.document import Bullets, Document, Heading
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
+from gauge_envs.runs.isolation import Worker
+from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
+
+QUERY_LIMIT_S = 60.0
+"""Time for which an engine outside this package may answer [s]."""
 
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
+SIGNS = {Status.PASS: "✓ pass", Status.FAIL: "✗ FAIL", Status.DECLINED: "\u2013 declined", Status.ERROR: "✗ error"}
+"""Outcomes with a sign, which is visible without a colour."""
+
+LEAST_PERCENT = 1e-4
+"""Relative errors below this are not written out [%]."""
+
+MANY = 99.5
+"""Numbers from here on are written as integers."""
+
+MOST_IN_MS_S = 0.0995
+"""CPU time from which on it is written in seconds [s]."""
+
+LEAST_COST_S = 1e-3
+"""Shorter CPU times are not written out [s]."""
+
+
+def backends_table() -> Table:
+    """Return the installed backends: name, versions of the engine, and the error of one that cannot be used.
+
+    Backends outside this package answer in a process of their own.
+    """
+    rows: list[dict[str, Any]] = []
+    for name in backend_names():
+        try:
+            rows.append({"name": name, "versions": _versions(name), "error": None})
+        except GaugeError as error:
+            rows.append({"name": name, "versions": {}, "error": str(error)})
+    engine = Column("", "engine", lambda row: row["error"] or pairs_text(row["versions"]).replace(" = ", " "))
+    return Table(columns=(Column("name", "backend"), engine), rows=rows)
+
+
+def _versions(name: str) -> Mapping[str, str]:
+    if is_bundled(name):
+        return versions_of(name)
+    with Worker(QUERY_LIMIT_S) as worker:
+        return worker.call(versions_of, name)
 
 
 def checks_table(checks: Sequence[Check]) -> Table:
@@ -33,74 +76,50 @@ def checks_table(checks: Sequence[Check]) -> Table:
     )
 
 
-def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Group:
-    """Return the table, diagnoses of failures, reasons of what was declined, versions and settings, for a terminal."""
-    parts: list[RenderableType] = [as_rich(_findings_table(findings, lambda one: one.check), wide=wide)]
-    for title, lines in _notes(findings):
-        parts += [Text(""), Text(title, style="bold"), *(Text(f"  {line}") for line in lines)]
-    return Group(*parts)
+# --- findings --------------------------------------------------------------------------------------------------------
 
 
-def findings_markdown(findings: Sequence[CheckResult]) -> str:
-    """Return the same table in Markdown, for a README, with the notes below it as lists."""
-    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.title} ({one.check})")).rstrip()]
-    for title, notes in _notes(findings):
-        lines += ["", f"{title}:", "", *(f"- {note}" for note in notes)]
-    return "\n".join(lines)
+def findings_document(findings: Sequence[CheckResult]) -> Document:
+    """Return results: one row per check, one column per backend; diagnoses, what was declined, versions and settings.
+
+    Markdown, for a README, has titles of the checks beside their ids.
+    """
+    notes = [Bullets(lines, title) for title, lines in _notes(findings)]
+    titled = _findings_table(findings, lambda one: f"{one.title} ({one.check})")
+    return Document(
+        parts=(_findings_table(findings, lambda one: one.check), *notes),
+        rows=(finding.to_dict() for finding in findings),
+        markdown=(titled, *notes),
+    )
 
 
 def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult], str]) -> Table:
+    rows: dict[str, dict[str, CheckResult]] = {}
+    for finding in findings:
+        rows.setdefault(finding.check, {})[finding.backend] = finding
+
     def first(text: Callable[[CheckResult], str]) -> Callable[[Mapping[str, CheckResult]], str]:
         return lambda row: text(next(iter(row.values())))
+
+    def measured(finding: CheckResult) -> str:
+        return f"{measured_text(finding)} {WORDS[finding.status]}".lstrip()
+
+    def style(finding: CheckResult | None) -> str:
+        return "" if finding is None else STYLES[finding.status]
 
     return Table(
         columns=(
             Column("", "check", first(name)),
             Column("", "law", first(lambda one: one.law), wide_only=True),
-            Column("", "expected", _expected),
-            *(Column(backend, backend, _measured, style=_style) for backend in _backends(findings)),
+            Column("", "expected", lambda row: expected_text(row.values(), exactly=True)),
+            *(Column(backend, backend, measured, style=style) for backend in _backends(findings)),
         ),
-        rows=_rows(findings),
+        rows=list(rows.values()),
     )
-
-
-def _measured(finding: CheckResult) -> str:
-    measured = "" if finding.measured is None else f"{_number(finding.measured)} "
-    return measured + WORDS[finding.status]
-
-
-def _style(finding: CheckResult | None) -> str:
-    return "" if finding is None else STYLES[finding.status]
 
 
 def _backends(findings: Sequence[CheckResult]) -> list[str]:
     return list(dict.fromkeys(finding.backend for finding in findings))
-
-
-def _rows(findings: Sequence[CheckResult]) -> list[dict[str, CheckResult]]:
-    """Return the results of each check by backend, in the order of the checks."""
-    rows: dict[str, dict[str, CheckResult]] = {}
-    for finding in findings:
-        rows.setdefault(finding.check, {})[finding.backend] = finding
-    return list(rows.values())
-
-
-def _number(value: float) -> str:
-    return f"{value:.4g}"
-
-
-def _with_unit(text: str, unit: str) -> str:
-    return text if unit == "1" else f"{text} {unit}"
-
-
-def _expected(row: Mapping[str, CheckResult]) -> str:
-    """Return the expected value with its tolerance; empty if no backend was measured."""
-    for finding in row.values():
-        if finding.expected is not None and finding.width is not None:
-            expected = _number(finding.expected)
-            text = f"{expected} +- {finding.width:.2g}" if finding.width else f"exactly {expected}"
-            return _with_unit(text, finding.unit)
-    return ""
 
 
 def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
@@ -122,6 +141,13 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
 
 
+def _what(finding: CheckResult) -> str:
+    if finding.measured is None or finding.expected is None:
+        return ""
+    text = f"{measured_text(finding)} instead of {finding.expected:.4g}"
+    return f"{with_unit(text, finding.unit)} ({finding.measures}). "
+
+
 def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
     """Yield one line for the checks that fail for a reason that an earlier check reports."""
     groups: dict[tuple[str, str], list[str]] = {}
@@ -135,9 +161,7 @@ def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
 def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     """Yield the settings that all checks share, then those of each group of checks."""
     groups: list[tuple[Mapping[str, Any], list[str]]] = []
-    for finding in findings:
-        if not finding.settings:
-            continue
+    for finding in filter(lambda one: one.settings, findings):
         known = next((ids for settings, ids in groups if settings == finding.settings), None)
         if known is None:
             groups.append((finding.settings, [finding.check]))
@@ -146,16 +170,139 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     if not groups:
         return
     first = groups[0][0]
-    shared = {key for key in first if all(key in s and s[key] == first[key] for s, _ in groups)}
-    yield "all: " + (pairs_text({key: first[key] for key in first if key in shared}) or "nothing in common")
+    shared = {key: value for key, value in first.items() if all(key in s and s[key] == value for s, _ in groups)}
+    yield f"all: {pairs_text(shared) or 'nothing in common'}"
     for settings, ids in groups:
-        own = pairs_text({key: value for key, value in settings.items() if key not in shared})
-        if own:
+        if own := pairs_text(settings, skip=tuple(shared)):
             yield f"{', '.join(ids)}: {own}"
 
 
-def _what(finding: CheckResult) -> str:
-    if finding.measured is None or finding.expected is None:
+# --- one result ------------------------------------------------------------------------------------------------------
+
+
+def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = False) -> str:
+    """Return the expected value of the first result that has one, with tolerance and unit; empty if none has.
+
+    Args:
+        findings: The results.
+        exactly: Whether to write `exactly` in place of a tolerance of zero.
+    """
+    for finding in findings:
+        if finding is not None and finding.expected is not None and finding.width is not None:
+            text = f"{finding.expected:.4g} +- {finding.width:.2g}"
+            if exactly and not finding.width:
+                text = f"exactly {finding.expected:.4g}"
+            return with_unit(text, finding.unit)
+    return ""
+
+
+def measured_text(finding: CheckResult) -> str:
+    """Return the measured value; empty if nothing was measured."""
+    return "" if finding.measured is None else f"{finding.measured:.4g}"
+
+
+def error_text(finding: CheckResult) -> str:
+    """Return the error relative to the expected value, or in tolerances where that is 0."""
+    if finding.measured is None or finding.expected is None or finding.width is None:
         return ""
-    expected, measured = _number(finding.expected), _number(finding.measured)
-    return _with_unit(f"{measured} instead of {expected}", finding.unit) + f" ({finding.measures}). "
+    difference = finding.measured - finding.expected
+    if not math.isfinite(difference):
+        return "not finite"
+    if finding.expected:
+        percent = 100.0 * difference / abs(finding.expected)
+        return f"{percent:+.3g} %" if abs(percent) >= LEAST_PERCENT else f"<{LEAST_PERCENT:g} %"
+    if not finding.width:
+        return f"{difference:+.2g}" if difference else "exact"
+    return f"{_two_digits(abs(difference) / finding.width)} tol."
+
+
+def cost_text(finding: CheckResult) -> str:
+    """Return the CPU time of a check; a check that shares a simulation with an earlier one takes less than 1 ms."""
+    if finding.cpu_s is None:
+        return ""
+    if finding.cpu_s < LEAST_COST_S:
+        return "<1 ms"
+    is_short = finding.cpu_s < MOST_IN_MS_S
+    return f"{_two_digits(1e3 * finding.cpu_s)} ms" if is_short else f"{_two_digits(finding.cpu_s)} s"
+
+
+def _two_digits(value: float) -> str:
+    return f"{value:.2g}" if value < MANY else f"{value:.0f}"
+
+
+# --- matrix ----------------------------------------------------------------------------------------------------------
+
+
+def tally(column: MatrixColumn) -> str:
+    """Return how many of the checks that were not declined passed, as `30 of 33`."""
+    statuses = [finding.status for finding in column.current().values()]
+    return f"{statuses.count(Status.PASS)} of {sum(status is not Status.DECLINED for status in statuses)}"
+
+
+def matrix_document(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Document:
+    """Return a matrix: columns with their versions, then a table of the default and of each other configuration.
+
+    A cell has the outcome, the measured value, its error and the CPU time.
+    """
+    ran = [column for column in columns if column.findings]
+    names = [column.name for column in ran]
+    engines = {column.backend for column in ran}
+    # Configurations that most engines have are tables of their own; the others share one.
+    shared = [name for name in dict.fromkeys(names) if name == "default" or 2 * names.count(name) > len(engines) > 1]
+    groups = {f"Configuration `{name}`": [column for column in ran if column.name == name] for name in shared}
+    groups["Other configurations"] = [column for column in ran if column.name not in shared]
+    parts: list[Heading | Table] = [Heading("Columns", 3), _columns_table(columns)]
+    for title, group in groups.items():
+        if group:
+            parts += [Heading(Markdown(title), 3), _matrix_table(group, checks)]
+    return Document(parts=parts)
+
+
+def _columns_table(columns: Sequence[MatrixColumn]) -> Table:
+    def run(column: MatrixColumn) -> str:
+        made = f"{column.made}, gauge-envs {column.gauge_envs}"
+        return made if column.is_of_this_version else f"⚠ {made}"
+
+    return Table(
+        columns=(
+            Column("backend", "engine"),
+            Column("name", "configuration"),
+            Column("settings", "settings", lambda settings: pairs_text(settings) or "its presets"),
+            Column("", "passed", lambda one: tally(one) if one.findings else "not run", is_number=True),
+            Column("", "CPU time", lambda one: "" if one.cpu_s is None else f"{one.cpu_s:.3g} s", is_number=True),
+            Column("", "run", run),
+            Column("", "versions", lambda one: pairs_text(one.versions) or one.reason),
+        ),
+        rows=columns,
+    )
+
+
+def _matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Table:
+    # A name that all columns share is that of the table.
+    is_one = len({column.name for column in columns}) == 1
+    current = [column.current() for column in columns]
+    return Table(
+        columns=(
+            Column("", "phenomenon", lambda check: Markdown(f"{markdown_text(check.title)}<br>`{check.id}`")),
+            Column("id", "expected", lambda check: expected_text(found.get(check) for found in current)),
+            *(
+                Column("id", one.backend if is_one else one.title, partial(_matrix_cell, one, one.outdated))
+                for one in columns
+            ),
+        ),
+        rows=checks,
+    )
+
+
+def _matrix_cell(column: MatrixColumn, outdated: Collection[str], check: str) -> str:
+    finding = column.findings.get(check)
+    if finding is None:
+        return "- refused" if check in column.refused else "- not run"
+    if check in outdated:
+        return "⚠ other check"
+    if finding.status is Status.DECLINED:
+        return "- declined"
+    # In a narrow column the sign says that a check passed.
+    outcome = SIGNS[finding.status].removesuffix(" pass")
+    parts = [f"{outcome} {measured_text(finding)}".rstrip(), error_text(finding), cost_text(finding)]
+    return Markdown("<br>".join(markdown_text(part) for part in parts if part))

@@ -17,16 +17,16 @@ def draw_cost(sources: Sequence[str], out: Path) -> tuple[Iterator[Path], int]:
     results, skipped = loaded_results(files, with_scene=True)
 
     def written() -> Iterator[Path]:
-        from gauge_envs.cli.output import save_text
-        from gauge_envs.tools.cost.figure import save_pareto
-        from gauge_envs.tools.cost.pareto import tradeoff
-        from gauge_envs.tools.cost.words import pareto_json, pareto_markdown
+        from gauge_envs.pages.document import as_markdown, as_rows, save_file
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
 
         found = tradeoff(results)
         for text in found.notes:
             note(text)
-        yield save_pareto(found, out / "pareto.png")
-        yield save_text(out / "pareto.md", pareto_markdown(found))
-        yield save_text(out / "pareto.json", json.dumps(pareto_json(found), indent=1) + "\n")
+        document = pareto_document(found)
+        yield save_png(draw_pareto(found), out / "pareto.png")
+        yield save_file(out / "pareto.md", as_markdown(document))
+        yield save_file(out / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
 
     return written(), skipped

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
-from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
+from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
+from gauge_envs.tools.cost.model import Family, Phenomenon, Point, Tradeoff
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,11 +39,6 @@ LEAST_SHOWN = 1e-4
 """Errors below this are drawn at the lower edge."""
 
 ROW_IN = 2.3
-
-
-def save_pareto(tradeoff: Tradeoff, path: Path) -> Path:
-    """Write the picture as PNG and return its path."""
-    return save_png(draw_pareto(tradeoff), path)
 
 
 def draw_pareto(tradeoff: Tradeoff) -> Figure:

@@ -1,15 +1,14 @@
-"""Error over cost in words, as a table and as JSON."""
+"""Error over cost in words, and as a table."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict
-from typing import Any
 
-from gauge_envs.files import json_ready
-from gauge_envs.pages.table import Column, Table, as_markdown
-from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
-from gauge_envs.tools.cost.pareto_runs import STEP
+from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
+from gauge_envs.pages.table import Column, Table
+from gauge_envs.pages.text import short_id
+from gauge_envs.tools.cost.model import STEP, Family, Phenomenon, Point, Tradeoff
 
 SCATTER = 1.0
 """Error that equals the real scatter, in units of it."""
@@ -17,27 +16,18 @@ SCATTER = 1.0
 TITLES = {"rmse": "RMSE over frames", "pd": "period", "mte": "momentum transfer", "lsd": "longest rest"}
 
 
-def pareto_json(tradeoff: Tradeoff) -> dict[str, Any]:
-    """Return all numbers, with the statements, JSON-ready."""
-    values: dict[str, Any] = json_ready(asdict(tradeoff))
-    return values | {"statements": list(pareto_statements(tradeoff))}
+def pareto_document(tradeoff: Tradeoff) -> Document:
+    """Return for each phenomenon its statements, and a table with a row per engine and preset.
 
-
-def pareto_markdown(tradeoff: Tradeoff) -> str:
-    """Return the statements, and one table per phenomenon with a row per engine and preset, as GitHub Markdown."""
-    lines = []
+    The JSON row has all numbers, and the statements with the names of their phenomena.
+    """
+    parts: list[Part] = []
+    statements = []
     for phenomenon in tradeoff.phenomena:
-        lines += [f"### {phenomenon.name}", "", f"{_heading(phenomenon)}", ""]
-        lines += [f"- {statement}" for statement in phenomenon_statements(phenomenon, tradeoff)]
-        lines += ["", as_markdown(_table(phenomenon)).rstrip(), ""]
-    return "\n".join(lines)
-
-
-def pareto_statements(tradeoff: Tradeoff) -> Iterator[str]:
-    """Yield the statements on all phenomena, each with the name of its phenomenon."""
-    for phenomenon in tradeoff.phenomena:
-        for statement in phenomenon_statements(phenomenon, tradeoff):
-            yield f"{phenomenon.name}: {statement}"
+        lines = list(phenomenon_statements(phenomenon, tradeoff))
+        statements += [f"{phenomenon.name}: {line}" for line in lines]
+        parts += [Heading(phenomenon.name, 3), Paragraph(_heading(phenomenon)), Bullets(lines), _table(phenomenon)]
+    return Document(parts=parts, rows=[asdict(tradeoff) | {"statements": statements}])
 
 
 def phenomenon_statements(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Iterator[str]:
@@ -101,7 +91,7 @@ def _limit(families: Iterable[Family]) -> str:
 
 
 def _heading(phenomenon: Phenomenon) -> str:
-    names = ", ".join(name.removeprefix("GAUGE/") for name in phenomenon.ids)
+    names = ", ".join(map(short_id, phenomenon.ids))
     unit = "the real scatter" if phenomenon.unit == "scatter" else phenomenon.unit
     worst = ", of the worst experiment" if len(phenomenon.ids) > 1 else ""
     title = TITLES.get(phenomenon.metric, phenomenon.metric)
@@ -109,36 +99,40 @@ def _heading(phenomenon: Phenomenon) -> str:
 
 
 def _table(phenomenon: Phenomenon) -> Table:
-    columns = (
-        Column("family", "engine"),
-        Column("floor", "parametric floor", is_number=True),
-        Column("model", "model error", is_number=True),
-        Column("sufficient", "sufficient step", is_number=True),
-        Column("sufficient_cost", "its cost", is_number=True),
-        Column("cheapest", "cheapest within real scatter"),
-        Column("cheapest_cost", "its cost", is_number=True),
-        Column("usual", "default step", is_number=True),
-        Column("usual_cost", "its cost", is_number=True),
+    def usual(family: Family) -> Point | None:
+        return next((p for p in family.points if p.is_on_main_line and STEP not in p.settings_given), None)
+
+    def enough(family: Family) -> Point | None:
+        step_s = family.sufficient_step_s
+        return next((p for p in family.points if step_s and p.is_on_main_line and p.step_s == step_s), None)
+
+    def cheapest(family: Family) -> Point | None:
+        within = [p for p in family.points if p.to_reality is not None and p.to_reality <= SCATTER]
+        return min(within, key=lambda point: point.cost, default=None)
+
+    def column(
+        title: str, found: Callable[[Family], Point | None], text: Callable[[Point], str], *, is_number: bool = True
+    ) -> Column:
+        def cell(family: Family) -> str:
+            point = found(family)
+            return "" if point is None else text(point)
+
+        return Column("", title, cell, is_number=is_number)
+
+    return Table(
+        columns=(
+            Column("name", "engine"),
+            Column("", "parametric floor", lambda family: _number(family.floor), is_number=True),
+            Column("", "model error", lambda family: _number(family.model), is_number=True),
+            Column("", "sufficient step", lambda family: step_words(family.sufficient_step_s), is_number=True),
+            column("its cost", enough, _ratio),
+            column("cheapest within real scatter", cheapest, setting_words, is_number=False),
+            column("its cost", cheapest, _ratio),
+            column("default step", usual, lambda point: step_words(point.step_s)),
+            column("its cost", usual, _ratio),
+        ),
+        rows=phenomenon.families,
     )
-    return Table(columns=columns, rows=[_row(family) for family in phenomenon.families])
-
-
-def _row(family: Family) -> dict[str, str]:
-    usual = next((p for p in family.points if p.is_on_main_line and STEP not in p.settings_given), None)
-    enough = next((p for p in family.points if p.is_on_main_line and p.step_s == family.sufficient_step_s), None)
-    within = [p for p in family.points if p.to_reality is not None and p.to_reality <= SCATTER]
-    cheapest = min(within, key=lambda point: point.cost, default=None)
-    return {
-        "family": family.name,
-        "floor": _number(family.floor),
-        "model": _number(family.model),
-        "sufficient": step_words(family.sufficient_step_s),
-        "sufficient_cost": "" if enough is None or family.sufficient_step_s is None else _ratio(enough),
-        "cheapest": "" if cheapest is None else setting_words(cheapest),
-        "cheapest_cost": "" if cheapest is None else _ratio(cheapest),
-        "usual": "" if usual is None else step_words(usual.step_s),
-        "usual_cost": "" if usual is None else _ratio(usual),
-    }
 
 
 def setting_words(point: Point) -> str:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import FormatOption
-from gauge_envs.cli.output import Format, Progress, counted, echo, message, print_json_lines, print_result
+from gauge_envs.cli.output import Format, Progress, counted, echo, message, print_document, print_json_lines
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -58,7 +58,7 @@ def data_import(
     """
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
-    from gauge_envs.tools.dataset.words import import_view
+    from gauge_envs.tools.dataset.words import import_document
 
     layout = find_trials(folder, only=only or ["*"])
     imports, findings = [], list(layout.findings)
@@ -70,11 +70,10 @@ def data_import(
                 print_json_lines([one.to_dict()])
     for finding in findings:
         message(finding, "left out" if finding.left_out else "note")
-    print_result(
-        form,
-        rows=lambda: [{"finding": asdict(finding)} for finding in findings],
-        view=lambda _: import_view(imports),
-    )
+    if form is Format.JSON:
+        print_json_lines([{"finding": asdict(finding)} for finding in findings])
+    else:
+        print_document(import_document(imports), form)
     kept = sum(one.record is not None for one in imports)
     message(f"{counted(sum(one.used for one in imports), 'trial')} of {counted(kept, 'experiment')} imported")
     if kept:

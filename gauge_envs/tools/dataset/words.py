@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from rich.console import Group
-from rich.text import Text
-
-from gauge_envs.pages.table import Column, Place, Table, as_rich
-from gauge_envs.pages.text import METRIC_TITLES, short_id
+from gauge_envs.pages.document import Document, Paragraph, Tone
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import METRIC_TITLES, short_id, with_unit
 from gauge_envs.tools.dataset.importer import FLAGGED_DIFFERENCE, BaselineRow, ImportedTrials
 
 
-def import_view(imports: Sequence[ImportedTrials]) -> Group:
+def import_document(imports: Sequence[ImportedTrials]) -> Document:
     """Return the own baselines beside the paper's, one row per metric, and the imported drivers."""
     baselines = [
         {"name": one.variant.name, "trials": f"{one.used} trials, {one.left_out} left out", "row": row}
@@ -25,10 +23,13 @@ def import_view(imports: Sequence[ImportedTrials]) -> Group:
     ]
     flagged = sum(row.is_flagged for one in imports for row in one.rows)
     note = f"{flagged} baselines differ from the published ones by more than {100 * FLAGGED_DIFFERENCE:.0f} %"
-    return Group(
-        as_rich(Table(columns=BASELINE_COLUMNS, rows=baselines)),
-        *([as_rich(Table(title="Drivers", columns=DRIVER_COLUMNS, rows=drivers))] if drivers else []),
-        Text(f"\n{note}", style="yellow" if flagged else "dim"),
+    return Document(
+        parts=(
+            Table(columns=BASELINE_COLUMNS, rows=baselines),
+            *([Table(title="Drivers", columns=DRIVER_COLUMNS, rows=drivers)] if drivers else []),
+            Paragraph(""),
+            Paragraph(note, Tone.WARNING if flagged else Tone.NOTE),
+        )
     )
 
 
@@ -63,7 +64,7 @@ def _spread(mean: float | None, std: float | None) -> str:
 def _own(row: BaselineRow) -> str:
     if row.own is None:
         return "-"
-    return f"{_spread(row.own.mean, row.own.std)}{'' if row.unit == '1' else f' {row.unit}'}"
+    return with_unit(_spread(row.own.mean, row.own.std), row.unit)
 
 
 def _published(row: BaselineRow) -> str:

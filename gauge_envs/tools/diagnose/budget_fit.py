@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from itertools import combinations
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.optimize import minimize
 from gauge_envs.evaluation.metrics import release_offset
 from gauge_envs.evaluation.motion_kinds import RecognizedMotion
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.diagnose.model import BudgetStage
 
 FloatArray = NDArray[np.float64]
 
@@ -41,17 +41,6 @@ CHUNK_NUMBERS = 1_000_000
 
 START_COUNT = 4
 """Number of local minima of the grid that are refined."""
-
-
-class BudgetStage(StrEnum):
-    """A stage of the error budget."""
-
-    RELEASE = "release"
-    """Constant time shift."""
-    OFFSET = "offset"
-    """Constant offset of each coordinate."""
-    RATE = "rate"
-    """Scale or rate of the motion."""
 
 
 @dataclass(frozen=True, eq=False)

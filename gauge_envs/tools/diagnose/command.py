@@ -17,13 +17,13 @@ from gauge_envs.cli.arguments import (
     split_details,
     split_list,
 )
-from gauge_envs.cli.output import Format, message, print_result
+from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
-    from gauge_envs.tools.diagnose.diagnosis import Diagnosis
+    from gauge_envs.tools.diagnose.model import Diagnosis
 
 
 def diagnose(
@@ -40,10 +40,10 @@ def diagnose(
     to leave out extrapolated frames. Results without a reference, or that did not run to their end, are reported and
     left out. Exit code 2 when no result is left, 1 when a damaged file was skipped.
     """
-    from gauge_envs.tools.diagnose.words import diagnosis_rows, diagnosis_view
+    from gauge_envs.tools.diagnose.words import diagnosis_document
 
     pairs, skipped = _diagnoses(sources, name, use)
-    print_result(form, rows=lambda: diagnosis_rows(pairs), view=lambda wide: diagnosis_view(pairs, wide=wide))
+    print_document(diagnosis_document(pairs), form)
     return bool(skipped)
 
 
@@ -51,10 +51,11 @@ def draw_diagnose(
     sources: Sequence[str], out: Path, name: str | None = None, use: str = ""
 ) -> tuple[Sequence[Path], int]:
     """Draw the parts of the error of all results."""
-    from gauge_envs.tools.diagnose.figure import save_diagnoses
+    from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.diagnose.figure import draw_diagnoses
 
     pairs, skipped = _diagnoses(sources, name, use)
-    return [save_diagnoses(pairs, out)], skipped
+    return [save_png(draw_diagnoses(pairs), out / "diagnosis.png")], skipped
 
 
 def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tuple[list[tuple[Result, Diagnosis]], int]:

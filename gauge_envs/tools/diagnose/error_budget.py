@@ -34,8 +34,16 @@ from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.diagnose.budget_fit import MAX_SHIFT_S, BudgetStage, NestedFits, StageFit
-from gauge_envs.tools.diagnose.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, Remainder, StagePart
+from gauge_envs.tools.diagnose.budget_fit import MAX_SHIFT_S, NestedFits, StageFit
+from gauge_envs.tools.diagnose.model import (
+    MARKERS,
+    SEVERAL_BODIES,
+    BudgetStage,
+    Diagnosis,
+    PublishedScore,
+    Remainder,
+    StagePart,
+)
 
 FloatArray = NDArray[np.float64]
 
@@ -87,12 +95,7 @@ def diagnose(
             "version of the task file: run it again."
         )
     diagnosis = diagnose_trajectory(
-        experiment,
-        band,
-        times_s=times_s,
-        values=values,
-        order=order,
-        measured_only=measured_only,
+        experiment, band, times_s=times_s, values=values, order=order, measured_only=measured_only
     )
     rmse, dtw = result.score.rmse, result.score.dtw
     if measured_only:
@@ -311,22 +314,21 @@ def _notes(budget: NestedFits, band: Band, order: Sequence[BudgetStage], *, meas
 
 
 def _published(baselines: Mapping[str, Baseline]) -> dict[str, PublishedScore]:
-    engines = next((line.engines for line in baselines.values()), {})
-    return {engine: _published_score(baselines, engine) for engine in engines}
-
-
-def _published_score(baselines: Mapping[str, Baseline], engine: str) -> PublishedScore:
-    normalized = {metric: value for metric, line in baselines.items() if (value := line.engines[engine]) is not None}
-    rmse, dtw = (
-        normalized[metric] * baselines[metric].mean if metric in normalized else None for metric in ("rmse", "dtw")
-    )
-    return PublishedScore(
-        rmse=rmse,
-        rmse_normalized=normalized.get("rmse"),
-        dtw_normalized=normalized.get("dtw"),
-        dtw_over_rmse=dtw / rmse if dtw is not None and rmse else None,
-        period_ratio=normalized.get("pd"),
-    )
+    found = {}
+    for engine in next((line.engines for line in baselines.values()), {}):
+        normalized = {metric: line.engines[engine] for metric, line in baselines.items()}
+        rmse, dtw = (
+            None if (value := normalized.get(metric)) is None else value * baselines[metric].mean
+            for metric in ("rmse", "dtw")
+        )
+        found[engine] = PublishedScore(
+            rmse=rmse,
+            rmse_normalized=normalized.get("rmse"),
+            dtw_normalized=normalized.get("dtw"),
+            dtw_over_rmse=dtw / rmse if dtw is not None and rmse else None,
+            period_ratio=normalized.get("pd"),
+        )
+    return found
 
 
 def _over(part: float, whole: float) -> float:

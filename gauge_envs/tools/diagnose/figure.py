@@ -3,31 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.pages.figures import ENGINES, OURS, new_figure, save_png, tidy_axis
+from gauge_envs.pages.figures import ENGINES, OURS, new_figure, tidy_axis
 from gauge_envs.pages.results import result_label
-from gauge_envs.pages.text import score_text
+from gauge_envs.pages.text import score_text, short_id
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.diagnose.budget_fit import BudgetStage
-from gauge_envs.tools.diagnose.diagnosis import Diagnosis
+from gauge_envs.tools.diagnose.model import BudgetStage, Diagnosis
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-DIAGNOSIS = "diagnosis"
-"""Name of the picture of error budgets."""
-
 STAGE_COLORS = {BudgetStage.RELEASE: OURS[5], BudgetStage.OFFSET: OURS[2], BudgetStage.RATE: OURS[4]}
 """Colours of the parts, as on the pages of `gauge report`."""
-
-
-def save_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]], folder: Path) -> Path:
-    """Write the picture of `draw_diagnoses`, `diagnosis.png`, and return its path."""
-    return save_png(draw_diagnoses(pairs), folder / f"{DIAGNOSIS}.png")
 
 
 def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
@@ -49,7 +39,7 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
         rest = "rest" if place == 0 else None
         axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[0], height=0.72, label=rest)
         axis.text(101.0, place, _error_text(diagnosis), va="center", fontsize=8, color="#404040")
-    names = [f"{diagnosis.id.removeprefix('GAUGE/')}\n{result_label(result)}" for result, diagnosis in pairs]
+    names = [f"{short_id(diagnosis.id)}\n{result_label(result)}" for result, diagnosis in pairs]
     axis.set_yticks(range(len(pairs)), names, fontsize=8)
     axis.set_ylim(len(pairs) - 0.5, -0.5)
     axis.set_xlim(0.0, 128.0)

@@ -3,54 +3,50 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
 from gauge_envs.evaluation.motion_kinds import Change
-from gauge_envs.files import json_ready
+from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.results import result_label
-from gauge_envs.pages.table import Column, Place, Table, as_rich
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id, with_unit
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.diagnose.budget_fit import BudgetStage
-from gauge_envs.tools.diagnose.diagnosis import MARKERS, SEVERAL_BODIES, Diagnosis, PublishedScore, StagePart
+from gauge_envs.tools.diagnose.model import MARKERS, SEVERAL_BODIES, BudgetStage, Diagnosis, StagePart
 
 MOST_AXES = 6
 
-DIAGNOSIS_LEGEND = (
+LEGEND = (
     "Parts are added from the top down, each fitted together with those above it: what they take off the squared error "
     "(share) and off the normalized RMSE adds up to the whole. Alone: share taken off as the only change; last: after "
     "both others. Normalized: over the published mean RMSE of the real trials."
 )
 
 
-def diagnosis_rows(pairs: Iterable[tuple[Result, Diagnosis]]) -> list[dict[str, Any]]:
-    """Return one JSON-ready object per result: how it was run, and its error budget."""
+def diagnosis_document(pairs: Sequence[tuple[Result, Diagnosis]]) -> Document:
+    """Return error budgets: tables and findings of each result, then the meaning of the columns.
+
+    A row states how a result was run, and its error budget with the findings.
+    """
     keys = ("backend", "parameters", "settings_given", "seed", "jitter")
-    return [
-        json_ready({key: getattr(result, key) for key in keys} | {"label": result_label(result)})
-        | diagnosis_values(diagnosis)
+    rows = [
+        {key: getattr(result, key) for key in keys}
+        | {"label": result_label(result)}
+        | asdict(diagnosis)
+        | {"findings": findings(diagnosis)}
         for result, diagnosis in pairs
     ]
-
-
-def diagnosis_view(pairs: Sequence[tuple[Result, Diagnosis]], *, wide: bool = False) -> Group:
-    """Return error budgets for a terminal: tables and findings of each result, then the meaning of the columns."""
-    parts: list[RenderableType] = []
+    parts: list[Part] = []
     for result, diagnosis in pairs:
-        parts.append(as_rich(_budget_table(diagnosis, result_label(result)), wide=wide))
-        parts += [as_rich(table, wide=wide) for table in _axis_tables(diagnosis)]
-        parts += [Text(f"- {line}") for line in findings(diagnosis)]
-        parts += [Text(line, style="dim") for line in _budget_notes(diagnosis)]
+        parts += [_budget_table(diagnosis, result_label(result)), *_axis_tables(diagnosis)]
+        parts += [Paragraph(f"- {line}") for line in findings(diagnosis)]
+        parts += [Paragraph(line, Tone.NOTE) for line in _budget_notes(diagnosis)]
     if pairs:
-        parts += [Text(""), Text(DIAGNOSIS_LEGEND, style="dim")]
-        parts += [Text(f"Published engines: {pairs[0][1].published_note}", style="dim")]
-    return Group(*parts)
+        published = f"Published engines: {pairs[0][1].published_note}"
+        parts += [Paragraph(""), Paragraph(LEGEND, Tone.NOTE), Paragraph(published, Tone.NOTE)]
+    return Document(parts=parts, rows=rows)
 
 
 def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
@@ -106,17 +102,16 @@ def _changes(part: StagePart) -> str:
     texts = []
     offsets = [change for change in part.changes if change.quantity == "offset"]
     for change in part.changes:
-        unit = "" if change.unit == "1" else f" {change.unit}"
         mark = " (limit)" if change.at_bound else ""
         if change.quantity == "release_time":
-            texts.append(f"release {change.fitted:+.3f}{unit}{mark}")
+            texts.append(with_unit(f"release {change.fitted:+.3f}", change.unit) + mark)
         elif change.quantity != "offset":
-            texts.append(f"{change.quantity} {change.simulated:.4g} -> {change.fitted:.4g}{unit}{mark}")
-        elif len(offsets) <= 3:
-            texts.append(f"{change.coordinate} {change.fitted:+.3g}{unit}")
+            values = f"{change.quantity} {change.simulated:.4g} -> {change.fitted:.4g}"
+            texts.append(with_unit(values, change.unit) + mark)
+        elif len(offsets) <= MOST_OFFSETS:
+            texts.append(with_unit(f"{change.coordinate} {change.fitted:+.3g}", change.unit))
         elif change is offsets[0]:
-            rms = (sum(one.fitted**2 for one in offsets) / len(offsets)) ** 0.5
-            texts.append(f"{len(offsets)} offsets, rms {quantity_text(rms)}{unit}")
+            texts.append(with_unit(f"{len(offsets)} offsets, rms {quantity_text(_rms(offsets))}", change.unit))
     return ", ".join(texts)
 
 
@@ -124,27 +119,31 @@ def _share(share: float) -> str:
     return f"{100.0 * share + 0.0:.1f} %"
 
 
-def _budget_notes(diagnosis: Diagnosis) -> list[str]:
+def _rms(changes: Sequence[Change]) -> float:
+    return math.sqrt(sum(change.fitted**2 for change in changes) / len(changes))
+
+
+def _budget_notes(diagnosis: Diagnosis) -> Iterator[str]:
     grade = BandGrade(diagnosis.grade)
-    lines = [f"Grade {grade.value}: {GRADE_NOTES[grade]}. Motion: {diagnosis.kind.value.replace('_', ' ')}."]
+    yield f"Grade {grade.value}: {GRADE_NOTES[grade]}. Motion: {diagnosis.kind.value.replace('_', ' ')}."
     if diagnosis.extrapolated_frames:
-        lines.append(
+        yield (
             f"{diagnosis.extrapolated_frames} of {diagnosis.frames} frames are extrapolated, not measured; "
             f"{_share(diagnosis.extrapolated_share)} of the squared error lies in them."
         )
-    lines += [f"Note: {note}." for note in diagnosis.notes]
-    engines = [
-        f"{ENGINE_TITLES[name]} {text}" for name, one in diagnosis.published.items() if (text := _published_text(one))
-    ]
+    yield from (f"Note: {note}." for note in diagnosis.notes)
+    engines = []
+    for name, one in diagnosis.published.items():
+        values = {
+            "RMSE": one.rmse_normalized,
+            "DTW/RMSE": one.dtw_over_rmse,
+            "period over the real one": one.period_ratio,
+        }
+        texts = [f"{title} {value:.2f}" for title, value in values.items() if value is not None]
+        engines += [f"{ENGINE_TITLES[name]} {', '.join(texts)}"] if texts else []
     if engines:
         own = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
-        lines.append(f"Published{own}: {'; '.join(engines)}.")
-    return lines
-
-
-def _published_text(one: PublishedScore) -> str:
-    values = {"RMSE": one.rmse_normalized, "DTW/RMSE": one.dtw_over_rmse, "period over the real one": one.period_ratio}
-    return ", ".join(f"{title} {value:.2f}" for title, value in values.items() if value is not None)
+        yield f"Published{own}: {'; '.join(engines)}."
 
 
 NOTABLE_SHARE = 0.01
@@ -167,7 +166,9 @@ def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
     if part.missing is not None:
         return f"{part.stage.value.capitalize()} does not apply: {part.missing}."
     first = all(other is part or other.missing for other in diagnosis.parts[: diagnosis.parts.index(part) + 1])
-    own = _own_changes(part)
+    # Those of the stage itself, among all that are in force after it.
+    quantities = {change.quantity for change in part.alone_changes}
+    own = [change for change in part.changes if change.quantity in quantities]
     rmses = _rmse_text(diagnosis, part.rmse_before, part.rmse_after)
     bound = " (the limit of what was tried: it may be more)" if any(change.at_bound for change in own) else ""
     also = "" if first else " as well"
@@ -175,12 +176,6 @@ def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
         f"{_percent(part.share)} of the squared error is gone ({rmses}) if "
         f"{_change_text(diagnosis, part.stage, own)}{also}{bound}."
     )
-
-
-def _own_changes(part: StagePart) -> tuple[Change, ...]:
-    """Return the changes of the stage itself, among all that are in force after it."""
-    quantities = {change.quantity for change in part.alone_changes}
-    return tuple(change for change in part.changes if change.quantity in quantities)
 
 
 def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Change]) -> str:
@@ -195,10 +190,9 @@ def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Cha
     if stage is BudgetStage.OFFSET:
         most = max(changes, key=lambda change: abs(change.fitted))
         if len(changes) > MOST_OFFSETS:
-            rms = math.sqrt(sum(change.fitted**2 for change in changes) / len(changes))
             return (
-                f"each of {len(changes)} coordinates has a constant added, {rms:.3g} {diagnosis.unit} root mean square "
-                f"({most.fitted:+.3g} at most, {most.coordinate})"
+                f"each of {len(changes)} coordinates has a constant added, {_rms(changes):.3g} {diagnosis.unit} root "
+                f"mean square ({most.fitted:+.3g} at most, {most.coordinate})"
             )
         offsets = ", ".join(f"{change.fitted:+.3g} {diagnosis.unit} along {change.coordinate}" for change in changes)
         return f"{subject} {verb} moved by {offsets}"
@@ -221,12 +215,6 @@ def _rmse_text(diagnosis: Diagnosis, *rmses: float) -> str:
     if diagnosis.baseline is None:
         return text
     return f"{text}, {' to '.join(f'{rmse / diagnosis.baseline:.3g}' for rmse in rmses)} baselines"
-
-
-def diagnosis_values(diagnosis: Diagnosis) -> dict[str, Any]:
-    """Return an error budget as a JSON-ready dictionary: every field, and `findings` in words."""
-    values: dict[str, Any] = json_ready(asdict(diagnosis) | {"findings": findings(diagnosis)})
-    return values
 
 
 def findings(diagnosis: Diagnosis) -> tuple[str, ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,9 +13,9 @@ from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_files
 from gauge_envs.errors import ParameterError
 
-RECORDING = {"recording": Path, "recording_start_s": float, "recording_rate_hz": float}
+RECORDING: dict[str, Callable[[str], Any]] = {"recording": Path, "recording_start_s": float, "recording_rate_hz": float}
 
-DETAILS = {
+DETAILS: dict[str, Callable[[str], Any]] = {
     "speed": float,
     "fps": float,
     "from_s": float,

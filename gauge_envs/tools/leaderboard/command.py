@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli.arguments import FormatOption
-from gauge_envs.cli.output import Format, Progress, counted, message, print_result
+from gauge_envs.cli.output import Format, Progress, counted, message, print_document
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
@@ -31,10 +31,10 @@ def leaderboard_check(
 
     Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
-    from gauge_envs.tools.leaderboard.words import check_records, check_view
+    from gauge_envs.tools.leaderboard.words import check_document
 
     check = _checked(folder, rerun, salt)
-    print_result(form, rows=lambda: check_records(check), view=lambda _: check_view(check))
+    print_document(check_document(check), form)
     message(f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}")
     return not check.ok
 
@@ -51,22 +51,18 @@ def leaderboard_table(
     Ranks and pairs are within each grade of reference. Exit code 1 when a submission has faults, and is therefore left
     out.
     """
-    from gauge_envs.cli.output import save_text
+    from gauge_envs.pages.document import as_markdown, as_rows, save_file
     from gauge_envs.tools.leaderboard.layout import GENERATED
-    from gauge_envs.tools.leaderboard.words import leaderboard_markdown, leaderboard_records, leaderboard_view
+    from gauge_envs.tools.leaderboard.words import leaderboard_document
 
     check = _checked(folder)
+    document = leaderboard_document(check)
     if out is not None:
-        rows = json.dumps(leaderboard_records(check), allow_nan=False, indent=1) + "\n"
-        for name, text in zip(GENERATED, (rows, leaderboard_markdown(check)), strict=True):
-            message(save_text(out / name, text))
+        texts = (json.dumps(as_rows(document), allow_nan=False, indent=1) + "\n", as_markdown(document))
+        for name, text in zip(GENERATED, texts, strict=True):
+            message(save_file(out / name, text))
     if out is None or form is not Format.TEXT:
-        print_result(
-            form,
-            rows=lambda: leaderboard_records(check),
-            view=lambda wide: leaderboard_view(check, wide=wide),
-            markdown=lambda: leaderboard_markdown(check),
-        )
+        print_document(document, form)
     for fault in check.all_faults:
         message(fault, "left out")
     return not check.ok

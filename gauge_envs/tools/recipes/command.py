@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli.arguments import FormatOption, matching, split_details
-from gauge_envs.cli.output import Format, echo, print_document, print_result
+from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
+    from gauge_envs.pages.document import Shown
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
@@ -87,9 +88,9 @@ def _refuse(text: str, names: Sequence[str], numbers: Mapping[str, float], *also
         raise ParameterError(f"{text}: leave the others out")
 
 
-def _print(form: Format, values: Mapping[str, Any], view: Any, snippet: str) -> None:
+def _print(document: Shown, snippet: str, form: Format) -> None:
     """Print a result, and a snippet as it is: a terminal's width must not wrap or cut what is to be pasted."""
-    print_result(form, rows=lambda: [values], view=lambda _: view)
+    print_document(document, form)
     if form is not Format.JSON:
         echo(f"\npaste\n{snippet}", nl=False)
 
@@ -97,7 +98,7 @@ def _print(form: Format, values: Mapping[str, Any], view: Any, snippet: str) -> 
 def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], form: Format) -> bool:
     from gauge_envs.tools.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
-    from gauge_envs.tools.recipes.words import material_table, recipe_view
+    from gauge_envs.tools.recipes.words import recipe_document
 
     settings = engine_settings(engine)
     pair = None if material is None else find_material(material, also=_fabrics())
@@ -114,32 +115,29 @@ def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], 
         _number(numbers, name)
     aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
     found = find_recipe(settings, aim)
-    if pair is not None and form is not Format.JSON:
-        print_document(material_table((pair,)), form)
-    values = found.json() | ({} if pair is None else {"material": dict(vars(pair))})
-    _print(form, values, recipe_view(found), found.settings.snippet(aim.mass_kg))
+    _print(recipe_document(found, pair), found.settings.snippet(aim.mass_kg), form)
     return found.found is None
 
 
 def _explain(engine: str, text: str, numbers: Mapping[str, float], form: Format) -> bool:
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
-    from gauge_envs.tools.recipes.words import meaning_view
+    from gauge_envs.tools.recipes.words import meaning_document
 
     step_s = _number(numbers, "timestep_s")
     if not step_s > 0.0:
         raise ParameterError(f"timestep_s {step_s:g}: expected a positive number")
     meaning = explain(parsed_contact(engine_settings(engine), text, step_s), _number(numbers, "mass_kg"))
-    _print(form, meaning.json(), meaning_view(meaning), meaning.settings.snippet(meaning.mass_kg))
+    _print(meaning_document(meaning), meaning.settings.snippet(meaning.mass_kg), form)
     return meaning.found is None
 
 
 def _print_fabric(name: str, engine: str, timestep_s: float | None, form: Format) -> bool:
     from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
-    from gauge_envs.tools.recipes.words import fabric_view
+    from gauge_envs.tools.recipes.words import fabric_document
 
     found = fabric_recipe(name, _fabrics()[name], engine, timestep_s)
-    _print(form, found.json(), fabric_view(found), fabric_snippet(found.mapped))
+    _print(fabric_document(found), fabric_snippet(found.mapped), form)
     return bool(found.faults and found.versions)
 
 
@@ -154,11 +152,9 @@ def recipe_fabrics(form: FormatOption = Format.TEXT) -> None:
 
     Each has the stiffness that its constants give.
     """
-    from gauge_envs.tools.recipes.fabric_words import material_values, material_view
+    from gauge_envs.tools.recipes.words import constants_document
 
-    print_result(
-        form, rows=lambda: [material_values(_fabrics())], view=lambda wide: material_view(_fabrics(), wide=wide)
-    )
+    print_document(constants_document(_fabrics()), form)
 
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:
@@ -166,11 +162,4 @@ def list_materials(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.tools.recipes.materials import material_pairs
     from gauge_envs.tools.recipes.words import fabric_table, material_table
 
-    pairs, known = material_pairs(), _fabrics()
-    rows = [{"name": name} for name in (*(pair.name for pair in pairs), *known)]
-    chosen = {row["name"] for row in matching(rows, patterns, kind="material", key="name")}
-    tables = (
-        material_table(tuple(pair for pair in pairs if pair.name in chosen)),
-        fabric_table({name: fabric for name, fabric in known.items() if name in chosen}),
-    )
-    return [table for table in tables if table.rows]
+    return matching([material_table(material_pairs()), fabric_table(_fabrics())], patterns, kind="material")

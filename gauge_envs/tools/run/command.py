@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -32,8 +32,8 @@ from gauge_envs.cli.output import (
     counted,
     message,
     note,
+    print_document,
     print_json_lines,
-    print_result,
     stderr_console,
 )
 from gauge_envs.errors import ParameterError, ResultFileError
@@ -41,7 +41,12 @@ from gauge_envs.errors import ParameterError, ResultFileError
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
-DETAILS = {"seed": whole(0), "repeats": whole(1), "jitter": parsed_jitter, "marker_proxy": str}
+DETAILS: dict[str, Callable[[str], Any]] = {
+    "seed": whole(0),
+    "repeats": whole(1),
+    "jitter": parsed_jitter,
+    "marker_proxy": str,
+}
 
 
 def run(
@@ -75,11 +80,13 @@ def run(
     a pattern may be declined.
     """
     from gauge_envs.experiments.patterns import is_glob, matching_subjects
-    from gauge_envs.pages.results import summary_view
-    from gauge_envs.runs.batch import TIME_LIMIT_S, check_requests, run_many
+    from gauge_envs.pages.document import Terminal
+    from gauge_envs.runs.batch import check_requests, run_many
+    from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
     from gauge_envs.scene.jitter import Jitter
+    from gauge_envs.tools.run.words import summary_document
 
     patterns, details = split_details(ids, DETAILS)
     if not patterns:
@@ -127,13 +134,14 @@ def run(
         message(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr_console().print(summary_view(results, wide=form is Format.WIDE, budget=uncertainty))
+        stderr_console().print(Terminal(summary_document(results, budget=uncertainty), form is Format.WIDE))
         message(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
         raise
+    document = summary_document(results, budget=uncertainty)
     if form is Format.JSON:
-        stderr_console().print(summary_view(results, budget=uncertainty))
+        stderr_console().print(Terminal(document))
     else:
-        print_result(form, rows=list, view=lambda wide: summary_view(results, wide=wide, budget=uncertainty))
+        print_document(document, form)
     message(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
     return any(one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name) for one in results)
@@ -153,8 +161,8 @@ def score(
     It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
     Without a `time_s` column, rows are 30 Hz frames.
     """
-    from gauge_envs.pages.results import summary_view
     from gauge_envs.runs.score_file import score_file
+    from gauge_envs.tools.run.words import summary_document
 
     result, interpolated = score_file(
         file,
@@ -164,11 +172,10 @@ def score(
     )
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    print_result(
-        form,
-        rows=lambda: [result.to_dict(trajectory=False)],
-        view=lambda wide: summary_view([result], wide=wide),
-    )
+    if form is Format.JSON:
+        print_json_lines([result.to_dict(trajectory=False)])
+    else:
+        print_document(summary_document([result]), form)
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

@@ -1,14 +1,10 @@
-"""Comparisons of two training configurations as a table and as JSON objects."""
+"""Comparisons of two training configurations in words."""
 
 from __future__ import annotations
 
-from typing import Any
-
-from rich.console import Group
-from rich.text import Text
-
-from gauge_envs.pages.table import Column, Facts, Place, Table, as_markdown, as_rich
-from gauge_envs.pages.text import heading, markdown_text
+from gauge_envs.pages.document import Document, Heading, Paragraph, Tone
+from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.text import with_unit
 from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison
 from gauge_envs.tools.sanity.words import measured_text
 
@@ -23,30 +19,24 @@ LEGEND = (
 )
 
 
-def against_rows(comparison: Comparison) -> list[dict[str, Any]]:
-    """Return JSON-ready objects: both configurations and the versions, then each row."""
+def against_document(comparison: Comparison) -> Document:
+    """Return the largest change, both sources, and the table; its rows are both configurations, then each row."""
     whole = comparison.to_dict()
     rows = whole.pop("rows")
-    return [whole, *rows]
-
-
-def against_view(comparison: Comparison, *, wide: bool = False) -> Group:
-    """Return a comparison for a terminal: the largest change, both sources, and the table."""
-    sources = {"trained": comparison.trained.source, "deployed": comparison.deployed.source}
-    return Group(
-        Text(against_line(comparison), style="bold"),
-        Text(""),
-        heading(f"{comparison.trained.name} against {comparison.deployed.name}"),
-        Facts(sources),
-        as_rich(_table(comparison), wide=wide),
-        Text(""),
-        Text(LEGEND, style="dim"),
+    answer, table = Paragraph(against_line(comparison), Tone.ANSWER), _table(comparison)
+    return Document(
+        parts=(
+            answer,
+            Paragraph(""),
+            Heading(f"{comparison.trained.name} against {comparison.deployed.name}"),
+            Facts({"trained": comparison.trained.source, "deployed": comparison.deployed.source}),
+            table,
+            Paragraph(""),
+            Paragraph(LEGEND, Tone.NOTE),
+        ),
+        rows=[whole, *rows],
+        markdown=(answer, table),
     )
-
-
-def against_markdown(comparison: Comparison) -> str:
-    """Return the largest change and the table as GitHub Markdown."""
-    return f"{markdown_text(against_line(comparison))}\n\n{as_markdown(_table(comparison))}"
 
 
 def against_line(comparison: Comparison) -> str:
@@ -60,8 +50,7 @@ def against_line(comparison: Comparison) -> str:
 
 
 def _change_text(row: ChangeRow) -> str:
-    unit = "" if row.unit == "1" else f" {row.unit}"
-    return f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}{unit}"
+    return with_unit(f"{row.title}: from {measured_text(row.trained)} to {measured_text(row.deployed)}", row.unit)
 
 
 def _table(comparison: Comparison) -> Table:
@@ -82,7 +71,7 @@ def _table(comparison: Comparison) -> Table:
 def _difference(row: ChangeRow) -> str:
     if row.trained is None or row.deployed is None:
         return "-"
-    return f"{row.deployed - row.trained:+.3g}" + ("" if row.unit == "1" else f" {row.unit}")
+    return with_unit(f"{row.deployed - row.trained:+.3g}", row.unit)
 
 
 def _below(row: ChangeRow) -> str:

@@ -17,8 +17,7 @@ from gauge_envs.cli.output import (
     counted,
     echo,
     message,
-    plain_text,
-    print_result,
+    print_document,
 )
 from gauge_envs.errors import ParameterError
 
@@ -157,17 +156,12 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
 
 
 def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
-    from gauge_envs.tools.sanity.page import save_sanity_page
-    from gauge_envs.tools.sanity.words import sanity_markdown, sanity_rows, sanity_view
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.sanity.page import sanity_page
+    from gauge_envs.tools.sanity.words import sanity_document
 
-    print_result(
-        form,
-        rows=lambda: sanity_rows(report),
-        view=lambda wide: sanity_view(report, wide=wide),
-        markdown=lambda: sanity_markdown(report),
-        files=files,
-        writers={".html": lambda file: save_sanity_page(report, file)},
-    )
+    writers = {".html": lambda file: save_file(file, sanity_page(report))}
+    print_document(sanity_document(report), form, files=files, writers=writers)
 
 
 def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
@@ -197,16 +191,10 @@ def _compare(
 ) -> bool:
     """Print what changes between two targets, and return whether a change is as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.against_words import against_markdown, against_rows, against_view
+    from gauge_envs.tools.sanity.against_words import against_document
 
     comparison = compare(trained, deployed, **options)
-    print_result(
-        form,
-        rows=lambda: against_rows(comparison),
-        view=lambda wide: against_view(comparison, wide=wide),
-        markdown=lambda: against_markdown(comparison),
-        files=files,
-    )
+    print_document(against_document(comparison), form, files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
     return any(row.change in bad[fail_on] for row in comparison.rows)
 
@@ -222,9 +210,9 @@ def _geom_pair(text: str | None) -> tuple[str, str] | None:
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
     """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
-    from gauge_envs.tools.sanity.words import phenomena_rows, phenomena_table
+    from gauge_envs.tools.sanity.words import phenomena_table
 
-    return [phenomena_table(phenomena_rows(include_deformables=_with_deformables(patterns), only=patterns))]
+    return [phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)]
 
 
 def sanity_probe(
@@ -235,13 +223,13 @@ def sanity_probe(
     Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
     """
-    from gauge_envs.cli.output import save_text
+    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.sanity.probe import program_text
 
     if out is None:
         echo(program_text(), nl=False)
     else:
-        message(save_text(out, program_text()))
+        message(save_file(out, program_text()))
 
 
 def sanity_export(
@@ -254,12 +242,13 @@ def sanity_export(
     They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run them in your simulator, as README.md in the
     folder explains, and judge them with gauge sanity judge DIR.
     """
+    from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.tools.sanity.export import export
     from gauge_envs.tools.sanity.export_manifest import scenes
 
     written = export(folder, only=only or [])
     text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"
-    print_result(form, rows=lambda: [{"file": str(path)} for path in written], view=lambda _: plain_text(text))
+    print_document(Document(parts=[Paragraph(text)], rows=[{"file": str(path)} for path in written]), form)
     if form is not Format.JSON:
         message(f"next: read {folder / 'README.md'}")
 

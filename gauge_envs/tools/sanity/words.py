@@ -1,19 +1,16 @@
-"""Sanity checks as a table and as JSON objects."""
+"""Sanity checks in words."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from rich.console import Group
-from rich.text import Text
-
-from gauge_envs.pages.table import Column, Facts, Place, Table, as_markdown, as_rich
-from gauge_envs.pages.text import heading, markdown_text, quantity_text, vector_text
+from gauge_envs.pages.document import Document, Heading, Paragraph, Tone
+from gauge_envs.pages.table import Column, Facts, Place, Table
+from gauge_envs.pages.text import quantity_text, vector_text, with_unit
 from gauge_envs.tools.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
-from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.tools.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
@@ -32,35 +29,38 @@ STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bo
 
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
-    "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the checked "
-    "configuration; after the verdict, its difference from reality. Below a row: the responsible setting, found by "
+    "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the "
+    "checked configuration; after the verdict, its difference from reality. Below a row: the responsible setting, found by "
     "resetting each setting to the engine's documented default and to this package's preset, and measuring again."
 )
 
 
-def sanity_rows(report: Report) -> list[dict[str, Any]]:
-    """Return JSON-ready objects: the configuration with the worst verdict, then each phenomenon without its curve."""
+def sanity_document(report: Report) -> Document:
+    """Return a sanity check: what was read, the table of phenomena, and the meaning of the verdicts.
+
+    Its rows are the configuration with the worst verdict, then each phenomenon without its curve.
+    """
+    checked, table = report.configuration, _phenomenon_table(report)
     whole = report.to_dict()
-    rows = whole.pop("rows")
-    return [whole, *({key: value for key, value in row.items() if key != "curve"} for row in rows)]
-
-
-def sanity_view(report: Report, *, wide: bool = False) -> Group:
-    """Return a sanity check for a terminal: what was read, the table of phenomena, and the meaning of the verdicts."""
-    checked = report.configuration
-    return Group(
-        Text(top_line(report), style="bold"),
-        Text(""),
-        heading(checked.name),
-        Facts(_facts(checked)),
-        *([as_rich(_contact_table(checked), wide=wide)] if len(checked.contact_groups) > 1 else []),
-        *(Text(f"note: {note}", style="yellow") for note in checked.notes),
-        as_rich(_phenomenon_table(report, is_short=not wide), wide=wide),
-        Text(""),
-        Text(tally_text(report), style="bold"),
-        Text(LEGEND, style="dim"),
-        *(Text(f"{verdict.value}: {VERDICT_NOTES[verdict]}", style="dim") for verdict in _present(report)),
-        *([Text(f"advisory: {ADVISORY_NOTE}", style="dim")] if any(row.advisory for row in report.rows) else []),
+    rows = ({key: value for key, value in row.items() if key != "curve"} for row in whole.pop("rows"))
+    answer, tally = Paragraph(top_line(report), Tone.ANSWER), tally_text(report)
+    return Document(
+        parts=(
+            answer,
+            Paragraph(""),
+            Heading(checked.name),
+            Facts(_facts(checked)),
+            *([_contact_table(checked)] if len(checked.contact_groups) > 1 else []),
+            *(Paragraph(f"note: {note}", Tone.WARNING) for note in checked.notes),
+            table,
+            Paragraph(""),
+            Paragraph(tally, Tone.ANSWER),
+            Paragraph(LEGEND, Tone.NOTE),
+            *(Paragraph(f"{verdict.value}: {VERDICT_NOTES[verdict]}", Tone.NOTE) for verdict in _present(report)),
+            *([Paragraph(f"advisory: {ADVISORY_NOTE}", Tone.NOTE)] if any(row.advisory for row in report.rows) else []),
+        ),
+        rows=[whole, *rows],
+        markdown=(answer, replace(table, title=""), Paragraph(f"{checked.name}: {tally}")),
     )
 
 
@@ -78,8 +78,17 @@ def top_line(report: Report) -> str:
     return "No flags: nothing to change" if measured else "Nothing was measured"
 
 
-def phenomena_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
+def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
+    """Return the rows that a sanity check can have: ids, titles, kinds and reality.
+
+    Args:
+        include_deformables: Whether to include phenomena of deformable bodies.
+        only: Ids or patterns; all when empty.
+    """
+    chosen = selection(only, include_deformables=include_deformables)
+    known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
+    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
+    known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return Table(
         columns=(
             Column("id", "id"),
@@ -90,61 +99,41 @@ def phenomena_table(rows: Sequence[Mapping[str, Any]]) -> Table:
             Column("source", "source", place=Place.BELOW, wide_only=True),
             Column("rationale", "interval", place=Place.BELOW, wide_only=True),
         ),
-        rows=rows,
+        rows=[
+            {
+                "id": name,
+                "title": title,
+                "kind": reality.kind.value,
+                "reality": reality_text(reality, unit),
+                "trial_count": reality.trial_count,
+                "source": reality.source,
+                "rationale": reality.rationale,
+            }
+            for name, title, reality, unit in known
+            if name in chosen
+        ],
     )
 
 
-def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Return JSON-ready objects on the rows that a sanity check can have.
-
-    Args:
-        include_deformables: Whether to include phenomena of deformable bodies.
-        only: Ids or patterns; all when empty.
-    """
-    chosen = selection(only, include_deformables=include_deformables)
-    known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
-    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
-    known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
-    return [
-        {
-            "id": name,
-            "title": title,
-            "kind": reality.kind.value,
-            "reality": reality_text(reality, unit),
-            "trial_count": reality.trial_count,
-            "source": reality.source,
-            "rationale": reality.rationale,
-        }
-        for name, title, reality, unit in known
-        if name in chosen
-    ]
-
-
-def sanity_markdown(report: Report) -> str:
-    """Return the top line and the table of phenomena as GitHub Markdown, and the number of rows with each verdict."""
-    table = replace(_phenomenon_table(report), title="")
-    tally = f"{report.configuration.name}: {tally_text(report)}"
-    return f"{markdown_text(top_line(report))}\n\n{as_markdown(table)}\n{tally}\n"
-
-
-def _facts(checked: TrainingConfiguration) -> dict[str, str]:
+def source_facts(checked: TrainingConfiguration) -> dict[str, str]:
+    """Return what was read, without the settings."""
     facts = {"read from": checked.source, "backend": checked.backend}
     if checked.frame_skip is not None:
         facts["one action"] = f"{checked.frame_skip} steps"
     if checked.foot_contact is not None:
         facts["foot on ground"] = checked.foot_contact.text
-    if checked.foot_geometry is not None:
-        facts["foot"] = foot_text(checked.foot_geometry)
+    if (foot := checked.foot_geometry) is not None:
+        facts["foot"] = f"{foot.description}, in the {foot.pose}; {foot.assumption}"
+    return facts
+
+
+def _facts(checked: TrainingConfiguration) -> dict[str, str]:
+    facts = source_facts(checked)
     for origin, settings in settings_by_origin(checked).items():
         facts[origin] = ", ".join(f"{name} = {setting_text(value)}" for name, value in settings.items())
     if not checked.settings:
         facts["settings"] = "this package's presets"
     return facts
-
-
-def foot_text(foot: FootGeometry) -> str:
-    """Return what the rows on the foot of a robot are about."""
-    return f"{foot.description}, in the {foot.pose}; {foot.assumption}"
 
 
 def settings_by_origin(checked: TrainingConfiguration) -> dict[str, dict[str, Any]]:
@@ -183,8 +172,8 @@ def _contact_table(checked: TrainingConfiguration) -> Table:
     )
 
 
-def _phenomenon_table(report: Report, *, is_short: bool = False) -> Table:
-    repeated = _repeated_causes(report) if is_short else {}
+def _phenomenon_table(report: Report) -> Table:
+    repeated = _repeated_causes(report)
     return Table(
         title="Phenomena",
         columns=(
@@ -195,9 +184,8 @@ def _phenomenon_table(report: Report, *, is_short: bool = False) -> Table:
             Column("", "preset", lambda row: measured_text(row.default), is_number=True, style=_default_style),
             Column("", "this", lambda row: measured_text(row.configured), is_number=True, style=_style),
             Column("", "verdict", verdict_text, style=_style),
-            Column(
-                "", "responsible", lambda row: repeated.get(row.phenomenon) or responsible_text(row), place=Place.BELOW
-            ),
+            Column("", "", lambda row: repeated[row.phenomenon], place=Place.BELOW, narrow_only=True),
+            Column("", "responsible", responsible_text, place=Place.BELOW, wide_only=True),
         ),
         rows=report.rows,
     )
@@ -208,18 +196,19 @@ CAUSE_VERB = re.compile(r" brings? ")
 
 
 def _repeated_causes(report: Report) -> dict[str, str]:
-    """Return shorter texts for rows whose cause is that of an earlier row, by phenomenon."""
+    """Return what is responsible for each row, shorter where its cause is that of an earlier row, by phenomenon."""
     first: dict[str, str] = {}
-    repeated = {}
+    texts = {}
     for row in report.rows:
-        if row.cause is None or not CAUSE_VERB.search(row.cause.line):
-            continue
-        change, effect = CAUSE_VERB.split(row.cause.line, maxsplit=1)
-        if first.setdefault(change, row.phenomenon) != row.phenomenon:
-            # Other settings that would do, and the source, stand in the wide table.
-            known = replace(row.cause, line=f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}")
-            repeated[row.phenomenon] = responsible_text(replace(row, cause=known))
-    return repeated
+        shown = row
+        if row.cause is not None and CAUSE_VERB.search(row.cause.line):
+            change, effect = CAUSE_VERB.split(row.cause.line, maxsplit=1)
+            if first.setdefault(change, row.phenomenon) != row.phenomenon:
+                # Other settings that would do, and the source, stand in the wide table.
+                line = f"as for {first[change]}: {re.split(r' [(]|; ', effect)[0]}"
+                shown = replace(row, cause=replace(row.cause, line=line))
+        texts[row.phenomenon] = responsible_text(shown)
+    return texts
 
 
 def _style(row: PhenomenonResult) -> str:
@@ -232,8 +221,7 @@ def _default_style(row: PhenomenonResult) -> str:
 
 def reality_text(reality: Reality, unit: str) -> str:
     """Return `centre +- half-width unit` of the interval of reality."""
-    text = f"{quantity_text(reality.value)} +- {quantity_text(reality.tolerance)}"
-    return text if unit == "1" else f"{text} {unit}"
+    return with_unit(f"{quantity_text(reality.value)} +- {quantity_text(reality.tolerance)}", unit)
 
 
 def measured_text(value: float | None) -> str:
@@ -241,35 +229,27 @@ def measured_text(value: float | None) -> str:
     return "-" if value is None else quantity_text(value)
 
 
-def effect_text(row: PhenomenonResult) -> str:
-    """Return the difference from reality, in per cent where it is below 100 %; empty if nothing was measured."""
-    effect = row.effect
-    if effect is None:
-        return ""
-    if abs(effect) <= abs(row.reality.value):
-        return f"{100.0 * effect / abs(row.reality.value):+.3g} %"
-    return f"{effect:+.3g}" + ("" if row.unit == "1" else f" {row.unit}")
-
-
 def verdict_text(row: PhenomenonResult) -> str:
-    """Return the verdict, and for a visible or wrong value its difference from reality."""
-    if row.verdict in (Verdict.INSIDE, Verdict.DECLINED):
+    """Return the verdict, and for a visible or wrong value its difference from reality, in per cent below 100 %."""
+    if not _is_off(row):
         return row.verdict.value
-    word = "advisory" if row.advisory else row.verdict.value
-    effect = effect_text(row)
-    return f"{word}, {effect}" if effect else word
+    word, effect = "advisory" if row.advisory else row.verdict.value, row.effect
+    if effect is None:
+        return word
+    if abs(effect) <= abs(row.reality.value):
+        return f"{word}, {100.0 * effect / abs(row.reality.value):+.3g} %"
+    return f"{word}, {with_unit(f'{effect:+.3g}', row.unit)}"
 
 
 def responsible_text(row: PhenomenonResult) -> str:
     """Return the remark of a row, the geoms that decide it, and its responsible settings."""
-    flagged = row.verdict in (Verdict.VISIBLE, Verdict.WRONG)
     parts = (
-        f"worst: {row.geoms}" if row.geoms and flagged else "",
+        f"worst: {row.geoms}" if row.geoms and _is_off(row) else "",
         row.remark,
-        row.advisory if flagged else "",
+        row.advisory if _is_off(row) else "",
         "" if row.cause is None else row.cause.line,
     )
-    return "; ".join(part for part in parts if part)
+    return "; ".join(filter(None, parts))
 
 
 def tally_text(report: Report) -> str:

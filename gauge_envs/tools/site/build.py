@@ -13,10 +13,11 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.pages.html import SITE_STYLE, Html, element, join, script_value, slug
+from gauge_envs.pages.document import save_file
+from gauge_envs.pages.html import Html, element, join, script_value, slug, stylesheet
 from gauge_envs.runs.replay import ReplayError, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.compare.comparison import ExperimentComparison, compare
+from gauge_envs.tools.compare import ExperimentComparison, compare
 from gauge_envs.tools.site.engine_page import engine_page
 from gauge_envs.tools.site.experiment_page import experiment_page
 from gauge_envs.tools.site.model import Site, first_result
@@ -78,7 +79,6 @@ def save_site(
     part = out.with_name(f".{out.name}.{token_hex(8)}.tmp")
     try:
         try:
-            (part / "assets").mkdir(parents=True)
             notes = _write(results, part, replays=replays, command=command, progress=progress)
             _replace(part, out)
         except OSError as error:
@@ -120,26 +120,21 @@ def _write(
     site = Site(comparison=comparison, files={id(result): file for file, result in results.items()})
     assets = files("gauge_envs.tools.site") / "assets"
     for name in SCRIPTS:
-        (out / "assets" / name).write_bytes((assets / name).read_bytes())
-    _page(out / "assets" / "site.css", SITE_STYLE)
-    _page(out / MARK, MARK_TEXT)
+        save_file(out / "assets" / name, (assets / name).read_bytes())
+    save_file(out / "assets" / "site.css", stylesheet())
+    save_file(out / MARK, MARK_TEXT)
     notes: list[ReplayNote] = []
     for one in comparison.experiments:
         progress(one.name)
         replay, own = _replays(site, one, out) if replays else (None, [])
         notes += own
         texts = [f"{note.label} has no replay: {note.reason}. Its curves are below." for note in own]
-        _page(out / site.experiment_page(one), experiment_page(site, one, replay, texts))
+        save_file(out / site.experiment_page(one), experiment_page(site, one, replay, texts))
     for name in site.engines:
-        _page(out / site.engine_page(name), engine_page(site, name))
-    _page(out / "reproduce.html", reproduce_page(site, command))
-    _page(out / "index.html", overview_page(site))
+        save_file(out / site.engine_page(name), engine_page(site, name))
+    save_file(out / "reproduce.html", reproduce_page(site, command))
+    save_file(out / "index.html", overview_page(site))
     return tuple(notes)
-
-
-def _page(path: Path, text: str) -> None:
-    # A lone surrogate in a file of a stranger has no UTF-8.
-    path.write_bytes(text.encode("utf-8", errors="backslashreplace"))
 
 
 # --- replays ---
@@ -164,8 +159,7 @@ def _replays(site: Site, one: ExperimentComparison, out: Path) -> tuple[Html | N
             ghosts.append(data["ghost"])
         key = f"{slug(one.name)}.{site.slugs[index]}"
         path = Path("data") / f"{key}.js"
-        (out / "data").mkdir(exist_ok=True)
-        _page(out / path, f"gaugeReplay({script_value(key)},{script_value(data)});\n")
+        save_file(out / path, f"gaugeReplay({script_value(key)},{script_value(data)});\n")
         entries.append({"key": key, "file": path.as_posix(), "label": label, "color": site.color(index)})
     return (_replay_element(entries, ghost_text(ghosts)) if entries else None), notes
 
@@ -202,12 +196,11 @@ def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
     choice = element("fieldset", element("legend", "Show"), *boxes)
     canvas = element(
         "canvas",
-        Html(""),
         tabindex=0,
         role="application",
         aria_label="3D replay. Space plays, arrow keys step by a frame, A and D turn the view.",
     )
-    stage = element("div", canvas, element("div", Html(""), class_="names"), class_="stage")
+    stage = element("div", canvas, element("div", class_="names"), class_="stage")
     help_text = "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. "
     help_text += "Poses of the run, which was repeated and has the same g(t) as its result, bit for bit."
     return join(

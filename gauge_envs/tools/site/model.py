@@ -1,9 +1,9 @@
-"""What the pages of a site show: configurations with their names, colours and files, and scores in words."""
+"""What the pages of a site share: configurations with their names, colours and files, and scores in words."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
@@ -12,24 +12,23 @@ from pathlib import Path
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.pages.html import Html, element, join, slug
+from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
+from gauge_envs.pages.html import Html, below, element, join, slug
 from gauge_envs.pages.results import configuration_labels
-from gauge_envs.pages.text import ALIGNED_TITLE, METRIC_TITLES, score_text
+from gauge_envs.pages.table import Table
+from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.compare.comparison import Cell, Comparison, ExperimentComparison
-from gauge_envs.tools.compare.scores import COMPARED_METRICS
-
-Interval = tuple[float, float]
+from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
 COLOR_COUNT = 6
 """Colours of configurations in the style of the pages; further ones repeat them."""
 
-TITLES: Mapping[str, str] = {**METRIC_TITLES, "rmse_aligned": ALIGNED_TITLE}
-"""Title of each compared metric."""
+LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
+"""Outcomes without a score."""
 
 
 class Standing(StrEnum):
-    """Standing of a normalized score stands to that of the real trials, by its interval."""
+    """Standing of a normalized score to that of the real trials, by its interval; the value is a class of its cell."""
 
     NEAR = "near"
     """The whole interval is below 1."""
@@ -38,34 +37,50 @@ class Standing(StrEnum):
     FAR = "far"
     """The whole interval is above 1."""
 
+    @classmethod
+    def of(cls, interval: Sequence[float]) -> Standing:
+        """Return how an interval of a normalized score lies to 1, the mean score of the real trials."""
+        low, high = interval
+        return cls.NEAR if high < 1.0 else cls.FAR if low > 1.0 else cls.EVEN
 
-STANDING_TEXTS = {
-    Standing.NEAR: "below 1",
-    Standing.EVEN: "1 is in the interval",
-    Standing.FAR: "above 1",
-}
-
-STANDING_MARKS = {Standing.NEAR: "\u2713", Standing.EVEN: "\u2248", Standing.FAR: "\u25b2"}
-
-
-def standing_of(interval: Sequence[float]) -> Standing:
-    """Return how an interval of a normalized score lies to 1, the mean score of the real trials."""
-    low, high = interval
-    return Standing.NEAR if high < 1.0 else Standing.FAR if low > 1.0 else Standing.EVEN
-
-
-def badge(standing: Standing) -> Html:
-    """Return the badge of a standing: a sign and words, so that the colour alone says nothing."""
-    kinds = {Standing.NEAR: "inside", Standing.EVEN: "visible", Standing.FAR: "wrong"}
-    return element("span", f"{STANDING_MARKS[standing]} {STANDING_TEXTS[standing]}", class_=f"badge {kinds[standing]}")
+    @property
+    def badge(self) -> Html:
+        """A sign and words, so that the colour alone says nothing."""
+        kind, text = {
+            Standing.NEAR: ("inside", "\u2713 below 1"),
+            Standing.EVEN: ("visible", "\u2248 1 is in the interval"),
+            Standing.FAR: ("wrong", "\u25b2 above 1"),
+        }[self]
+        return element("span", text, class_=f"badge {kind}")
 
 
 def whisker_text(value: float, interval: Sequence[float] | None) -> Html:
     """Return a score with its 95 % interval below it."""
-    parts = [element("span", score_text(value), class_="value")]
-    if interval is not None:
-        parts.append(element("span", f"[{score_text(interval[0])}, {score_text(interval[1])}]", class_="quiet block"))
-    return join(parts)
+    score = element("span", score_text(value), class_="value")
+    return (
+        score if interval is None else join([score, below(f"[{score_text(interval[0])}, {score_text(interval[1])}]")])
+    )
+
+
+def section(title: str, table: Table, *notes: str) -> list[Part | Html]:
+    """Return a table below its title, with notes below it; nothing without rows."""
+    return [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)] if table.rows else []
+
+
+def site_page(title: str, parts: Iterable[Part | Html], *, here: str, scripts: Sequence[str] = ()) -> str:
+    """Return a page of the site.
+
+    Args:
+        title: Its title.
+        parts: Its content.
+        here: Its file name, which the navigation marks.
+        scripts: Script files in the order in which they run.
+    """
+    pages = {"index.html": "Overview", "reproduce.html": "How to reproduce"}
+    links = (
+        element("a", text, href=file, aria_current="page" if file == here else None) for file, text in pages.items()
+    )
+    return page(title, parts, above=element("nav", *links), style="assets/site.css", scripts=scripts)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,17 +122,21 @@ class Site:
         """Return the file name of the page of an experiment."""
         return f"experiment-{slug(one.name)}.html"
 
-    def experiment_link(self, one: ExperimentComparison) -> Html:
-        """Return a link to the page of an experiment."""
+    def experiment_link(self, one: ExperimentComparison, *notes: str | Html) -> Html:
+        """Return a link to the page of an experiment, with quiet lines below it."""
         # A narrow column may break a long name between its words.
-        first, *others = re.split(r"(?<=[a-z])(?=[A-Z])", one.name)
-        broken = join([first, *(join([element("wbr"), word]) for word in others)])
-        return element("a", broken, href=self.experiment_page(one))
+        words = re.split(r"(?<=[a-z])(?=[A-Z])", one.name)
+        broken = [part for word in words for part in (element("wbr"), word)][1:]
+        return join([element("a", *broken, href=self.experiment_page(one)), *map(below, notes)])
 
-    def configuration_link(self, index: int) -> Html:
-        """Return a link to the page of the engine of a configuration, with its label."""
-        name = self.comparison.configurations[index].backend or "file"
-        return join([self.swatch(index), element("a", self.labels[index], href=self.engine_page(name))])
+    @cached_property
+    def links(self) -> tuple[Html, ...]:
+        """Link of each configuration to the page of its engine, with its label."""
+        names = [one.backend or "file" for one in self.comparison.configurations]
+        return tuple(
+            join([self.swatch(index), element("a", self.labels[index], href=self.engine_page(name))])
+            for index, name in enumerate(names)
+        )
 
     @staticmethod
     def color(index: int) -> str:
@@ -126,7 +145,7 @@ class Site:
 
     def swatch(self, index: int) -> Html:
         """Return a piece of the colour of a configuration."""
-        return element("span", Html(""), class_="swatch", style=f"background:{self.color(index)}")
+        return element("span", class_="swatch", style=f"background:{self.color(index)}")
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
@@ -149,18 +168,16 @@ def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Htm
     """Return mean and interval of a metric in one experiment, a badge for the primary one, or why there is no score."""
     if cell is None:
         return element("span", "not run", class_="quiet")
-    known = COMPARED_METRICS[metric]
-    spread = cell.spread(known, normalized=True)
-    interval = cell.interval_95(known)
+    spread, raw = (cell.spread(metric, normalized=normalized) for normalized in (True, False))
+    interval = cell.interval_95(metric)
     parts: list[Html] = []
     if spread is not None:
         parts.append(whisker_text(spread.mean, interval))
         if interval is not None and metric == one.primary:
-            parts.append(badge(standing_of(interval)))
-    elif (raw := cell.spread(known, normalized=False)) is not None:
-        unit = one.unit if known.unit is None else known.unit
-        parts.append(element("span", f"{score_text(raw.mean)}{'' if unit == '1' else f' {unit}'}", class_="value"))
-    for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
+            parts.append(Standing.of(interval).badge)
+    elif raw is not None:
+        parts.append(element("span", with_unit(score_text(raw.mean), one.unit_of(metric)), class_="value"))
+    for outcome in LOST:
         if count := cell.count(outcome):
             text = outcome.value if count == len(cell.results) else f"{count} {outcome.value}"
             parts.append(element("span", text, class_="badge declined"))

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
 
-from gauge_envs.pages.html import Html, element, join, page, table
+from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
+from gauge_envs.pages.html import Html, below, element, join, listed
+from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.svg import ForestRow, forest
-from gauge_envs.pages.text import GRADE_NOTES, quantity_text, score_text
+from gauge_envs.pages.table import Column, Table, grid
+from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, interval_text, quantity_text, score_text, short_id
 from gauge_envs.references.bands import BandGrade
-from gauge_envs.runs.result import Outcome
-from gauge_envs.tools.compare.comparison import ExperimentComparison
-from gauge_envs.tools.compare.grades import GradeComparison, GradeScore, PairComparison, compare_grade
-from gauge_envs.tools.compare.scores import COMPARED_METRICS
-from gauge_envs.tools.site.model import TITLES, Site, Standing, badge, score_cell, standing_of, whisker_text
+from gauge_envs.tools.compare import ExperimentComparison, GradeComparison, PairComparison, compare_grade
+from gauge_envs.tools.site.model import LOST, Site, Standing, score_cell, section, site_page, whisker_text
 
 SCALE_NOTE = (
     "Score: distance to the real mean over the published mean distance of single real trials, which is 1. Lower is "
@@ -32,6 +34,21 @@ RANK_NOTE = (
     "than another."
 )
 
+EVENTS_NOTE = (
+    "Metrics of events over the real value. LSD: longest rest of the last ball of the cradle. MTE: momentum that the "
+    "cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
+)
+
+PARTIAL_NOTE = (
+    "These references hold for a part of the motion, for which no scatter of real trials is published. So there is no "
+    "1 to compare with and no interval."
+)
+
+UNSCORED_NOTE = (
+    "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
+    "over the frames; the motion is the displacement from the start."
+)
+
 
 def overview_page(site: Site) -> str:
     """Return the first page of a site."""
@@ -39,52 +56,37 @@ def overview_page(site: Site) -> str:
     graded = [grade for grade in comparison.grades if grade.ids]
     against = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
     lead = (
-        f"{_number(len(comparison.experiments), 'experiment')}, "
-        f"{_number(len(comparison.configurations), 'configuration')} of {_number(len(site.engines), 'engine')}. "
+        f"{counted(len(comparison.experiments), 'experiment')}, "
+        f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
         f"Scored in all configurations: {against or 'none'}."
     )
-    parts = [
+    answers = [_answer(site, grade) for grade in graded] or ["No experiment has a score in all configurations."]
+    parts: list[Part | Html] = [
         element("p", lead, class_="lead"),
-        _answers(site, graded),
+        element("div", *(element("p", answer) for answer in answers), class_="answer"),
         element("div", *(_grade_forest(site, grade) for grade in graded), class_="forest"),
-        element("p", SCALE_NOTE, class_="small"),
-        _matrix(site),
-        _unscaled(site),
-        _events(site),
-        _unscored(site),
-        _engines(site),
-        *(element("p", f"Note: {note}.", class_="note") for note in comparison.notes),
+        Paragraph(SCALE_NOTE, Tone.NOTE),
+        *_matrix(site),
+        *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
+        *section("Events", _scores_table(site, "event", _events(site)), EVENTS_NOTE),
+        *section("Without a reference: how far engines are apart", _unscored_table(site), UNSCORED_NOTE),
+        *_engines(site),
+        *(Paragraph(f"Note: {note}.", Tone.WARNING) for note in comparison.notes),
     ]
-    return page("How far is each engine from reality?", parts, here="index.html")
+    return site_page("How far is each engine from reality?", parts, here="index.html")
 
 
 def _grade_title(grade: GradeComparison) -> str:
-    return {"trials": "real trials", "recording": "one recorded trial", "law": "a law"}.get(
-        grade.grade, grade.grade
-    ) + (", withheld band" if grade.withheld else "")
-
-
-def _number(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
-
-
-def _counted(ids: Sequence[str]) -> str:
-    return _number(len(ids), "experiment")
+    titles = {"trials": "real trials", "recording": "one recorded trial", "law": "a law"}
+    return titles.get(grade.grade, grade.grade) + (", withheld band" if grade.withheld else "")
 
 
 # --- the answer ---
 
 
-def _answers(site: Site, graded: Sequence[GradeComparison]) -> Html:
-    """Return a sentence for each grade: the lowest mean score, what is not distinguishable from it, and what is."""
-    if not graded:
-        return element("div", element("p", "No experiment has a score in all configurations."), class_="answer")
-    return element("div", *(element("p", _answer(site, grade)) for grade in graded), class_="answer")
-
-
 def _answer(site: Site, grade: GradeComparison) -> Html:
-    means = _means(site, grade)
-    (best, value, (low, high)), *others = means
+    """Return the lowest mean score of a grade, what is not distinguishable from it, and what is."""
+    (best, value, interval), *others = _means(grade)
     apart = {
         pair.second if pair.first == best else pair.first: _away(pair, best)
         for pair in _common_pairs(site, grade)
@@ -94,17 +96,14 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     further = [
         f"{site.labels[index]} {score_text(mean)} ({apart[index]})" for index, mean, _ in others if index in apart
     ]
-    sentences: list[str | Html] = [
-        f" {score_text(value)} [{score_text(low)}, {score_text(high)}] ",
-        badge(standing_of((low, high))),
-        ".",
-    ]
+    start = f"Against {_grade_title(grade)} ({counted(len(grade.ids), 'experiment')}): lowest mean score "
+    text = f" {interval_text(value, interval, score_text)} "
+    sentences: list[str | Html] = [element("b", start), site.links[best], text, Standing.of(interval).badge, "."]
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
     if further:
         sentences.append(f" Distinguishably further: {'; '.join(further)}.")
-    start = f"Against {_grade_title(grade)} ({_counted(grade.ids)}): lowest mean score "
-    return join([element("b", start), site.configuration_link(best), *sentences])
+    return join(sentences)
 
 
 def _common_pairs(site: Site, grade: GradeComparison) -> Sequence[PairComparison]:
@@ -118,11 +117,11 @@ def _common_pairs(site: Site, grade: GradeComparison) -> Sequence[PairComparison
 def _away(pair: PairComparison, best: int) -> str:
     """Return how much further the other configuration of a pair is, with the interval of the paired difference."""
     sign = -1.0 if pair.first == best else 1.0
-    low, high = sorted(sign * end for end in pair.difference_95)
-    return f"by {score_text(sign * pair.difference)} [{score_text(low)}, {score_text(high)}]"
+    ends = sorted(sign * end for end in pair.difference_95)
+    return f"by {interval_text(sign * pair.difference, ends, score_text)}"
 
 
-def _means(site: Site, grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
+def _means(grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
     """Return configuration, mean and interval of each score, lowest first."""
     means = [(one.configuration, one.mean.value, one.mean.interval_95) for one in grade.scores if one.mean is not None]
     return sorted(means, key=lambda entry: entry[1])
@@ -131,94 +130,87 @@ def _means(site: Site, grade: GradeComparison) -> list[tuple[int, float, tuple[f
 def _grade_forest(site: Site, grade: GradeComparison) -> Html:
     rows = [
         ForestRow(label=site.labels[index], color=site.color(index), value=value, interval=interval)
-        for index, value, interval in _means(site, grade)
+        for index, value, interval in _means(grade)
     ]
-    names = ", ".join(name.removeprefix("GAUGE/") for name in grade.ids[:4])
-    more = f" and {len(grade.ids) - 4} more" if len(grade.ids) > 4 else ""
-    note = f"Mean score over {_counted(grade.ids)}: {names}{more}. {GRADE_NOTES[BandGrade(grade.grade)].capitalize()}."
+    names = ", ".join(map(short_id, grade.ids[:4])) + (f" and {len(grade.ids) - 4} more" if len(grade.ids) > 4 else "")
+    over = f"Mean score over {counted(len(grade.ids), 'experiment')}: {names}."
+    note = f"{over} {GRADE_NOTES[BandGrade(grade.grade)].capitalize()}."
     return forest(f"Against {_grade_title(grade)}", rows, (note,))
 
 
 # --- engine x phenomenon ---
 
 
-def _phenomena(site: Site) -> Iterator[tuple[str, str, GradeComparison, list[ExperimentComparison]]]:
-    """Yield title, what is tested, comparison and experiments of each phenomenon and grade that has a score."""
+@dataclass(frozen=True)
+class _Phenomenon:
+    """Experiments of one family against references of one grade, of which one has a score."""
+
+    title: str
+    tests: str
+    grade: GradeComparison
+    members: Sequence[ExperimentComparison]
+
+
+def _phenomena(site: Site) -> Iterator[_Phenomenon]:
     groups: dict[tuple[str, str, str, bool], list[ExperimentComparison]] = {}
     for one in site.comparison.experiments:
         groups.setdefault((*site.family(one), one.grade, one.withheld), []).append(one)
     for (title, tests, grade, withheld), members in groups.items():
         experiments = [one.graded() for one in members]
         if any(draws is not None for one in experiments for draws in one.draws):
-            yield title, tests, compare_grade(grade, withheld=withheld, experiments=experiments), members
+            compared = compare_grade(grade, withheld=withheld, experiments=experiments)
+            yield _Phenomenon(title, tests, compared, members)
 
 
-def _matrix(site: Site) -> Html:
-    rows = []
-    for title, tests, grade, members in _phenomena(site):
-        links = join((element("a", _variant(one), href=site.experiment_page(one)) for one in members), " \u00b7 ")
-        heading = [element("b", title), element("span", tests, class_="quiet block")]
-        metric = ", ".join(dict.fromkeys(TITLES[one.primary] for one in members))
-        heading.append(element("span", f"{metric}, {_grade_title(grade)}: ", links, class_="quiet block"))
-        scores = {one.configuration: one for one in grade.scores}
-        shared = sum(one.rank == 1 for one in grade.scores)
-        cells = (
-            _matrix_cell(site, index, scores.get(index), grade, members, shared) for index in range(len(site.labels))
+def _matrix(site: Site) -> list[Part | Html]:
+    def heading(one: _Phenomenon) -> Html:
+        links = (
+            element("a", member.name.partition("-")[2] or member.name, href=site.experiment_page(member))
+            for member in one.members
         )
-        rows.append(element("tr", element("th", join(heading), scope="row"), *cells))
-    if not rows:
-        return Html("")
-    titles: list[str | Html] = ["phenomenon", *(site.configuration_link(index) for index in range(len(site.labels)))]
-    head = element("tr", *(element("th", title) for title in titles))
-    matrix = element("table", element("thead", head), element("tbody", *rows), class_="matrix")
-    key = element("ul", *(element("li", badge(standing)) for standing in Standing), class_="key")
-    return join(
-        [
-            element("h2", "Engine by phenomenon"),
-            key,
-            element("div", matrix, class_="scroll", tabindex="0", role="region", aria_label="Engine by phenomenon"),
-            element("p", RANK_NOTE, class_="small"),
-            element("p", ALIGNED_NOTE, class_="small"),
-        ]
+        metric = ", ".join(dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members))
+        about = below(f"{metric}, {_grade_title(one.grade)}: ", join(links, " \u00b7 "))
+        return join([element("b", one.title), below(one.tests), about])
+
+    def standing(index: int, one: _Phenomenon) -> str:
+        score = next((score for score in one.grade.scores if score.configuration == index), None)
+        return "" if score is None or score.mean is None else Standing.of(score.mean.interval_95).value
+
+    columns = (
+        Column("", link, html=partial(_matrix_cell, index), style=partial(standing, index))
+        for index, link in enumerate(site.links)
     )
-
-
-def _variant(one: ExperimentComparison) -> str:
-    return one.name.partition("-")[2] or one.name
-
-
-def _matrix_cell(
-    site: Site,
-    index: int,
-    score: GradeScore | None,
-    grade: GradeComparison,
-    members: Sequence[ExperimentComparison],
-    shared: int,
-) -> Html:
-    """Return a cell, coloured by how its interval lies to 1."""
-    results = [result for one in members if (cell := one.cells[index]) is not None for result in cell.results]
-    lost = [
-        element("span", f"{count} {outcome.value}", class_="quiet block")
-        for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
-        if (count := sum(result.outcome is outcome for result in results))
+    rows = list(_phenomena(site))
+    if not rows:
+        return []
+    matrix = Table(columns=(Column("", "phenomenon", html=heading), *columns), rows=rows, look="matrix")
+    key = listed((standing.badge for standing in Standing), class_="key")
+    return [
+        Heading("Engine by phenomenon"),
+        key,
+        matrix,
+        Paragraph(RANK_NOTE, Tone.NOTE),
+        Paragraph(ALIGNED_NOTE, Tone.NOTE),
     ]
+
+
+def _matrix_cell(index: int, one: _Phenomenon) -> Html:
+    """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
+    results = [result for member in one.members if (cell := member.cells[index]) for result in cell.results]
+    counts = {outcome: sum(result.outcome is outcome for result in results) for outcome in LOST}
+    lost = [below(f"{count} {outcome.value}") for outcome, count in counts.items() if count]
+    score = next((score for score in one.grade.scores if score.configuration == index), None)
     if score is None or score.mean is None:
-        return element("td", element("span", "no score" if results else "not run", class_="quiet"), *lost)
-    parts = [whisker_text(score.mean.value, score.mean.interval_95)]
-    parts.append(element("span", place_text(score.rank, shared, len(grade.scores)), class_="quiet block"))
-    if len(grade.ids) < len(members):
-        parts.append(element("span", f"over {len(grade.ids)} of {len(members)} experiments", class_="quiet block"))
-    return element("td", *parts, *lost, class_=standing_of(score.mean.interval_95).value)
+        return join([element("span", "no score" if results else "not run", class_="quiet"), *lost])
+    parts = [whisker_text(score.mean.value, score.mean.interval_95), below(place_text(one.grade, score.rank))]
+    if len(one.grade.ids) < len(one.members):
+        parts.append(below(f"over {len(one.grade.ids)} of {len(one.members)} experiments"))
+    return join([*parts, *lost])
 
 
-def place_text(rank: int | None, shared: int, count: int) -> str:
-    """Return a rank in words.
-
-    Args:
-        rank: The rank, or None.
-        shared: Number of configurations with rank 1.
-        count: Number of configurations with a score.
-    """
+def place_text(grade: GradeComparison, rank: int | None) -> str:
+    """Return a rank in words; empty where there is nothing to compare with."""
+    count, shared = len(grade.scores), sum(one.rank == 1 for one in grade.scores)
     if rank is None or count < 2:
         return ""
     if rank == 1:
@@ -228,94 +220,64 @@ def place_text(rank: int | None, shared: int, count: int) -> str:
 
 # --- the rest ---
 
+MetricRow = tuple[ExperimentComparison, str, str]
+"""Experiment, metric, and what stands below its name."""
 
-def _events(site: Site) -> Html:
-    rows: list[list[str | Html]] = []
+
+def _scores_table(site: Site, title: str, rows: Iterable[MetricRow]) -> Table:
+    """Return the score of each configuration in a metric of each experiment."""
+    lines = (
+        [site.experiment_link(one, text), *(score_cell(one, cell, name) for cell in one.cells)]
+        for one, name, text in rows
+    )
+    return grid([title, *site.links], lines, look="matrix")
+
+
+def _events(site: Site) -> Iterator[MetricRow]:
     for one in site.comparison.experiments:
         for name in one.metrics():
-            metric = COMPARED_METRICS[name]
-            if not metric.is_event or not any(cell and cell.spread(metric, normalized=False) for cell in one.cells):
-                continue
-            ideal = "0 is ideal" if name == "el" else "1 is the real value"
-            heading = [site.experiment_link(one), element("span", f"{TITLES[name]}, {ideal}", class_="quiet block")]
-            rows.append([join(heading), *(score_cell(one, cell, name) for cell in one.cells)])
-    if not rows:
-        return Html("")
-    titles = ["event", *(site.configuration_link(index) for index in range(len(site.labels)))]
-    note = (
-        "Metrics of events over the real value. LSD: longest rest of the last ball of the cradle. MTE: momentum that "
-    )
-    note += "the cradle hands on. PD: period of the pendulum. EL: energy loss of the pendulum."
-    return join([element("h2", "Events"), table(titles, rows, kind="matrix"), element("p", note, class_="small")])
+            metric = SCORE_METRICS[name]
+            if metric.is_event and any(cell and cell.spread(name, normalized=False) for cell in one.cells):
+                yield one, name, f"{metric.title}, {'0 is ideal' if name == 'el' else '1 is the real value'}"
 
 
-def _unscaled(site: Site) -> Html:
-    """Return the experiments with a reference and no published scatter that covers it: their RMSE in its unit."""
-    metric = COMPARED_METRICS["rmse"]
-    rows: list[list[str | Html]] = []
+def _unscaled(site: Site) -> Iterator[MetricRow]:
+    """Yield the experiments with a reference and no published scatter that covers it: their RMSE in its unit."""
     for one in site.comparison.experiments:
-        cells = [cell for cell in one.cells if cell is not None and cell.spread(metric, normalized=False) is not None]
-        if not cells or any(cell.draws is not None or cell.spread(metric, normalized=True) for cell in cells):
-            continue
-        heading = [site.experiment_link(one), element("span", f"RMSE, {one.grade}", class_="quiet block")]
-        rows.append([join(heading), *(score_cell(one, cell, "rmse") for cell in one.cells)])
-    if not rows:
-        return Html("")
-    titles = ["experiment", *(site.configuration_link(index) for index in range(len(site.labels)))]
-    note = (
-        "These references hold for a part of the motion, for which no scatter of real trials is published. So there is "
-    )
-    note += "no 1 to compare with and no interval."
-    head = element("h2", "Distance to a part of the motion")
-    return join([head, table(titles, rows, kind="matrix"), element("p", note, class_="small")])
+        cells = [cell for cell in one.cells if cell is not None and cell.spread("rmse", normalized=False) is not None]
+        if cells and not any(cell.draws is not None or cell.spread("rmse", normalized=True) for cell in cells):
+            yield one, "rmse", f"RMSE, {one.grade}"
 
 
-def _unscored(site: Site) -> Html:
-    """Return the experiments without a reference: the largest distance between two configurations."""
-    rows: list[list[str | Html]] = []
+def _unscored_table(site: Site) -> Table:
+    """Return the largest distance between two configurations in each experiment without a reference."""
+    rows: list[list[str]] = []
     for one in site.comparison.experiments:
         if one.grade != BandGrade.NONE.value:
             continue
-        far = max(one.distances, key=lambda distance: distance.rms.mean, default=None)
-        if far is None:
-            rows.append([site.experiment_link(one), "one configuration: nothing to compare", "", ""])
-            continue
-        between = f"{site.labels[far.first]} and {site.labels[far.second]}"
-        apart = f"{quantity_text(far.rms.mean)} {far.unit}"
-        rows.append([site.experiment_link(one), between, apart, f"{quantity_text(far.motion_rms)} {far.unit}"])
-    if not rows:
-        return Html("")
-    note = (
-        "No real reference is published, so nothing says which engine is right. Distance and motion: root mean square "
-    )
-    note += "over the frames; the motion is the displacement from the start."
-    titles = ("experiment", "furthest apart", "distance", "motion")
-    return join(
-        [
-            element("h2", "Without a reference: how far engines are apart"),
-            table(titles, rows, number_from=2),
-            element("p", note, class_="small"),
-        ]
-    )
+        cells = ["one configuration: nothing to compare", "", ""]
+        if one.distances:
+            far = max(one.distances, key=lambda distance: distance.rms.mean)
+            lengths = (f"{quantity_text(length)} {far.unit}" for length in (far.rms.mean, far.motion_rms))
+            cells = [f"{site.labels[far.first]} and {site.labels[far.second]}", *lengths]
+        rows.append([site.experiment_link(one), *cells])
+    return grid(("experiment", "furthest apart", "distance", "motion"), rows, number_from=2)
 
 
-def _engines(site: Site) -> Html:
-    summaries = site.comparison.summaries()
+def _engines(site: Site) -> list[Part | Html]:
+    comparison = site.comparison
     rows = [
         [
-            site.configuration_link(index),
-            " ".join(f"{name} {text}" for name, text in one.engine_versions.items()) or "-",
-            str(summary.ran),
-            str(summary.scored),
-            str(summary.diverged),
-            str(summary.not_run),
+            site.links[index],
+            versions_text(one) or "-",
+            *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
             "-" if summary.wall_s_per_sim_s_common is None else f"{summary.wall_s_per_sim_s_common:.2g}",
         ]
-        for index, (one, summary) in enumerate(zip(site.comparison.configurations, summaries, strict=True))
+        for index, (one, summary) in enumerate(zip(comparison.configurations, comparison.summaries(), strict=True))
     ]
-    titles = ("engine", "versions", "ran", "scored", "diverged", "not run", "wall s/sim s")
-    common = _number(len(site.comparison.run_by_all), "experiment")
+    titles = ("engine", "versions", "ran", "scored", "diverged", "not run", COST_TITLE)
+    common = counted(len(comparison.run_by_all), "experiment")
     note = (
         f"Wall s/sim s: wall time over simulated time, over {common} that all ran. It compares engines on one machine."
     )
-    return join([element("h2", "Engines"), table(titles, rows, number_from=2), element("p", note, class_="small")])
+    return section("Engines", grid(titles, rows, number_from=2), note)

@@ -6,17 +6,20 @@ import hashlib
 import json
 import math
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.html import Html, code, element, join, page, table
+from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
+from gauge_envs.pages.html import Html, below, code, element, folded, join
+from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.imported import DataSource
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.site.model import Site
+from gauge_envs.tools.compare import ExperimentComparison
+from gauge_envs.tools.site.model import Site, site_page
 
 
 def run_command(results: Sequence[Result]) -> str | None:
@@ -68,52 +71,40 @@ def _start_words(results: Sequence[Result]) -> list[str]:
     words += [f"repeats={count}"] if count > 1 else []
     jitter = results[0].jitter
     if "position_m" in jitter:
-        words.append(f"jitter={_exact(jitter['position_m'], 1e-3)}mm,{_exact_deg(jitter['angle_rad'])}deg")
+        position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
+        millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
+        words.append(f"jitter={millimetres}mm,{_exact(angle_rad, math.degrees(angle_rad), math.radians)}deg")
     return words
 
 
-def _exact(value: float, factor: float) -> str:
+def _exact(value: float, scaled: float, restored: Callable[[float], float]) -> str:
     """Return the shortest number of which the command makes exactly this value."""
-    return next(
-        (f"{value / factor:.{n}g}" for n in range(1, 18) if factor * float(f"{value / factor:.{n}g}") == value),
-        repr(value / factor),
-    )
+    texts = (f"{scaled:.{digits}g}" for digits in range(1, 18))
+    return next((text for text in texts if restored(float(text)) == value), repr(scaled))
 
 
-def _exact_deg(value: float) -> str:
-    degrees = math.degrees(value)
-    texts = (f"{degrees:.{digits}g}" for digits in range(1, 18))
-    return next((text for text in texts if math.radians(float(text)) == value), repr(degrees))
-
-
-def run_commands(site: Site, cells: Sequence[tuple[int, Sequence[Result]]]) -> Html:
-    """Return the commands of configurations in one experiment, each with its versions.
-
-    Args:
-        site: The site.
-        cells: Index of the configuration and its results, one or more.
-    """
-    parts = []
-    for index, results in cells:
-        command = run_command(results)
-        text = "scored from a trajectory file: gauge score FILE" if command is None else command
-        versions = ", ".join(f"{name} {version}" for name, version in results[0].versions.items())
-        parts.append(element("div", element("p", site.swatch(index), site.labels[index]), element("pre", code(text))))
-        parts.append(element("p", f"Versions: {versions}.", class_="small"))
-        settings = element("pre", element("code", "\n".join(_assignments(results[0].settings)) or "none stated"))
-        parts.append(element("details", element("summary", "settings in force"), settings))
-    return join(parts)
-
-
-def _hash(digest: str) -> Html:
-    """Return the start of a hash, as a line of its own."""
-    return element("span", digest[:16], class_="hash")
+def run_commands(site: Site, one: ExperimentComparison) -> list[Part | Html]:
+    """Return the commands of all configurations in one experiment, each with its versions."""
+    parts: list[Part | Html] = []
+    for index, cell in enumerate(one.cells):
+        if cell is None:
+            continue
+        first = cell.results[0]
+        command = run_command(cell.results) or "scored from a trajectory file: gauge score FILE"
+        versions = ", ".join(f"{name} {version}" for name, version in first.versions.items())
+        settings = "\n".join(_assignments(first.settings)) or "none stated"
+        parts += [
+            element("div", element("p", site.swatch(index), site.labels[index]), element("pre", code(command))),
+            Paragraph(f"Versions: {versions}.", Tone.NOTE),
+            folded("settings in force", element("pre", element("code", settings))),
+        ]
+    return parts
 
 
 def _digest(file: Path) -> str:
-    """Return the start of the hash of a file; a dash if it is gone."""
+    """Return the hash of a file; a dash if it is gone."""
     try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+        return hashlib.sha256(file.read_bytes()).hexdigest()
     except OSError:
         return "-"
 
@@ -125,44 +116,38 @@ def reproduce_page(site: Site, command: str) -> str:
         site: The site.
         command: Command that made the site.
     """
-    rows: list[list[str | Html]] = []
+    rows = []
     for one in site.comparison.experiments:
         for index, cell in enumerate(one.cells):
-            if cell is None:
-                continue
-            for result in cell.results:
+            for result in cell.results if cell else ():
                 file = site.files.get(id(result))
-                line = run_command([result])
                 rows.append(
-                    [
-                        join([site.experiment_link(one), _hash(result.task_sha256)]),
-                        site.configuration_link(index),
-                        code(line or "trajectory file"),
-                        "-" if file is None else join([file.name, _hash(_digest(file))]),
+                    (
+                        site.experiment_link(one, result.task_sha256[:16]),
+                        site.links[index],
+                        code(run_command([result]) or "trajectory file"),
+                        "-" if file is None else join([file.name, below(_digest(file)[:16])]),
                         result.created.partition(".")[0].replace("T", " ").removesuffix("+00:00"),
-                    ]
+                    )
                 )
-    titles = ("experiment", "configuration", "command", "result file", "created, UTC")
-    steps: tuple[tuple[Html | str, ...], ...] = (
-        (code("pip install 'gauge-envs[newton,physx,rapier,drake]'"), " with the versions that each page states."),
-        (
-            "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
-            "same versions on the same kind of processor. Wall times differ.",
+    steps = (
+        join(
+            [code("pip install 'gauge-envs[newton,physx,rapier,drake]'"), " with the versions that each page states."]
         ),
-        (code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."),
-        (code("gauge diagnose results/"), " prints the error budgets."),
+        "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
+        "same versions on the same kind of processor. Wall times differ.",
+        join([code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."]),
+        join([code("gauge diagnose results/"), " prints the error budgets."]),
     )
-    parts = [
-        element("p", "Every number on these pages comes from a result file, and each file from one command."),
-        element("ol", *(element("li", *step) for step in steps)),
-        element("h2", "This site"),
+    parts: list[Part | Html] = [
+        Paragraph("Every number on these pages comes from a result file, and each file from one command."),
+        element("ol", *(element("li", step) for step in steps)),
+        Heading("This site"),
         element("pre", code(command)),
-        element("h2", "Results"),
-        element(
-            "p", "Below an experiment: SHA-256 of its task file. Below a result file: that of the file.", class_="small"
-        ),
-        table(titles, rows),
-        element("h2", "Software on these pages"),
+        Heading("Results"),
+        Paragraph("Below an experiment: SHA-256 of its task file. Below a result file: that of the file.", Tone.NOTE),
+        grid(("experiment", "configuration", "command", "result file", "created, UTC"), rows),
+        Heading("Software on these pages"),
         element(
             "p",
             "The 3D replays are drawn by three.js, MIT licence: ",
@@ -170,4 +155,4 @@ def reproduce_page(site: Site, command: str) -> str:
             ". Real data: GAUGE, arXiv 2608.05948.",
         ),
     ]
-    return page("How to reproduce each number", parts, here="reproduce.html")
+    return site_page("How to reproduce each number", parts, here="reproduce.html")

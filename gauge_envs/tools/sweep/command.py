@@ -201,7 +201,8 @@ def _processors() -> int:
 
 def _lanes(ray: str | None, workers: int | None, bounds: ProcessLimits, isolate: bool, most: int) -> list[Lane]:
     """Return the lanes, at most so many as there are tasks."""
-    from gauge_envs.tools.sweep.lanes import TIME_LIMIT_S, Limits, WorkerLane
+    from gauge_envs.runs.isolation import TIME_LIMIT_S
+    from gauge_envs.tools.sweep.lanes import Limits, WorkerLane
     from gauge_envs.tools.sweep.ray_lanes import ray_lanes
 
     limits = Limits(TIME_LIMIT_S if bounds.time_s is None else bounds.time_s, bounds.memory_gb, isolate)
@@ -235,15 +236,14 @@ def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, 
     from gauge_envs.tools.sweep.estimate import EarlierCosts
     from gauge_envs.tools.sweep.folder import SweepFolder
     from gauge_envs.tools.sweep.plan import remaining_tasks
-    from gauge_envs.tools.sweep.words import cost_text, plan_rows, plan_table
+    from gauge_envs.tools.sweep.words import cost_text, plan_document
 
     folder = SweepFolder(out)
     kept = [one for one in Outcome if not (retry_failed and one is Outcome.FAILED)]
     tasks = list(remaining_tasks(plan, {entry.name for entry in folder.files(*kept)}))
     costs = EarlierCosts(folder)
-    rows = plan_rows(plan, tasks, costs)
-    print_document(plan_table(rows, wide=form is not Format.TEXT), form)
-    left = sum(row["left"] for row in rows)
+    print_document(plan_document(plan, tasks, costs), form)
+    left = sum(len(task.seeds) for task in tasks)
     message(f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out")
     message(cost_text(costs.of(task for task in tasks if task.run.declined is None), workers))
 

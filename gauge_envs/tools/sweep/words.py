@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
+from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.estimate import Cost, EarlierCosts
@@ -32,8 +33,20 @@ def cost_text(cost: Cost, workers: int) -> str:
     return f"{text}; unknown for {cost.unknown} episodes" if cost.unknown else text
 
 
-def plan_rows(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> list[dict[str, Any]]:
-    """Return a row for each engine and experiment of a plan, with the episodes that are left and their cost."""
+PLAN_COLUMNS = (
+    Column("backend", "engine"),
+    Column("experiment", "experiment"),
+    *(Column(key, key, str, is_number=True) for key in ("runs", "episodes", "left", "declined")),
+    Column("engine_s", "engine time", duration_text, is_number=True),
+    Column("unknown", "without estimate", str, is_number=True),
+)
+
+
+def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) -> Document:
+    """Return the episodes of a plan that are left and their cost: for each engine, or wide for each experiment, too.
+
+    Its rows are those of the engines and experiments.
+    """
     left: dict[tuple[str, str], list[SweepTask]] = {}
     for task in tasks:
         left.setdefault(task.run.group, []).append(task)
@@ -53,18 +66,17 @@ def plan_rows(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCosts) 
         row["left"] = sum(len(task.seeds) for task in waiting)
         row["engine_s"] = cost.engine_s if cost.known else None
         row["unknown"] = cost.unknown
-    return list(rows.values())
+    whole = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
+    return Document(
+        parts=(
+            Table(columns=whole, rows=_sums(rows.values()), narrow_only=True),
+            Table(columns=PLAN_COLUMNS, rows=list(rows.values()), wide_only=True),
+        ),
+        rows=list(rows.values()),
+    )
 
 
-def plan_table(rows: Sequence[Mapping[str, Any]], *, wide: bool) -> Table:
-    """Return a plan as a table: a row for each engine, or with `wide` for each engine and experiment."""
-    if wide:
-        return Table(columns=PLAN_COLUMNS, rows=rows)
-    columns = tuple(column for column in PLAN_COLUMNS if column.key != "experiment")
-    return Table(columns=columns, rows=_sums(rows))
-
-
-def _sums(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     sums: dict[str, dict[str, Any]] = {}
     for row in rows:
         one = sums.setdefault(row["backend"], {"backend": row["backend"], "engine_s": None})
@@ -87,15 +99,3 @@ def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
     ]
     columns = (Column("backend", "engine"), *(Column(one.value, one.value, str, is_number=True) for one in Outcome))
     return Table(columns=columns, rows=rows)
-
-
-PLAN_COLUMNS = (
-    Column("backend", "engine"),
-    Column("experiment", "experiment"),
-    Column("runs", "runs", str, is_number=True),
-    Column("episodes", "episodes", str, is_number=True),
-    Column("left", "left", str, is_number=True),
-    Column("declined", "declined", str, is_number=True),
-    Column("engine_s", "engine time", duration_text, is_number=True),
-    Column("unknown", "without estimate", str, is_number=True),
-)

@@ -20,13 +20,10 @@ from gauge_envs.cli.arguments import (
     split_list,
     whole,
 )
-from gauge_envs.cli.output import Format, Progress, message, plain_text, print_result, stderr_console
+from gauge_envs.cli.output import Format, Progress, message, plain_text, print_document, stderr_console
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from rich.console import Group
-
-    from gauge_envs.pages.table import Table
     from gauge_envs.tools.transfer.envelope import Envelope
 
 DEFAULT_ENGINES = ("mujoco", "newton")
@@ -85,7 +82,7 @@ def transfer(
     from gauge_envs.tools.transfer.policies.load import load_policies
     from gauge_envs.tools.transfer.policy_replays import make_control_env, other_worlds, replay, training_world
     from gauge_envs.tools.transfer.transfer import transfer_report
-    from gauge_envs.tools.transfer.words import transfer_json, transfer_table, transfer_verdict
+    from gauge_envs.tools.transfer.words import transfer_document
 
     policies, details = split_details(words, {"sigmas": _numbers, "starts": whole(1), "seed": whole(0)})
     files = _picture_files([out] if out else [])
@@ -106,17 +103,12 @@ def transfer(
             message(f"{name}: {reason}", "left out")
 
     def save(file: Path) -> Path:
-        from gauge_envs.tools.transfer.figure import save_transfer
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.transfer.figure import draw_transfer
 
-        return save_transfer(report, file)
+        return save_png(draw_transfer(report), file)
 
-    print_result(
-        form,
-        rows=lambda: transfer_json(report),
-        view=lambda wide: _with_verdict(transfer_table(report), transfer_verdict(report), wide),
-        files=files,
-        writers={".png": save},
-    )
+    print_document(transfer_document(report), form, files=files, writers={".png": save})
     return fail_below is not None and 100.0 * report.kept.value < fail_below
 
 
@@ -160,7 +152,7 @@ def transfer_envelope(
     """
     from gauge_envs.tools.transfer.envelope import experiment_envelope
     from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-    from gauge_envs.tools.transfer.envelope_words import envelope_json, envelope_table, envelope_verdict
+    from gauge_envs.tools.transfer.envelope_words import envelope_document
     from gauge_envs.tools.transfer.randomization import write_randomization
 
     subjects, details = split_details(words, {"samples": whole(1), "batch": whole(1), "seed": whole(0), "width": float})
@@ -182,20 +174,15 @@ def transfer_envelope(
     report = envelope_report(found)
 
     def save(file: Path) -> Path:
-        from gauge_envs.tools.transfer.envelope_figure import save_envelope
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.transfer.envelope_figure import draw_envelope
 
-        return save_envelope(found, report, file)
+        return save_png(draw_envelope(found, report), file)
 
     def save_ranges(folder: Path) -> str:
         return "\n".join(map(str, write_randomization(folder, found.id, found.scene, found.parameters, width)))
 
-    print_result(
-        form,
-        rows=lambda: [envelope_json(report)],
-        view=lambda _: _with_verdict(envelope_table(report), envelope_verdict(report)),
-        files=files,
-        writers={".png": save, "": save_ranges},
-    )
+    print_document(envelope_document(report), form, files=files, writers={".png": save, "": save_ranges})
 
 
 def _picture_files(out: list[Path], *others: str) -> dict[str, Path]:
@@ -206,14 +193,6 @@ def _picture_files(out: list[Path], *others: str) -> dict[str, Path]:
     if ".png" in files:
         new_figure(1.0, 1.0)
     return files
-
-
-def _with_verdict(table: Table, verdict: str, wide: bool = False) -> Group:
-    from rich.console import Group
-
-    from gauge_envs.pages.table import as_rich
-
-    return Group(as_rich(table, wide=wide), f"\n{plain_text(verdict)}")
 
 
 def _is_control(subject: str) -> bool:

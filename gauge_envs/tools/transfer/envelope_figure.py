@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
+from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
+from gauge_envs.pages.text import with_unit
 from gauge_envs.tools.transfer.envelope import Envelope
 from gauge_envs.tools.transfer.envelope_statistics import EnvelopeReport, is_constant
 
@@ -18,11 +18,6 @@ if TYPE_CHECKING:
 
 
 COLUMNS = 3
-
-
-def save_envelope(envelope: Envelope, report: EnvelopeReport, path: Path) -> Path:
-    """Write the picture of `draw_envelope` as PNG, and return its path."""
-    return save_png(draw_envelope(envelope, report), path)
 
 
 def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
@@ -47,7 +42,7 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
             chosen = np.array([one == ending for one in envelope.endings])
             axis.plot(column[chosen], envelope.values[chosen], ".", ms=2.5, alpha=0.5, color=colors[ending])
         axis.axvline(0.0, color=REAL, lw=0.8)
-        sigma = f"{effect.parameter.std:.2g}{_unit(effect.parameter.unit)}"
+        sigma = with_unit(f"{effect.parameter.std:.2g}", effect.parameter.unit)
         axis.set_xlabel(f"{effect.parameter.name}\nfrom the calibrated value [sigma = {sigma}]", fontsize=8)
         axis.set_title(f"rank correlation {effect.rank_correlation:+.2f}", loc="left", fontsize=8)
         tidy_axis(axis)
@@ -55,10 +50,6 @@ def draw_envelope(envelope: Envelope, report: EnvelopeReport) -> Figure:
     acted = "" if report.policy == "none" else f"; {report.policy}"
     figure.suptitle(title + acted, x=0.01, ha="left", fontsize=9)
     return figure
-
-
-def _unit(unit: str) -> str:
-    return "" if unit == "1" else f" {unit}"
 
 
 def _draw_distribution(axis: Axes, envelope: Envelope, report: EnvelopeReport, colors: dict[str, str]) -> None:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING
 
-from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
+from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.tools.transfer.transfer import FALL_SHARE, TransferReport
 
 if TYPE_CHECKING:
@@ -15,11 +14,6 @@ if TYPE_CHECKING:
 
 LONG_NAME = 48
 """Length at which the name of a world continues in a second line [characters]."""
-
-
-def save_transfer(report: TransferReport, path: Path) -> Path:
-    """Write the picture of `draw_transfer` as PNG, and return its path."""
-    return save_png(draw_transfer(report), path)
 
 
 def draw_transfer(report: TransferReport) -> Figure:

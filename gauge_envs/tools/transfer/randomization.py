@@ -1,50 +1,57 @@
-"""Ranges of domain randomization from measured uncertainties, as code for common training stacks."""
+"""Ranges of domain randomization from measured uncertainties, as code for common training stacks.
+
+The code is in `templates`: parts of a file below a line with their name, with `$name` for what a task fills in.
+"""
 
 from __future__ import annotations
 
 import json
+import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
 from pathlib import Path
+from string import Template
+from typing import Any
 
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import UncertainParameter
-from gauge_envs.files import write_whole
-from gauge_envs.scene import Box, Pose, RigidBody, Scene, Sphere
+from gauge_envs.pages.document import save_file
+from gauge_envs.pages.text import with_unit
+from gauge_envs.scene import Box, RigidBody, Scene, Sphere
 
 ALONG_AXIS = 0.99999
 """Smallest component of a unit vector that counts as along an axis: 0.3 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class ConstantRange:
-    """Range of one constant of a body.
+class ParameterRange:
+    """Range of one constant of a body, or of the displacement of its start along a direction.
 
     Attributes:
-        parameter: The parameter.
+        parameter: The parameter; that of a start has a direction.
         low: Lower end.
-        high: Upper end.
+        high: Upper end; of a displacement the half width [m].
     """
 
     parameter: UncertainParameter
     low: float
     high: float
 
+    @property
+    def is_start(self) -> bool:
+        """Whether it is of a start."""
+        return self.parameter.direction is not None
 
-@dataclass(frozen=True, kw_only=True)
-class StartRange:
-    """Range of one coordinate of a start.
-
-    Attributes:
-        parameter: The parameter, with its direction.
-        half_m: Half width of the range of displacements [m].
-    """
-
-    parameter: UncertainParameter
-    half_m: float
+    @property
+    def ends(self) -> str:
+        """Both ends as a tuple in Python."""
+        return f"({self.low:.6g}, {self.high:.6g})"
 
 
-def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> list[ConstantRange | StartRange]:
+def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> list[ParameterRange]:
     """Return ranges of so many standard uncertainties to each side, within the physical values.
 
     Args:
@@ -54,9 +61,9 @@ def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> l
     if not width > 0.0:
         raise ParameterError(f"width {width}: give a number of standard uncertainties above 0")
     return [
-        ConstantRange(parameter=one, low=one.at(-width), high=one.at(width))
+        ParameterRange(parameter=one, low=one.at(-width), high=one.at(width))
         if one.direction is None
-        else StartRange(parameter=one, half_m=width * one.std)
+        else ParameterRange(parameter=one, low=-width * one.std, high=width * one.std)
         for one in parameters
     ]
 
@@ -65,14 +72,8 @@ def write_randomization(
     folder: Path, task: str, scene: Scene, parameters: Sequence[UncertainParameter], width: float = 2.0
 ) -> list[Path]:
     """Write the files of `randomization_files` to a folder, and return their paths."""
-    files = randomization_files(task, scene, parameters, width)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in files.items():
-            write_whole(folder / name, text.encode())
-    except OSError as error:
-        raise ResultFileError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    return [folder / name for name in files]
+    texts = randomization_files(task, scene, parameters, width)
+    return [save_file(folder / name, text) for name, text in texts.items()]
 
 
 def randomization_files(
@@ -87,308 +88,155 @@ def randomization_files(
         width: Number of standard uncertainties to each side.
     """
     ranges = ranges_of(parameters, width)
-    heading = "\n".join(_heading(task, ranges, width))
-    files = {
-        "randomized_gymnasium.py": _gymnasium(task, ranges),
-        "randomized_isaac_lab.py": "\n".join(_isaac_lab(scene, ranges)),
-        "randomized_maniskill.py": "\n".join(_maniskill(scene, ranges)),
-        "randomized_playground.py": "\n".join(_playground(scene, ranges)),
+    bodies: dict[str, dict[str, ParameterRange]] = {}
+    starts: dict[str, list[ParameterRange]] = {}
+    for one in ranges:
+        key = one.parameter.key
+        if one.is_start:
+            starts.setdefault(key, []).append(one)
+            continue
+        owner, _, constant = key.rpartition(".")
+        # Counted bodies share the constants of their entry.
+        for body in scene.bodies:
+            if owner in (body.name, body.name.rpartition("-")[0]):
+                bodies.setdefault(body.name, {})[constant] = one
+    texts = {
+        "gymnasium": _gymnasium(task, ranges, starts),
+        "isaac_lab": "".join(_isaac_lab(bodies, starts)),
+        "maniskill": "".join(_maniskill(scene, bodies, starts)),
+        "playground": "".join(_playground(bodies, starts)),
     }
-    return {name: f"{heading}\n{text.rstrip()}\n" for name, text in files.items()}
+    heading = "\n".join(_heading(task, ranges, width))
+    return {f"randomized_{stack}.py": f"{heading}\n{text.rstrip()}\n" for stack, text in texts.items()}
 
 
-def _heading(task: str, ranges: Sequence[ConstantRange | StartRange], width: float) -> Iterator[str]:
+def _heading(task: str, ranges: Sequence[ParameterRange], width: float) -> Iterator[str]:
     yield f'"""Randomization of {task} within its measured uncertainty: {width:g} sigma to each side, uniform.'
     yield ""
     for one in ranges:
-        unit = "" if one.parameter.unit == "1" else f" {one.parameter.unit}"
-        limits = f"+- {one.half_m:.4g}" if isinstance(one, StartRange) else f"{one.low:.6g} to {one.high:.6g}"
-        yield f"{one.parameter.name}: {limits}{unit}"
-        yield f"    sigma {one.parameter.std:.3g}{unit}; {one.parameter.source}"
+        limits = f"+- {one.high:.4g}" if one.is_start else f"{one.low:.6g} to {one.high:.6g}"
+        unit, std = one.parameter.unit, f"{one.parameter.std:.3g}"
+        yield with_unit(f"{one.parameter.name}: {limits}", unit)
+        yield f"    sigma {with_unit(std, unit)}; {one.parameter.source}"
     yield '"""'
     yield ""
 
 
-def _bodies(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> dict[str, dict[str, ConstantRange]]:
-    """Return the ranges of constants by body and constant; counted bodies share those of their entry."""
-    found: dict[str, dict[str, ConstantRange]] = {}
-    for one in ranges:
-        if isinstance(one, ConstantRange):
-            owner, _, constant = one.parameter.key.rpartition(".")
-            for body in scene.bodies:
-                if body.name == owner or body.name.rpartition("-")[0] == owner:
-                    found.setdefault(body.name, {})[constant] = one
-    return found
+@cache
+def _parts(stack: str) -> Mapping[str, Template]:
+    text = (files("gauge_envs.tools.transfer") / "templates" / f"{stack}.txt").read_text(encoding="utf-8")
+    _, *found = re.split(r"^=== (\w+)\n", text, flags=re.MULTILINE)
+    return {name: Template(part) for name, part in zip(found[::2], found[1::2], strict=True)}
 
 
-def _starts(ranges: Sequence[ConstantRange | StartRange]) -> dict[str, list[StartRange]]:
-    found: dict[str, list[StartRange]] = {}
-    for one in ranges:
-        if isinstance(one, StartRange):
-            found.setdefault(one.parameter.key, []).append(one)
-    return found
+def _filled(stack: str, part: str, **values: Any) -> str:
+    return _parts(stack)[part].substitute(values)
 
 
-def _pair(one: ConstantRange) -> str:
-    return f"({one.low:.6g}, {one.high:.6g})"
+def _displacements(ranges: Sequence[ParameterRange], indent: str = "") -> str:
+    """Return a comment with the displacement of a start along each direction."""
+    directions = (([round(part, 6) for part in one.parameter.direction or ()], one.high) for one in ranges)
+    return "".join(f"{indent}#   +- {half:.6g} along {direction}\n" for direction, half in directions)
 
 
-def _gymnasium(task: str, ranges: Sequence[ConstantRange | StartRange]) -> str:
-    constants = {one.parameter.key: (one.low, one.high) for one in ranges if isinstance(one, ConstantRange)}
-    starts = {
-        key: [list(value[0].parameter.value), [[list(one.parameter.direction or ()), one.half_m] for one in value]]
-        for key, value in _starts(ranges).items()
-        if isinstance(value[0].parameter.value, tuple)
+def _gymnasium(task: str, ranges: Sequence[ParameterRange], starts: Mapping[str, Sequence[ParameterRange]]) -> str:
+    constants = {one.parameter.key: (one.low, one.high) for one in ranges if not one.is_start}
+    moved = {
+        key: [list(some[0].parameter.value), [[list(one.parameter.direction or ()), one.high] for one in some]]
+        for key, some in starts.items()
+        if isinstance(some[0].parameter.value, tuple)
     }
-    return GYMNASIUM.replace("{TASK}", task).replace("{CONSTANTS}", _literal(constants)).replace(
-        "{STARTS}", _literal(starts)
-    )  # fmt: skip
+    return _filled("gymnasium", "file", task=task, constants=_literal(constants), starts=_literal(moved))
 
 
 def _literal(values: Mapping[str, object]) -> str:
     """Return a dictionary as Python code, one entry a line."""
-    if not values:
-        return "{}"
     lines = [f"    {json.dumps(key)}: {json.dumps(value)}," for key, value in values.items()]
-    return "\n".join(["{", *lines, "}"])
+    return "\n".join(["{", *lines, "}"]) if values else "{}"
 
 
-GYMNASIUM = '''import gymnasium
-import gauge_envs  # Registers the ids.
-import numpy as np
-
-CONSTANTS = {CONSTANTS}
-"""Lower and upper end of each constant."""
-
-STARTS = {STARTS}
-"""Calibrated position of each body [m], and directions with their half widths [m]."""
-
-
-def drawn_parameters(random):
-    """Return constants and starts that are drawn uniformly from their ranges."""
-    parameters = {key: random.uniform(low, high) for key, (low, high) in CONSTANTS.items()}
-    for key, (position, directions) in STARTS.items():
-        moved = np.array(position)
-        for direction, half_width in directions:
-            moved += random.uniform(-half_width, half_width) * np.array(direction)
-        parameters[key] = moved.tolist()
-    return parameters
-
-
-class RandomizedConstants(gymnasium.Wrapper):
-    """Environment whose constants are drawn anew at each reset; `info["constants"]` holds them."""
-
-    def __init__(self, **arguments):
-        self._arguments = arguments
-        self._random = np.random.default_rng()
-        super().__init__(gymnasium.make("{TASK}", **arguments))
-
-    def reset(self, *, seed=None, options=None):
-        if seed is not None:
-            self._random = np.random.default_rng(seed)
-        parameters = drawn_parameters(self._random)
-        self.env.close()
-        self.env = gymnasium.make("{TASK}", parameters=parameters, **self._arguments)
-        observation, info = self.env.reset(seed=seed, options=options)
-        return observation, info | {"constants": parameters}
-'''
-
-
-def _isaac_lab(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> Iterator[str]:
-    yield from (
-        "import isaaclab.envs.mdp as mdp",
-        "from isaaclab.managers import EventTermCfg as EventTerm",
-        "from isaaclab.managers import SceneEntityCfg",
-        "from isaaclab.utils import configclass",
-        "",
-        "# Friction and restitution are those of a pair. PhysX combines the materials of both bodies: give the",
-        '# support friction 1, restitution 1 and the combine mode "multiply", so that the pair has these values.',
-        "",
-        "",
-        "@configclass",
-        "class EventCfg:",
-    )
-    bodies, starts = _bodies(scene, ranges), _starts(ranges)
+def _isaac_lab(
+    bodies: Mapping[str, Mapping[str, ParameterRange]], starts: Mapping[str, Sequence[ParameterRange]]
+) -> Iterator[str]:
+    yield _filled("isaac_lab", "head")
     for body, constants in bodies.items():
         name = body.replace("-", "_")
         if "friction" in constants:
-            restitution = _pair(constants["restitution"]) if "restitution" in constants else "(0.0, 0.0)"
-            yield from (
-                f"    {name}_material = EventTerm(",
-                "        func=mdp.randomize_rigid_body_material,",
-                '        mode="startup",',
-                "        params={",
-                f'            "asset_cfg": SceneEntityCfg("{name}"),',
-                f'            "static_friction_range": {_pair(constants["friction"])},',
-                f'            "dynamic_friction_range": {_pair(constants["friction"])},',
-                f'            "restitution_range": {restitution},',
-                '            "num_buckets": 256,',
-                "            # Isaac Lab draws both frictions on their own; with this the dynamic one is the smaller",
-                "            # of the two, on average a third up its range. One for both needs a function of your own.",
-                '            "make_consistent": True,',
-                "        },",
-                "    )",
-            )
+            restitution = constants["restitution"].ends if "restitution" in constants else "(0.0, 0.0)"
+            friction = constants["friction"].ends
+            yield _filled("isaac_lab", "friction", name=name, friction=friction, restitution=restitution)
         if "mass_kg" in constants:
-            yield from (
-                f"    {name}_mass = EventTerm(",
-                "        func=mdp.randomize_rigid_body_mass,",
-                '        mode="startup",',
-                "        params={",
-                f'            "asset_cfg": SceneEntityCfg("{name}"),',
-                f'            "mass_distribution_params": {_pair(constants["mass_kg"])},',
-                '            "operation": "abs",',
-                "        },",
-                "    )",
-            )
+            yield _filled("isaac_lab", "mass", name=name, mass=constants["mass_kg"].ends)
     for key, directions in starts.items():
-        name = key.rpartition(".")[0].replace("-", "_")
-        widths = {axis: one for one in directions if (axis := _world_axis(one)) is not None}
+        widths = [f'"{axis}": {one.ends}' for one in directions if (axis := _world_axis(one)) is not None]
         if len(widths) < len(directions):
             # Independent ranges of x and z would lift the body off a tilted face, or push it into the face.
-            yield f"    # {key}: its face is tilted; in an event function of your own, add uniform displacements [m]:"
-            yield from (f"    #   {_displacement(one)}" for one in directions)
-            continue
-        shown = ", ".join(f'"{axis}": ({-one.half_m:.6g}, {one.half_m:.6g})' for axis, one in widths.items())
-        yield from (
-            f"    {name}_start = EventTerm(",
-            "        func=mdp.reset_root_state_uniform,",
-            '        mode="reset",',
-            "        params={",
-            f'            "asset_cfg": SceneEntityCfg("{name}"),',
-            f'            "pose_range": {{{shown}}},',
-            '            "velocity_range": {},',
-            "        },",
-            "    )",
-        )
-    yield "    pass"
+            yield _filled("isaac_lab", "tilted", key=key) + _displacements(directions, "    ")
+        else:
+            name = key.rpartition(".")[0].replace("-", "_")
+            yield _filled("isaac_lab", "start", name=name, widths=", ".join(widths))
+    yield _filled("isaac_lab", "tail")
 
 
-def _world_axis(one: StartRange) -> str | None:
+def _world_axis(one: ParameterRange) -> str | None:
     """Return the axis of the world along which a start moves; None for another direction."""
-    for axis, part in zip("xyz", one.parameter.direction or (), strict=False):
-        if abs(part) > ALONG_AXIS:
-            return axis
-    return None
+    components = zip("xyz", one.parameter.direction or (), strict=False)
+    return next((axis for axis, part in components if abs(part) > ALONG_AXIS), None)
 
 
-def _displacement(one: StartRange) -> str:
-    return f"+- {one.half_m:.6g} along {[round(part, 6) for part in one.parameter.direction or ()]}"
-
-
-def _maniskill(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> Iterator[str]:
-    yield from (
-        "import numpy as np",
-        "import sapien",
-        "from mani_skill.utils.structs import Actor",
-        "",
-        "# Friction and restitution are those of a pair. SAPIEN averages the materials of both bodies: give the",
-        "# support of each sub-scene the values of its body as well.",
-        "",
-    )
-    for body, constants in _bodies(scene, ranges).items():
-        shape = _collision(scene.body(body))
-        if shape is None:
-            yield f"# {body}: its shape has no snippet; set its material and mass as for the others."
+def _maniskill(
+    scene: Scene,
+    bodies: Mapping[str, Mapping[str, ParameterRange]],
+    starts: Mapping[str, Sequence[ParameterRange]],
+) -> Iterator[str]:
+    yield _filled("maniskill", "head")
+    for name, constants in bodies.items():
+        body = scene.body(name)
+        if (solid := _solid(body)) is None:
+            yield _filled("maniskill", "other", body=name)
             continue
-        name = body.replace("-", "_")
-        values = {key: (one.low, one.high) for key, one in constants.items()}
-        friction, restitution = (_drawn(values, key) for key in ("friction", "restitution"))
-        mass = _drawn(values, "mass_kg") if "mass_kg" in values else f"{scene.body(body).mass_kg:.6g}"
-        yield from (
-            "",
-            f"def build_{name}(task, seed=0):",
-            f'    """Build {body} in each sub-scene with constants of its own; call it in `_load_scene`."""',
-            "    random = np.random.default_rng(seed)",
-            "    actors = []",
-            "    for index in range(task.num_envs):",
-            f"        friction, restitution = {friction}, {restitution}",
-            "        material = sapien.physx.PhysxMaterial(",
-            "            static_friction=friction, dynamic_friction=friction, restitution=restitution",
-            "        )",
-            f"        density = {mass} / {shape[1]:.8g}",
-            "        builder = task.scene.create_actor_builder()",
-            f"        builder.add_{shape[0]}, material=material, density=density)",
-            "        builder.set_scene_idxs([index])",
-            f"        builder.initial_pose = sapien.Pose({_pose(scene.body(body).pose)})",
-            f'        actors.append(builder.build(name=f"{body}-{{index}}"))',
-            f'    return Actor.merge(actors, name="{body}")',
-            "",
+        drawn = {key: f"random.uniform{one.ends}" for key, one in constants.items()}
+        yield _filled(
+            "maniskill",
+            "body",
+            body=name,
+            name=name.replace("-", "_"),
+            friction=drawn.get("friction", "0.0"),
+            restitution=drawn.get("restitution", "0.0"),
+            mass=drawn.get("mass_kg", f"{body.mass_kg:.6g}"),
+            shape=solid[0],
+            volume=f"{solid[1]:.8g}",
+            position=list(body.pose.position_m),
+            # SAPIEN's quaternions are w, x, y, z too.
+            quaternion=list(body.pose.quaternion),
         )
-    for key, directions in _starts(ranges).items():
-        yield f"# {key}: add at each reset, in `_initialize_episode`, uniform displacements [m]:"
-        for one in directions:
-            yield f"#   {_displacement(one)}"
+    for key, directions in starts.items():
+        yield _filled("maniskill", "start", key=key) + _displacements(directions)
 
 
-def _pose(pose: Pose) -> str:
-    """Return the arguments of SAPIEN's pose; its quaternions are w, x, y, z too."""
-    return f"p={list(pose.position_m)}, q={list(pose.quaternion)}"
-
-
-def _drawn(values: dict[str, tuple[float, float]], key: str) -> str:
-    return "random.uniform({:.6g}, {:.6g})".format(*values[key]) if key in values else "0.0"
-
-
-def _collision(body: RigidBody) -> tuple[str, float] | None:
+def _solid(body: RigidBody) -> tuple[str, float] | None:
     """Return the call of SAPIEN's builder without its end, and the volume [m^3]; None for other shapes."""
     if isinstance(body.shape, Box):
-        x, y, z = body.shape.size_m
-        return f"box_collision(half_size={[0.5 * x, 0.5 * y, 0.5 * z]}", x * y * z
+        half_m = [0.5 * side for side in body.shape.size_m]
+        return f"box_collision(half_size={half_m}", math.prod(body.shape.size_m)
     if isinstance(body.shape, Sphere):
         radius = body.shape.radius_m
-        return f"sphere_collision(radius={radius}", 4.18879020478639 * radius**3
+        return f"sphere_collision(radius={radius}", 4.0 / 3.0 * math.pi * radius**3
     return None
 
 
-def _playground(scene: Scene, ranges: Sequence[ConstantRange | StartRange]) -> Iterator[str]:
-    bodies = _bodies(scene, ranges)
-    yield from (
-        "import jax",
-        "from mujoco import mjx",
-        "",
-        "# Indices in your model: mj_model.geom(NAME).id and mj_model.body(NAME).id.",
-        f"GEOM_IDS = {{{', '.join(f'{json.dumps(name)}: {number}' for number, name in enumerate(bodies))}}}",
-        f"BODY_IDS = {{{', '.join(f'{json.dumps(name)}: {number + 1}' for number, name in enumerate(bodies))}}}",
-        "",
-        "# Friction is that of a pair. MuJoCo takes the larger friction of two geoms with the same priority: give",
-        "# these geoms a higher priority than the support's. It has no coefficient of restitution.",
-        "",
-        "",
-        "def domain_randomize(model: mjx.Model, rng: jax.Array):",
-        '    """Return the model with constants for each key of rng, and the axes for jax.vmap."""',
-        "",
-        "    @jax.vmap",
-        "    def drawn(key):",
-        "        friction, mass, inertia = model.geom_friction, model.body_mass, model.body_inertia",
-    )
+def _playground(
+    bodies: Mapping[str, Mapping[str, ParameterRange]], starts: Mapping[str, Sequence[ParameterRange]]
+) -> Iterator[str]:
+    def numbered(first: int) -> str:
+        return ", ".join(f"{json.dumps(name)}: {number}" for number, name in enumerate(bodies, first))
+
+    yield _filled("playground", "head", geoms=numbered(0), bodies=numbered(1))
     for body, constants in bodies.items():
-        if "friction" in constants:
-            one = constants["friction"]
-            yield from (
-                "        key, used = jax.random.split(key)",
-                f"        value = jax.random.uniform(used, minval={one.low:.6g}, maxval={one.high:.6g})",
-                f"        friction = friction.at[GEOM_IDS[{json.dumps(body)}], 0].set(value)",
-            )
-        if "mass_kg" in constants:
-            one = constants["mass_kg"]
-            yield from (
-                "        key, used = jax.random.split(key)",
-                f"        value = jax.random.uniform(used, minval={one.low:.6g}, maxval={one.high:.6g})",
-                f"        index = BODY_IDS[{json.dumps(body)}]",
-                "        inertia = inertia.at[index].multiply(value / mass[index])",
-                "        mass = mass.at[index].set(value)",
-            )
-    yield from (
-        "        return friction, mass, inertia",
-        "",
-        "    friction, mass, inertia = drawn(rng)",
-        '    changed = {"geom_friction": friction, "body_mass": mass, "body_inertia": inertia}',
-        "    in_axes = jax.tree_util.tree_map(lambda _: None, model).tree_replace(dict.fromkeys(changed, 0))",
-        "    return model.tree_replace(changed), in_axes",
-        "",
-    )
-    for key, directions in _starts(ranges).items():
-        yield f"# {key}: add in `reset` of the environment, to qpos, uniform displacements [m]:"
-        for start in directions:
-            yield f"#   {_displacement(start)}"
+        for part, key in (("friction", "friction"), ("mass", "mass_kg")):
+            if key in constants:
+                low, high = constants[key].low, constants[key].high
+                yield _filled("playground", part, body=json.dumps(body), low=f"{low:.6g}", high=f"{high:.6g}")
+    yield _filled("playground", "tail")
+    for key, directions in starts.items():
+        yield _filled("playground", "start", key=key) + _displacements(directions)

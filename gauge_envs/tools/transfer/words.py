@@ -5,8 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from gauge_envs.files import json_ready
+from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import counted
 from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
 
 
@@ -40,7 +41,7 @@ def _interval_note(report: TransferReport) -> str:
         return "One policy from one start has no interval."
     if policies == 1:
         return f"The interval is over {starts} starts of one policy; other training seeds can differ by more."
-    return f"The interval is over {policies} policies and {starts} start{'' if starts == 1 else 's'}."
+    return f"The interval is over {policies} policies and {counted(starts, 'start')}."
 
 
 def _percent(value: Estimate) -> str:
@@ -50,9 +51,10 @@ def _percent(value: Estimate) -> str:
     return f"{text} [{100 * value.low:.0f}, {100 * value.high:.0f}]"
 
 
-def transfer_table(report: TransferReport) -> Table:
-    """Return a table with one row for each world, the training first."""
-    return Table(
+def transfer_document(report: TransferReport) -> Document:
+    """Return one row for each world, the training first, and the result; the last JSON row is of the whole."""
+    worlds, verdict = [report.training, *report.others], transfer_verdict(report)
+    table = Table(
         columns=(
             Column("world.name", "world"),
             Column("reward.value", "reward", lambda value: f"{value:.2f}", is_number=True),
@@ -64,29 +66,23 @@ def transfer_table(report: TransferReport) -> Table:
             Column("falls", "", lambda value: "falls" if value else "", style=lambda value: "red" if value else ""),
             Column("world.source", "source of sigma", place=Place.BELOW, wide_only=True),
         ),
-        rows=[report.training, *report.others],
+        rows=worlds,
     )
+    whole = {
+        "kind": "verdict",
+        "task": report.task,
+        "policies": report.policies,
+        "starts": report.starts,
+        "kept": dataclasses.asdict(report.kept),
+        "first_fall": None if report.first_fall is None else report.first_fall.world.name,
+        "left_out": report.left_out,
+        "verdict": verdict,
+    }
+    parts = (table, Paragraph(""), Paragraph(verdict))
+    return Document(parts=parts, rows=[*map(_world_row, worlds), whole])
 
 
-def transfer_json(report: TransferReport) -> list[dict[str, Any]]:
-    """Return one JSON-ready object for each world, and one for the whole at the end."""
-    rows = [_row(row) for row in (report.training, *report.others)]
-    rows.append(
-        {
-            "kind": "verdict",
-            "task": report.task,
-            "policies": list(report.policies),
-            "starts": report.starts,
-            "kept": json_ready(dataclasses.asdict(report.kept)),
-            "first_fall": None if report.first_fall is None else report.first_fall.world.name,
-            "left_out": dict(report.left_out),
-            "verdict": transfer_verdict(report),
-        }
-    )
-    return rows
-
-
-def _row(row: WorldTransfer) -> dict[str, Any]:
-    values = json_ready(dataclasses.asdict(row))
+def _world_row(row: WorldTransfer) -> dict[str, Any]:
+    values = dataclasses.asdict(row)
     world = values.pop("world")
     return {"kind": world.pop("kind"), "world": world.pop("name"), **world, **values}

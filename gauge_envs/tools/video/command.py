@@ -18,7 +18,7 @@ from gauge_envs.cli.arguments import (
     parsed_settings,
     split_details,
 )
-from gauge_envs.cli.output import Format, Progress, counted, echo, json_text, message, print_result
+from gauge_envs.cli.output import Format, Progress, counted, echo, json_text, message, print_document
 from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
 def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the tasks: what moves, how large it is, and what real trials give."""
     from gauge_envs.tools.video import video_tasks
-    from gauge_envs.tools.video.words import task_rows, task_table
+    from gauge_envs.tools.video.words import task_table
 
-    return [task_table(matching(task_rows(video_tasks()), patterns, kind="video task", key="task"))]
+    return matching([task_table(video_tasks())], patterns, kind="video task")
 
 
 def video_prompts(
@@ -102,7 +102,7 @@ def video_score(
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.overlay import save_overlay
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import score_view
+    from gauge_envs.tools.video.words import score_document
 
     names, details = split_details(words, {"fps": float, "size": _size})
     files = list(map(Path, names))
@@ -122,7 +122,7 @@ def video_score(
             result = score_track(track_object(source, chosen, first_frame=first_frame), chosen, name=str(file))
             if out is not None:
                 message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
-        print_result(form, rows=lambda: [result.to_dict()], view=lambda _: score_view(result, chosen.real))  # noqa: B023
+        print_document(score_document(result, chosen.real), form)
         has_failed = has_failed or result.grade is Grade.INVALID
     return has_failed
 
@@ -153,10 +153,10 @@ def video_report(
 
     Exit code 1 when a video cannot be read; the others are on the page.
     """
-    from gauge_envs.cli.output import save_text
+    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.page import find_videos, save_video_page
+    from gauge_envs.tools.video.page import find_videos, video_page
     from gauge_envs.tools.video.tracker import track_object
 
     videos = find_videos(folder)
@@ -170,14 +170,14 @@ def video_report(
                 results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
                 files[model, task] = file
             except VideoError as error:
-                broken.append(error)
+                broken.append(str(error))
             progress.advance(f"{model}: {task}")
-    for error in broken:
-        message(error)
+    for text in broken:
+        message(text)
     if results:
-        page = save_video_page(results, files, out)
+        page = save_file(out / "index.html", video_page(results, files))
         rows = [{"model": model, **result.to_dict()} for (model, _), result in results.items()]
-        save_text(out / "results.json", json_text(rows))
+        save_file(out / "results.json", json_text(rows))
         echo(page)
     return bool(broken) or not results
 

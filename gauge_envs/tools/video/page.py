@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from base64 import b64encode
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.errors import ResultFileError, VideoError
+from gauge_envs.errors import VideoError
+from gauge_envs.pages.document import Heading, Part, page
+from gauge_envs.pages.html import Html, below, element, join, listed
+from gauge_envs.pages.table import Table, grid
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.grid import opencv
 from gauge_envs.tools.video.overlay import drawn_frames
 from gauge_envs.tools.video.published import published_results
-from gauge_envs.tools.video.words import TITLES, short_text
+from gauge_envs.tools.video.words import TITLES, interval_text, short_text, span_text
 
 SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
 
@@ -32,23 +34,15 @@ LAYOUTS = {
 }
 """How a video lies on the grid of the first frames, by the method of its registration."""
 
-STYLE = """
-:root { color-scheme: light dark; --line: #ccc; --quiet: #666; --page: #fff; }
-@media (prefers-color-scheme: dark) { :root { --line: #444; --quiet: #aaa; --page: #161616; }
-  body { color: #e8e8e8; } }
-body { background: var(--page); font: 16px/1.5 system-ui, "Segoe UI", Roboto, "DejaVu Sans", sans-serif;
-  max-width: 76rem; margin: 1.5rem auto; padding: 0 1rem; overflow-wrap: anywhere; }
-h1 { font-size: 1.5rem; } h2 { font-size: 1.2rem; margin-top: 2rem; }
-.scroll { overflow-x: auto; overflow-wrap: normal; white-space: nowrap; }
-table { border-collapse: collapse; } th, td { border-top: 1px solid var(--line);
-  padding: .3rem .6rem; text-align: left; vertical-align: top; } td.n { font-variant-numeric: tabular-nums; }
-.quiet { color: var(--quiet); font-size: .9rem; } .invalid, .doubtful { color: var(--quiet); }
-tr > :first-child { position: sticky; left: 0; background: var(--page); } th .quiet { font-weight: normal; }
-.strip { display: grid; grid-template-columns: repeat(6, 1fr); gap: .3rem; }
-@media (max-width: 60rem) { .strip { grid-template-columns: repeat(3, 1fr); } }
-@media (max-width: 30rem) { .strip { grid-template-columns: repeat(2, 1fr); } th, td { padding: .3rem; } }
-.strip img { width: 100%; height: auto; display: block; }
-"""
+VALUES_NOTE = (
+    "Below each value: the interval of 95 % of simulated tracks, and the published value where the folder has the name "
+    "of a published model. Bold: nearest to the real value among the valid videos. Grey: doubtful."
+)
+
+PUBLISHED_NOTE = 'GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.'
+
+Results = Mapping[tuple[str, str], VideoScore]
+"""Results by model and task."""
 
 
 def find_videos(folder: Path) -> list[tuple[str, str, Path]]:
@@ -65,139 +59,87 @@ def find_videos(folder: Path) -> list[tuple[str, str, Path]]:
     return sorted(found, key=lambda one: (tasks[one[1]], one[0]))
 
 
-def save_video_page(
-    results: Mapping[tuple[str, str], VideoScore], files: Mapping[tuple[str, str], Path], out: Path
-) -> Path:
-    """Write the page of many videos into a folder, and return its path.
+def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:
+    """Return the page of many videos, without any other file.
 
     Args:
         results: Results by model and task.
         files: Video files by model and task.
-        out: Folder of the page; it is made if it does not exist.
     """
-    path = out / "index.html"
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        # The name of a file of a stranger may be no Unicode.
-        path.write_text(video_page(results, files), encoding="utf-8", errors="backslashreplace")
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror}") from error
-    return path
-
-
-def video_page(results: Mapping[tuple[str, str], VideoScore], files: Mapping[tuple[str, str], Path]) -> str:
-    """Return the page of many videos, without any other file."""
     models = list(dict.fromkeys(model for model, _ in results))
     tasks = list(dict.fromkeys(task for _, task in results))
     rows = [(task, name) for task in tasks for name in METRICS if name in video_task(task).real]
-    parts = [
-        "<!doctype html>",
-        '<html lang="en"><head><meta charset="utf-8"><meta name="viewport" content="width=device-width">',
-        f"<title>Videos and the laws of motion</title><style>{STYLE}</style></head><body>",
-        "<h1>Videos and the laws of motion</h1>",
-        "<p>Below each value: the interval of 95 % of simulated tracks, and the published value where the folder has "
-        "the name of a published model. Bold: nearest to the real value among the valid videos. Grey: doubtful.</p>",
-        _table(models, rows, results),
-        "<h2>Published models</h2>",
-        '<p class="quiet">GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.</p>',
+    parts: list[Part | Html] = [
+        element("p", VALUES_NOTE),
+        _values_table(models, rows, results),
+        Heading("Published models"),
+        element("p", PUBLISHED_NOTE, class_="quiet"),
         _published_table(rows),
     ]
     for task in tasks:
-        parts.append(f"<h2>{escape(task)}</h2>")
+        parts.append(Heading(task))
         parts += [
             _clip(model, results[model, task], files[model, task]) for model in models if (model, task) in results
         ]
-    parts.append("</body></html>")
-    return "\n".join(parts)
+    return page("Videos and the laws of motion", parts)
 
 
-def _table(
-    models: Sequence[str], rows: Sequence[tuple[str, str]], results: Mapping[tuple[str, str], VideoScore]
-) -> str:
-    published = published_results()
-    head = "".join(f"<th>{escape(model)}</th>" for model in models)
+def _values_table(models: Sequence[str], rows: Sequence[tuple[str, str]], results: Results) -> Table:
     lines = []
     for task, name in rows:
         real = video_task(task).real[name]
-        valid = [one for model in models if (one := results.get((model, task))) and one.grade is Grade.VALID]
-        away = [abs(value - real) for one in valid if (value := one.metrics[name]) is not None]
-        cells = ""
-        for model in models:
-            known = published.get(model.replace("-", "_"), {})
-            cells += _cell(results.get((model, task)), name, known, real, min(away, default=-1.0))
-        lines.append(f"<tr>{_title(task, name, f'real {short_text(real)}')}{cells}</tr>")
-    return _scrolled(head, lines)
+        found = [results.get((model, task)) for model in models]
+        valid = [one.metrics[name] for one in found if one is not None and one.grade is Grade.VALID]
+        nearest = min(
+            (value for value in valid if value is not None), key=lambda value: abs(value - real), default=None
+        )
+        cells = (_cell(model, one, name, nearest) for model, one in zip(models, found, strict=True))
+        lines.append([join([task, below(TITLES[name]), below(f"real {short_text(real)}")]), *cells])
+    return grid(("task", *models), lines, look="matrix")
 
 
-def _title(task: str, name: str, note: str = "") -> str:
-    """Return the first cell of a row, which stays in sight while the others scroll."""
-    below = "".join(f'<br><span class="quiet">{text}</span>' for text in (escape(TITLES[name]), note) if text)
-    return f"<th>{escape(task)}{below}</th>"
-
-
-def _scrolled(head: str, lines: Sequence[str]) -> str:
-    return f'<div class="scroll"><table><tr><th>task</th>{head}</tr>{"".join(lines)}</table></div>'
-
-
-def _cell(
-    result: VideoScore | None,
-    name: str,
-    published: Mapping[tuple[str, str], float | None],
-    real: float,
-    least_away: float,
-) -> str:
+def _cell(model: str, result: VideoScore | None, name: str, nearest: float | None) -> Html:
     if result is None:
-        return "<td></td>"
-    grade = result.grade
-    value, interval = result.metrics[name], result.uncertainty[name]
-    notes = [] if interval is None else [f"{short_text(interval[0])} to {short_text(interval[1])}"]
+        return Html("")
+    grade, value, interval = result.grade, result.metrics[name], result.uncertainty[name]
+    notes = [] if interval is None else [interval_text(interval)]
     if grade is not Grade.VALID and value is not None:
         notes.append(grade.value)
-    if (result.task, name) in published:
-        known = published[result.task, name]
-        notes.append(f"published {'&ndash;' if known is None else short_text(known)}")
+    known = published_results().get(model.replace("-", "_"), {})
+    if (result.task, name) in known:
+        notes.append(f"published {short_text(known[result.task, name])}")
+    is_best = grade is Grade.VALID and value is not None and value == nearest
     text = grade.value if value is None else short_text(value)
-    if value is not None and grade is Grade.VALID and abs(value - real) <= least_away:
-        text = f"<b>{text}</b>"
-    below = "".join(f'<br><span class="quiet">{note}</span>' for note in notes)
-    return f'<td class="n {grade.value}">{text}{below}</td>'
+    return element("span", element("b", text) if is_best else text, *map(below, notes), class_=grade.value)
 
 
-def _published_table(rows: Sequence[tuple[str, str]]) -> str:
+def _published_table(rows: Sequence[tuple[str, str]]) -> Table:
     published = published_results()
-    head = "".join(f"<th>{escape(model)}</th>" for model in published)
-    lines = []
-    for task, name in rows:
-        values = (known.get((task, name)) for known in published.values())
-        cells = "".join(f"<td class=n>{'&ndash;' if value is None else short_text(value)}</td>" for value in values)
-        lines.append(f"<tr>{_title(task, name)}{cells}</tr>")
-    return _scrolled(head, lines)
+    lines = [
+        [join([task, below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
+        for task, name in rows
+    ]
+    return grid(("task", *published), lines, look="matrix")
 
 
-def _clip(model: str, result: VideoScore, file: Path) -> str:
-    span = result.interval_frames
-    frames = "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
+def _clip(model: str, result: VideoScore, file: Path) -> Html:
+    text = f": {result.grade.value}; {span_text(result)}"
     if result.track.registration is not None:
-        frames += f"; {LAYOUTS[result.track.registration.method]}"
-    reasons = "".join(f"<li>{escape(reason)}</li>" for reason in result.reasons)
-    return (
-        f"<p><b>{escape(model)}</b>: {result.grade.value}; {frames}</p><ul>{reasons}</ul>"
-        f'<div class="strip">{"".join(_pictures(result, file))}</div>'
-    )
+        text += f"; {LAYOUTS[result.track.registration.method]}"
+    pictures = element("div", *_pictures(result, file), class_="strip")
+    return join([element("p", element("b", model), text), listed(result.reasons), pictures])
 
 
-def _pictures(result: VideoScore, file: Path) -> list[str]:
-    """Return frames of a video with the track drawn into them, as elements of a page."""
+def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
+    """Yield frames of a video with the track drawn into them."""
     cv2 = opencv()
     first, last = result.interval_frames or (0, len(result.track.frames) - 1)
     wanted = set(np.linspace(first, last, PICTURES).astype(int).tolist())
-    images = []
     for number, picture in enumerate(drawn_frames(FileFrames(file, fps=result.track.fps), result)):
         if number not in wanted:
             continue
         height = round(picture.shape[0] * PICTURE_WIDTH_PX / picture.shape[1])
         small = cv2.resize(picture, (PICTURE_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
         _, packed = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
-        text = b64encode(packed.tobytes()).decode("ascii")
-        images.append(f'<img loading="lazy" alt="frame {number}" src="data:image/jpeg;base64,{text}">')
-    return images
+        source = f"data:image/jpeg;base64,{b64encode(packed.tobytes()).decode('ascii')}"
+        yield element("img", loading="lazy", alt=f"frame {number}", src=source)

@@ -1,15 +1,11 @@
-"""Tables of the world-model track: tasks, and scores of videos with their intervals."""
+"""The world-model track in words: tasks, and scores of videos with their intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Mapping
 
-from rich.console import Group
-from rich.text import Text
-
-from gauge_envs.pages.table import Column, Table, as_rich
-from gauge_envs.pages.text import value_text
+from gauge_envs.pages.document import Document, Paragraph
+from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.video import METRICS, VideoScore, VideoTask
 
 TITLES = {
@@ -23,71 +19,70 @@ TITLES = {
 """Titles of the metrics by name."""
 
 
-def task_rows(tasks: Iterable[VideoTask]) -> list[dict[str, Any]]:
+def task_table(tasks: Iterable[VideoTask]) -> Table:
     """Return the tasks with their object, scale and real values."""
-    return [
-        {
-            "task": task.id,
-            "motion": task.motion.value,
-            "size_mm": 1000.0 * task.size_m,
-            "size_px": task.size_px,
-            "metrics": ", ".join(f"{TITLES[name]} {value:g}" for name, value in task.real.items()),
-        }
-        for task in tasks
-    ]
-
-
-def task_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return a table of tasks."""
-    columns = (
-        Column("task", "task"),
-        Column("motion", "motion"),
-        Column("size_mm", "object", format=value_text, unit="mm", is_number=True),
-        Column("size_px", "object", format=value_text, unit="px", is_number=True),
-        Column("metrics", "real values"),
+    return Table(
+        columns=(
+            Column("task", "task"),
+            Column("motion", "motion"),
+            Column("size_mm", "object", unit="mm", is_number=True),
+            Column("size_px", "object", unit="px", is_number=True),
+            Column("metrics", "real values"),
+        ),
+        rows=[
+            {
+                "task": task.id,
+                "motion": task.motion.value,
+                "size_mm": 1000.0 * task.size_m,
+                "size_px": task.size_px,
+                "metrics": ", ".join(f"{TITLES[name]} {value:g}" for name, value in task.real.items()),
+            }
+            for task in tasks
+        ],
     )
-    return Table(columns=columns, rows=tuple(rows))
 
 
-def score_view(result: VideoScore, real: Mapping[str, float]) -> Group:
+def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
     """Return the result of one video: its grade with the reasons, and each metric with its interval.
 
     Args:
         result: The result.
         real: Real values by the name of the metric.
     """
-    rows = [
-        {
-            "metric": TITLES[name],
-            "value": result.metrics[name],
-            "interval": _interval_text(result.uncertainty[name]),
-            "real": real.get(name),
-        }
-        for name in METRICS
-        if result.metrics[name] is not None
-    ]
-    columns = (
-        Column("metric", "metric"),
-        Column("value", "video", format=short_text, is_number=True),
-        Column("interval", "95 % interval"),
-        Column("real", "real", format=short_text, is_number=True),
-    )
-    span = result.interval_frames
-    frames = "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
     if result.track.registration is not None:
         scale += f"; registered by {result.track.registration.method}"
-    parts: list[Any] = [Text(f"{result.video}: {result.grade.value} for {result.task}; {frames}; {scale}")]
-    parts += [Text(f"  {reason}") for reason in result.reasons]
-    if rows:
-        parts.append(as_rich(Table(columns=columns, rows=tuple(rows))))
-    return Group(*parts)
+    known = [name for name in METRICS if result.metrics[name] is not None]
+    table = Table(
+        columns=(
+            Column("", "metric", TITLES.__getitem__),
+            Column("", "video", lambda name: short_text(result.metrics[name]), is_number=True),
+            Column("", "95 % interval", lambda name: interval_text(result.uncertainty[name])),
+            Column("", "real", lambda name: short_text(real[name]) if name in real else "-", is_number=True),
+        ),
+        rows=known,
+    )
+    return Document(
+        parts=(
+            Paragraph(f"{result.video}: {result.grade.value} for {result.task}; {span_text(result)}; {scale}"),
+            *(Paragraph(f"  {reason}") for reason in result.reasons),
+            *([table] if known else []),
+        ),
+        rows=[result.to_dict()],
+    )
 
 
-def short_text(value: float) -> str:
-    """Return a value with four digits."""
-    return f"{value:.4g}"
+def span_text(result: VideoScore) -> str:
+    """Return the frames that a law was fitted to."""
+    span = result.interval_frames
+    return "no frame is retained" if span is None else f"frames {span[0]} to {span[1]} are retained"
 
 
-def _interval_text(interval: tuple[float, float] | None) -> str:
+def short_text(value: float | None) -> str:
+    """Return a value with four digits; a dash for None."""
+    return "\u2013" if value is None else f"{value:.4g}"
+
+
+def interval_text(interval: tuple[float, float] | None) -> str:
+    """Return both ends of an interval; empty for None."""
     return "" if interval is None else f"{short_text(interval[0])} to {short_text(interval[1])}"

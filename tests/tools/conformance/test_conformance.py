@@ -19,12 +19,13 @@ from typer.testing import CliRunner
 from gauge_envs.backends import Backend, Simulation, Support, backend, registry
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.pages.document import as_markdown
 from gauge_envs.scene import Box, Cloth, Contact, Hinge, Motion, Pose, RigidBody, Rod, Scene, SoftBody
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
 from gauge_envs.tools.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
-from gauge_envs.tools.conformance.words import findings_markdown
+from gauge_envs.tools.conformance.words import findings_document
 
 MUJOCO = backend("mujoco")
 
@@ -800,7 +801,7 @@ def test_command_reports_progress_without_a_terminal(
 def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:
     broken = mutations.Mutant(MUJOCO, mutations.FAULTS["nan-mass"])
     results = list(run_checks(broken, only=["finite", "free-fall*", "slide*"]))
-    text = findings_markdown(results)
+    text = as_markdown(findings_document(results))
     assert "see the check" not in text
     assert "more are not finite, see finite: free-fall" in text
 
@@ -808,7 +809,7 @@ def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:
 def test_bars_in_laws_do_not_break_the_markdown_table() -> None:
     finding = next(run_checks("mujoco", only=["hinge-radius"]))
     assert isinstance(finding, CheckResult)
-    assert "\\|r - anchor\\| = l" in findings_markdown([finding])
+    assert "\\|r - anchor\\| = l" in as_markdown(findings_document([finding]))
 
 
 class OfPendulum(Faulty):

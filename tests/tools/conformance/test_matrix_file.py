@@ -13,10 +13,11 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.conformance import Status, checks
 from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
 from gauge_envs.tools.conformance.matrix_file import read_columns, with_columns, write_columns
-from gauge_envs.tools.conformance.matrix_words import matrix_markdown, tally
+from gauge_envs.tools.conformance.words import matrix_document, tally
 
 ONLY = ["free-fall", "foam-start", "slide-plane"]
 
@@ -79,7 +80,7 @@ def test_a_result_of_another_check_is_marked_and_not_counted(
     (found,) = read_columns(file)
     assert set(found.outdated) == {"free-fall", "of-old"}
     assert tally(found) == "1 of 1"
-    text = matrix_markdown([found], checks(ONLY))
+    text = as_markdown(matrix_document([found], checks(ONLY)))
     assert "⚠ other check" in text
     # The mark stays when the file is combined with others.
     assert read_columns(write_columns([found], file))[0].outdated == found.outdated
@@ -88,7 +89,7 @@ def test_a_result_of_another_check_is_marked_and_not_counted(
 def test_a_column_of_another_version_is_marked(edited: Callable[[Callable[[dict[str, Any]], object]], Path]) -> None:
     (found,) = read_columns(edited(lambda record: record.update(gauge_envs="0.0.1")))
     assert not found.is_of_this_version
-    assert "⚠ " + found.made + ", gauge-envs 0.0.1" in matrix_markdown([found], checks(ONLY))
+    assert "⚠ " + found.made + ", gauge-envs 0.0.1" in as_markdown(matrix_document([found], checks(ONLY)))
 
 
 def test_a_column_is_in_one_file_only(column: MatrixColumn, tmp_path: Path) -> None:

@@ -15,9 +15,9 @@ from gauge_envs.evaluation.closed_forms import closed_form
 from gauge_envs.evaluation.laws import slide
 from gauge_envs.evaluation.score import Score
 from gauge_envs.files import versions
+from gauge_envs.pages.document import as_markdown, as_rows
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.tools.cost.pareto import Family, Phenomenon, tradeoff
-from gauge_envs.tools.cost.words import pareto_markdown, pareto_statements
+from gauge_envs.tools.cost import Family, Phenomenon, Tradeoff, pareto_document, tradeoff
 
 WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
 STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))
@@ -88,6 +88,10 @@ def sweep(travel: Travel = euler, steps_s: Sequence[float] = STEPS_S, **changes:
     return [made(travel, step_s, **changes) for step_s in steps_s]
 
 
+def statements_of(found: Tradeoff) -> list[str]:
+    return as_rows(pareto_document(found))[0]["statements"]
+
+
 def only(results: Sequence[Result]) -> tuple[Phenomenon, Family]:
     (phenomenon,) = tradeoff(results).phenomena
     (family,) = phenomenon.families
@@ -142,7 +146,7 @@ def test_a_first_order_error_is_numerical() -> None:
     # x is off by a t h / 2, so the distance to the finest step is in proportion to h - h_finest: 15, 7, 3, 1.
     assert np.array(numerical[:-1]) / numerical[3] == pytest.approx([15.0, 7.0, 3.0, 1.0], rel=1e-6)
     assert family.model == pytest.approx(family.resolution, rel=1e-6)
-    assert "A finer step does not help" not in " ".join(pareto_statements(tradeoff(sweep())))
+    assert "A finer step does not help" not in " ".join(statements_of(tradeoff(sweep())))
 
 
 def test_a_wrong_step_in_the_engine_is_model_error() -> None:
@@ -156,7 +160,7 @@ def test_a_wrong_step_in_the_engine_is_model_error() -> None:
     assert by_step(family, "numerical")[0] == pytest.approx(1.2 * by_step(sound, "numerical")[0], rel=1e-6)
     assert min(by_step(family, "to_closed_form")) > 0.9 * family.model
     assert phenomenon.unit == "scatter"
-    statements = pareto_statements(tradeoff(sweep(wrong_step)))
+    statements = statements_of(tradeoff(sweep(wrong_step)))
     (statement,) = [one for one in statements if "A finer step does not help" in one]
     assert "mujoco" in statement
 
@@ -258,11 +262,11 @@ def test_the_cheapest_setting_within_the_scatter_is_stated() -> None:
     near, far = made(step_s=STEPS_S[1]), made(step_s=STEPS_S[0])
     far = replace(far, score=replace(far.score, rmse_aligned=40.0))
     found = tradeoff([near, far, *sweep(steps_s=STEPS_S[2:])])
-    statement = next(iter(pareto_statements(found)))
+    statement = statements_of(found)[0]
     # The real scatter of the wood slide is 18 mm (paper, Table 5).
     assert "cheapest setting within the real scatter is mujoco with a step of 1/360 s" in statement
     assert "0.5 of the real scatter" in statement
-    assert "| mujoco |" in pareto_markdown(found)
+    assert "| mujoco |" in as_markdown(pareto_document(found))
 
 
 def test_jittered_results_are_left_out() -> None:

@@ -15,8 +15,8 @@ pytest.importorskip("matplotlib")
 import build_pareto
 from pareto_lessons import LessonError, lessons
 
-from gauge_envs.tools.cost.figure import draw_pareto, save_pareto
-from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
+from gauge_envs.pages.figures import save_png
+from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff, draw_pareto
 
 
 def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) -> Family:
@@ -72,7 +72,7 @@ def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
 
 
 def test_a_picture_is_written(tmp_path: Path) -> None:
-    assert save_pareto(made(family("mujoco", floor=None), unit="mm"), tmp_path / "pareto.png").stat().st_size > 10_000
+    assert save_png(draw_pareto(made(family("mujoco", floor=None), unit="mm")), tmp_path / "pareto.png").stat().st_size > 10_000
 
 
 @pytest.fixture(scope="module")

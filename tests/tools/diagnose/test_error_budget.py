@@ -19,6 +19,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ShapeError
 from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact
+from gauge_envs.pages.document import Terminal, as_rows
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import carried_band, published_baselines
 from gauge_envs.runs.episodes import run_episode
@@ -26,7 +27,6 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome
 from gauge_envs.runs.result_file import write_result
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.diagnose.budget_fit import BudgetStage
 from gauge_envs.tools.diagnose.error_budget import (
     DEFAULT_ORDER,
     DiagnosisError,
@@ -35,7 +35,8 @@ from gauge_envs.tools.diagnose.error_budget import (
     stage_order,
 )
 from gauge_envs.tools.diagnose.figure import draw_diagnoses
-from gauge_envs.tools.diagnose.words import diagnosis_rows, diagnosis_view, findings
+from gauge_envs.tools.diagnose.model import BudgetStage, Diagnosis, StagePart
+from gauge_envs.tools.diagnose.words import diagnosis_document, findings
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-2-wood",
@@ -73,6 +74,11 @@ def samples(frame_count, motion_at, *, rate_hz=180):
 
 def frames_s(frame_count):
     return np.arange(frame_count) / 30.0
+
+
+def part(diagnosis: Diagnosis, stage: BudgetStage) -> StagePart:
+    """The part of one stage."""
+    return next(one for one in diagnosis.parts if one.stage is stage)
 
 
 def change(part, quantity, coordinate=None):
@@ -127,7 +133,7 @@ def test_a_slide_gives_back_release_offset_and_acceleration(late_s, offset_mm, r
     diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.UNIFORM_ACCELERATION
-    found = diagnosis.part(BudgetStage.RATE)
+    found = part(diagnosis, BudgetStage.RATE)
     if late_s >= 0.0:
         assert diagnosis.rest.rmse < 0.02
         assert change(found, "release_time").fitted == pytest.approx(late_s, abs=5e-4)
@@ -152,7 +158,7 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     assert_consistent(diagnosis)
     # Samples are joined linearly, which is 0.01 mm off between them.
     assert diagnosis.rest.rmse < 0.02
-    found = diagnosis.part(BudgetStage.RATE)
+    found = part(diagnosis, BudgetStage.RATE)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=3e-4)
     assert change(found, "offset").fitted == pytest.approx(offset_mm, abs=0.05)
     rate = change(found, "acceleration")
@@ -193,7 +199,7 @@ def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
     speed = math.sqrt(2.0 * GRAVITY_MM_S2 * 400.0)
     corner_mm = (1.0 + max(real, simulated)) * speed * SAMPLE_INTERVAL_S / 4.0
     assert diagnosis.rest.rmse < corner_mm / math.sqrt(count)
-    found = diagnosis.part(BudgetStage.RATE)
+    found = part(diagnosis, BudgetStage.RATE)
     assert change(found, "restitution").simulated == pytest.approx(simulated, abs=1e-6)
     assert change(found, "restitution").fitted == pytest.approx(real, abs=0.01)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=1e-3)
@@ -223,7 +229,7 @@ def test_a_pendulum_gives_back_period_and_amplitude(period, amplitude, late_s):
     diagnosis = diagnose_trajectory(experiment, band(real), times_s=times, values=values)
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.OSCILLATION
-    found = diagnosis.part(BudgetStage.RATE)
+    found = part(diagnosis, BudgetStage.RATE)
     assert change(found, "period").simulated == pytest.approx(1.2, rel=1e-3)
     assert change(found, "period").fitted == pytest.approx(1.2 * period, rel=2e-3)
     assert change(found, "amplitude").fitted == pytest.approx(amplitude, rel=0.01)
@@ -250,7 +256,7 @@ def test_any_motion_gives_back_speed_and_displacement(speed, larger, late_s, off
     assert_consistent(diagnosis)
     assert diagnosis.kind is MotionKind.GENERAL
     assert diagnosis.rest.rmse < 0.1
-    found = diagnosis.part(BudgetStage.RATE)
+    found = part(diagnosis, BudgetStage.RATE)
     assert change(found, "speed").fitted == pytest.approx(speed, rel=3e-3)
     assert change(found, "displacement").fitted == pytest.approx(larger, rel=3e-3)
     assert change(found, "release_time").fitted == pytest.approx(late_s, abs=3e-3)
@@ -356,9 +362,9 @@ def test_the_ball_is_let_go_late_and_rebounds_higher_than_calibrated(ball):
 
 
 def test_release_is_the_alignment_of_the_score(ball):
-    part = diagnose(ball).part(BudgetStage.RELEASE)
-    assert part.rmse_after == pytest.approx(ball.score.rmse_aligned, rel=1e-9)
-    assert change(part, "release_time").fitted == ball.score.release_offset_s
+    release = part(diagnose(ball), BudgetStage.RELEASE)
+    assert release.rmse_after == pytest.approx(ball.score.rmse_aligned, rel=1e-9)
+    assert change(release, "release_time").fitted == ball.score.release_offset_s
 
 
 @pytest.mark.parametrize(("material", "real_m_s2"), [("wood", 2.719), ("plastic", 2.898), ("metal", 2.603)])
@@ -366,7 +372,7 @@ def test_slides_accelerate_as_the_trials_do(material, real_m_s2):
     """Against the mean acceleration of the trials, fitted to each (scoring/facts/slope_slider_30deg_summary.toml)."""
     diagnosis = diagnose(run_episode(RunRequest(f"SlopeSlider-2-{material}")))
     assert diagnosis.rest.rmse_normalized < 0.02
-    assert change(diagnosis.part(BudgetStage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
+    assert change(part(diagnosis, BudgetStage.RATE), "acceleration").fitted == pytest.approx(real_m_s2, rel=0.01)
 
 
 def test_measured_frames_alone_are_another_whole(ball):
@@ -401,10 +407,10 @@ def test_a_law_has_no_release_and_what_rests_has_no_rate():
     law = carried_band(variant=HELD, positions_mm=place)
     diagnosis = diagnose_trajectory(experiment, law, times_s=times, values=values)
     assert_consistent(diagnosis)
-    assert "law" in diagnosis.part(BudgetStage.RELEASE).missing
-    assert "does not move" in diagnosis.part(BudgetStage.RATE).missing
-    assert diagnosis.part(BudgetStage.OFFSET).share == pytest.approx(1.0)
-    assert [c.fitted for c in diagnosis.part(BudgetStage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
+    assert "law" in part(diagnosis, BudgetStage.RELEASE).missing
+    assert "does not move" in part(diagnosis, BudgetStage.RATE).missing
+    assert part(diagnosis, BudgetStage.OFFSET).share == pytest.approx(1.0)
+    assert [c.fitted for c in part(diagnosis, BudgetStage.OFFSET).changes] == pytest.approx([-1.0, 0.0, 2.0])
     assert findings(diagnosis)[0].startswith("Release does not apply")
 
 
@@ -415,9 +421,9 @@ def test_a_simulation_at_rest_has_no_rate_and_is_not_shifted():
     mean = slide(2600.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
     assert_consistent(diagnosis)
-    assert diagnosis.part(BudgetStage.RATE).missing == "the simulation does not move, so it has no rate"
-    assert change(diagnosis.part(BudgetStage.RELEASE), "release_time").fitted == 0.0
-    assert diagnosis.part(BudgetStage.RELEASE).share == 0.0
+    assert part(diagnosis, BudgetStage.RATE).missing == "the simulation does not move, so it has no rate"
+    assert change(part(diagnosis, BudgetStage.RELEASE), "release_time").fitted == 0.0
+    assert part(diagnosis, BudgetStage.RELEASE).share == 0.0
 
 
 def test_no_error_is_no_budget():
@@ -435,7 +441,7 @@ def test_limits_are_reported():
     times, values = samples(count, slide(800.0))
     mean = slide(2600.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
-    rate = change(diagnosis.part(BudgetStage.RATE), "acceleration")
+    rate = change(part(diagnosis, BudgetStage.RATE), "acceleration")
     assert rate.at_bound
     assert rate.fitted == pytest.approx(2.0 * rate.simulated, rel=0.01)
     assert any("limit of what was tried" in line for line in findings(diagnosis))
@@ -448,9 +454,9 @@ def test_a_part_that_another_can_replace_is_reported():
     times, values = samples(count + 10, slide(2600.0))
     mean = slide(2900.0)(frames_s(count))
     diagnosis = diagnose_trajectory(experiment, band(mean), times_s=times, values=values)
-    assert diagnosis.part(BudgetStage.RELEASE).share > 0.5
-    assert diagnosis.part(BudgetStage.RELEASE).last_share < 1e-3
-    assert diagnosis.part(BudgetStage.RATE).alone_share > 0.999
+    assert part(diagnosis, BudgetStage.RELEASE).share > 0.5
+    assert part(diagnosis, BudgetStage.RELEASE).last_share < 1e-3
+    assert part(diagnosis, BudgetStage.RATE).alone_share > 0.999
     assert (
         "The order matters: 100 % is gone already if the acceleration is 2.900 instead of 2.6"
         in findings(diagnosis)[-1]
@@ -565,7 +571,7 @@ def test_another_reference_than_that_of_the_score_is_noted(ball):
 def test_view_rows_and_picture_say_the_same(ball):
     pairs = [(ball, diagnose(ball))]
     console = Console(width=200, record=True, file=io.StringIO())
-    console.print(diagnosis_view(pairs))
+    console.print(Terminal(diagnosis_document(pairs)))
     text = console.export_text()
     for words in (
         "BouncingBall-rubber",
@@ -576,7 +582,7 @@ def test_view_rows_and_picture_say_the_same(ball):
         "Isaac Sim",
     ):
         assert words in text
-    (row,) = json.loads(json.dumps(diagnosis_rows(pairs), allow_nan=False))
+    (row,) = json.loads(json.dumps(as_rows(diagnosis_document(pairs)), allow_nan=False))
     assert row["backend"] == "mujoco"
     assert [part["stage"] for part in row["parts"]] == ["release", "offset", "rate"]
     assert row["findings"] == list(findings(pairs[0][1]))

@@ -16,7 +16,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.errors import MissingExtraError, ResultFileError
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.tools import sanity
 from gauge_envs.tools.sanity.model import (
     Cause,
@@ -31,8 +32,8 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.page import sanity_page, save_sanity_page
-from gauge_envs.tools.sanity.words import sanity_markdown, sanity_rows, sanity_view
+from gauge_envs.tools.sanity.page import sanity_page
+from gauge_envs.tools.sanity.words import sanity_document
 
 RUNNER = CliRunner()
 
@@ -117,7 +118,7 @@ WHOLE = report(CREEP, SLIDE, PERIOD, WALL)
 
 def shown(checked: Report, *, width: int = 200) -> str:
     stream = StringIO()
-    Console(file=stream, width=width).print(sanity_view(checked))
+    Console(file=stream, width=width).print(Terminal(sanity_document(checked)))
     return stream.getvalue()
 
 
@@ -162,7 +163,7 @@ def test_a_narrow_terminal_loses_no_verdict() -> None:
 
 
 def test_markdown_is_a_row_each() -> None:
-    top, _, title, rule, *rows, _, tally = sanity_markdown(WHOLE).splitlines()
+    top, _, title, rule, *rows, _, tally = as_markdown(sanity_document(WHOLE)).splitlines()
     assert top == "2 flags; no change that was tried mends one"
     assert title.split(" | ")[-1] == "responsible |"
     assert rule == "| --- | --- | --- | ---: | ---: | ---: | --- | --- |"
@@ -171,7 +172,7 @@ def test_markdown_is_a_row_each() -> None:
 
 
 def test_json_is_the_configuration_and_then_a_row_each() -> None:
-    first, *rows = [json.loads(json.dumps(row, allow_nan=False)) for row in sanity_rows(WHOLE)]
+    first, *rows = [json.loads(json.dumps(row, allow_nan=False)) for row in as_rows(sanity_document(WHOLE))]
     assert first["configuration"]["settings"]["contact_solimp"] == [0.0, 0.8, 0.01, 0.5, 2.0]
     assert (first["worst"], first["versions"]) == ("wrong", {"mujoco": "4.0.0"})
     assert [row["phenomenon"] for row in rows] == ["creep-wood", "slide", "period", "wall"]
@@ -211,7 +212,7 @@ def test_the_geoms_that_decide_are_named() -> None:
 
 def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch) -> None:
     before = tmp_path / "before.json"
-    before.write_text("\n".join(json.dumps(row) for row in sanity_rows(report(CREEP, PERIOD))))
+    before.write_text("\n".join(json.dumps(row) for row in as_rows(sanity_document(report(CREEP, PERIOD)))))
     known = ["sanity", "mujoco", "--baseline", str(before)]
     monkeypatch.setattr(sanity, "check", lambda *_, **__: report(CREEP, PERIOD))
     assert RUNNER.invoke(app, known).exit_code == 0
@@ -334,12 +335,7 @@ def test_ids_of_pictures_do_not_meet() -> None:
     assert len(ids) == len(set(ids)) == 2
 
 
-def test_a_page_that_cannot_be_drawn_or_written_says_why(tmp_path, monkeypatch) -> None:
-    (tmp_path / "file").write_text("")
-    with pytest.raises(ResultFileError, match="cannot be written"):
-        save_sanity_page(WHOLE, tmp_path / "file" / "page.html")
-    path = save_sanity_page(WHOLE, tmp_path / "new" / "page.html")
-    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+def test_a_page_that_cannot_be_drawn_says_why(monkeypatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtraError, match=r"gauge-envs\[plot\]"):
         sanity_page(WHOLE)

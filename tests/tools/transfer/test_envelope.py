@@ -169,7 +169,7 @@ def test_all_files_of_all_experiments_compile() -> None:
 def test_ranges_have_their_width_and_stay_physical() -> None:
     ranges = {one.parameter.name: one for one in ranges_of(uncertain_parameters(load_experiment(SLIDE)), 3.0)}
     assert ranges["cube.friction"].high - ranges["cube.friction"].low == pytest.approx(6 * 0.0079)
-    assert ranges["cube.position_m along its x axis"].half_m == pytest.approx(0.003)
+    assert ranges["cube.position_m along its x axis"].high == pytest.approx(0.003)
     with pytest.raises(ParameterError, match="above 0"):
         ranges_of([], 0.0)
 

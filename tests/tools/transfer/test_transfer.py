@@ -17,6 +17,7 @@ from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.errors import ParameterError
+from gauge_envs.pages.document import as_rows
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
     Replays,
@@ -28,7 +29,7 @@ from gauge_envs.tools.transfer.policy_replays import (
     training_world,
 )
 from gauge_envs.tools.transfer.transfer import transfer_report
-from gauge_envs.tools.transfer.words import transfer_json, transfer_verdict
+from gauge_envs.tools.transfer.words import transfer_document, transfer_verdict
 
 TASK = "SlopeSlider-Limit-metal"
 FRICTION, GRAVITY, RAMP_S = 0.262758, 9.80665, 3.0
@@ -274,7 +275,7 @@ def test_without_a_promise_there_is_no_share() -> None:
 
 
 def test_json_holds_a_line_for_each_world_and_the_verdict() -> None:
-    rows = transfer_json(transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]})))
+    rows = as_rows(transfer_document(transfer_report(known({"train": [[8.0, 12.0]], "there": [[4.0, 6.0]]}))))
     assert [row["kind"] for row in rows] == ["training", "constant", "verdict"]
     assert rows[-1]["kept"]["value"] == 0.5
     json.dumps(rows, allow_nan=False)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 
 from gauge_envs.evaluation.motion_kinds import Change, MotionKind
-from gauge_envs.tools.diagnose.budget_fit import BudgetStage
 
 MARKERS, SEVERAL_BODIES = "the markers", "the bodies"
 """Subjects of a diagnosis that are not a single body."""
@@ -15,6 +15,17 @@ NO_PUBLISHED_SPLIT = (
     "only scalar scores are published: a split of the RMSE needs the trajectory. DTW over RMSE, both in the unit of "
     "g(t), is the share that remains under any warp of time; PD is the period over the real one."
 )
+
+
+class BudgetStage(StrEnum):
+    """A stage of the error budget."""
+
+    RELEASE = "release"
+    """Constant time shift."""
+    OFFSET = "offset"
+    """Constant offset of each coordinate."""
+    RATE = "rate"
+    """Scale or rate of the motion."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,7 +164,3 @@ class Diagnosis:
         for index, name in enumerate(self.coordinates):
             groups.setdefault(name.rpartition(".")[2], []).append(index)
         return {axis: tuple(indices) for axis, indices in groups.items()}
-
-    def part(self, stage: BudgetStage) -> StagePart:
-        """Return the part of one stage."""
-        return next(part for part in self.parts if part.stage is stage)

@@ -1,4 +1,4 @@
-"""Runs of one experiment grouped by engine and preset, with the errors of each run; `pareto` states the definitions."""
+"""Runs of one experiment grouped by engine and preset, with the errors of each run; `model` states the definitions."""
 
 from __future__ import annotations
 
@@ -13,25 +13,111 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.closed_forms import closed_form
+from gauge_envs.evaluation.deviation import experiment_sensitivities, sampled_frames
+from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.swing import swing_metrics
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.pages.results import raw_score
+from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.scene_record import recorded_experiment
-from gauge_envs.tools.cost.error_measure import ErrorMeasure
+from gauge_envs.tools.cost.model import EFFORT, STEP
 
 FloatArray = NDArray[np.float64]
 
-STEP = "timestep_s"
-EFFORT = (
-    STEP,
-    "iterations",
-    "solver_iterations",
-    "position_iterations",
-    "velocity_iterations",
-    "pgs_iterations",
-    "ls_iterations",
-    "line_search_iterations",
-)
-"""Settings that trade error for cost within a family."""
+EVENTS = ("pd", "mte", "lsd")
+"""Event metrics that measure an experiment without a band, in this order."""
+
+INPUT_KINDS = ("constant", "start", "tilt")
+"""Kinds of uncertain inputs that make up the parametric error; the discretization is numerical error."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorMeasure:
+    """Measure of distances in one experiment.
+
+    Attributes:
+        experiment: The experiment, with its parameters.
+        band: Band of its score; None without one.
+        metric: `rmse`, or the event metric that is compared.
+        unit: Unit of all distances.
+        scatter: Scatter of real trials: the published mean RMSE of trials, or the standard deviation of the metric.
+            None if none is published.
+    """
+
+    experiment: Experiment
+    band: Band | None
+    metric: str
+    unit: str
+    scatter: float | None
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> ErrorMeasure:
+        """Return the measure of an experiment."""
+        band, baselines = reference_band(experiment), experiment.baselines
+        event = next((name for name in EVENTS if name in experiment.score.metrics), None)
+        if band is None and event is not None and event in baselines:
+            line = baselines[event]
+            return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
+        rmse = baselines.get("rmse")
+        scatter = None if rmse is None or (band is not None and not band.normalized_by_baseline) else rmse.mean
+        return cls(
+            experiment=experiment,
+            band=band,
+            metric="rmse",
+            unit=experiment.score.observable.unit,
+            scatter=scatter or None,
+        )
+
+    def frames(self, result: Result) -> FloatArray | None:
+        """Return g(t) of a result at the frames, shape [T, D]; None if it did not run to its end."""
+        if result.trajectory is None or result.error is not None or result.diverged:
+            return None
+        frames = sampled_frames(self.experiment, *result.trajectory.arrays())
+        return frames if np.isfinite(frames).all() else None
+
+    def distance(self, first: FloatArray, second: FloatArray) -> float:
+        """Return the distance of two motions, each g(t) of shape [T, D]; NaN frames of the second are left out."""
+        if self.metric != "rmse":
+            one, other = (swing_metrics(self.experiment, frames)[self.metric] for frames in (first, second))
+            return abs(one - other)
+        compared = np.isfinite(second).all(axis=1)
+        if self.band is not None:
+            compared &= np.isfinite(self.band.mean).any(axis=1)
+            first, second = self.band.project(first), self.band.project(second)
+        return trajectory_rmse(first[compared], second[compared])
+
+    def to_reality(self, result: Result) -> float | None:
+        """Return the distance of a result to the mean of real trials: its first score; None without one."""
+        score = result.score
+        if self.metric != "rmse":
+            value = raw_score(score, self.metric)
+            return None if value is None else abs(value - self.experiment.baselines[self.metric].mean)
+        return None if score.primary is None else getattr(score, score.primary)
+
+    def floor(self, backend: str | None) -> tuple[float, str] | None:
+        """Return the parametric floor and its origin; None without stored sensitivities.
+
+        It is the root sum of squares, over the uncertain inputs, of the distance by which one standard uncertainty of
+        the input moves the simulated motion.
+        """
+        table = None if self.metric != "rmse" else experiment_sensitivities(self.experiment, backend)
+        if table is None:
+            return None
+        is_law = self.band is not None and self.band.grade is BandGrade.LAW
+        # A law keeps the body where it starts, so another start moves simulation and law alike.
+        kinds = [kind for kind in INPUT_KINDS if not (is_law and kind == "start")]
+        count = self.experiment.frame_count
+        changes = [one.change[:count] for one in table.inputs if one.kind in kinds and len(one.change) >= count]
+        if not changes:
+            return None
+        total = math.sqrt(sum(self.distance(change, np.zeros_like(change)) ** 2 for change in changes))
+        return total, f"{len(changes)} inputs, sensitivities of {table.backend}"
+
+
+# --- runs ---
 
 LEAST_REFINEMENT = 1.5
 """Smallest ratio of two steps whose distance shows convergence; closer ones are close to each other anyway."""

@@ -1,0 +1,266 @@
+"""Results of episodes beside the published scores: what the numbers mean, and what was not run and why."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from gauge_envs.evaluation.score import Score
+from gauge_envs.pages.document import Document, Paragraph, Tone
+from gauge_envs.pages.results import (
+    ALIGNED,
+    PERCENTILES,
+    SCORE_METRICS,
+    discretization_text,
+    normalized_score,
+    raw_score,
+    result_label,
+    score_interval,
+)
+from gauge_envs.pages.table import Column, Place, Table
+from gauge_envs.pages.text import (
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    NORMALIZED_NOTE,
+    interval_text,
+    number_text,
+    short_id,
+    shortened,
+    with_unit,
+)
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.metrics import METRICS
+from gauge_envs.references.published import published_baselines
+from gauge_envs.runs.result import Outcome, Result
+
+DEFORMATION_NOTE = (
+    "Strain, volume or area ratio, and non-affine residual [mm] of the markers, at the last frame whose real value is "
+    "known. +-: 1-sigma uncertainty of one recording, or scatter over several trials. z: simulated minus real, over +-."
+)
+
+BUDGET_NOTE = (
+    "u: standard uncertainty of the score that is shown first, normalized. Type A is from observations, B from other "
+    "knowledge (GUM). Share: of the variance. --format wide shows the sources."
+)
+
+TONES = {Outcome.DIVERGED: Tone.ERROR, Outcome.FAILED: Tone.ERROR, Outcome.DECLINED: Tone.WARNING}
+"""Outcomes whose reasons are reported."""
+
+EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
+
+LABEL = Column("label", "", place=Place.HEADING)
+
+
+def summary_document(results: Sequence[Result], *, budget: bool = False) -> Document:
+    """Return scores of results beside the published ones, what the numbers mean, and what was not run and why.
+
+    Args:
+        results: The results.
+        budget: Whether to show the uncertainty budgets.
+    """
+    ran = [result for result in results if result.error is None]
+    tables = [_score_table(ran)] if ran else []
+    if budget and any(result.score.budget for result in ran):
+        tables.append(_budget_table(ran))
+    if any(result.deformation is not None for result in ran):
+        tables.append(_deformation_table(ran))
+    lines = (Paragraph(line) for result in ran for line in _remarks(result))
+    return Document(parts=[*tables, *lines, *_outcomes(results)])
+
+
+def _score_table(results: Sequence[Result]) -> Table:
+    grades = sorted({result.score.grade for result in results})
+    return Table(
+        columns=(
+            EXPERIMENT,
+            Column("grade", "grade", place=Place.HEADING),
+            LABEL,
+            Column("metric", "metric"),
+            Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED else ""),
+            Column("normalized", "normalized [95 %]", is_number=True),
+            Column("percentile", "%", lambda percentile: f"{percentile:.0f}", is_number=True),
+            *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
+            Column("extrapolated", "extrapolated", lambda x: f"{100.0 * x:.0f} %", is_number=True, wide_only=True),
+            Column("z", "|z|", number_text, is_number=True, wide_only=True),
+            Column("convergence", "discretization", place=Place.BELOW),
+            Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
+        ),
+        rows=[row for result in results for row in _score_rows(result)],
+        notes=(
+            "",
+            NORMALIZED_NOTE,
+            "%: real trials that are closer to their mean. Aligned: after the best time shift. --format wide shows "
+            "more columns.",
+            *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
+        ),
+    )
+
+
+def _score_rows(result: Result) -> list[dict[str, Any]]:
+    """Return a row for each metric that the result or the paper has, the primary one first."""
+    driver = ", nominal driver" if "nominal" in (result.driver_provenance or "") else ""
+    common = {"id": result.id, "grade": result.score.grade, "label": result_label(result) + driver}
+    if result.diverged:
+        return [common | {"score": Outcome.DIVERGED.value}]
+    score, baselines = result.score, published_baselines(short_id(result.id))
+    rows: list[dict[str, Any]] = []
+    # The aligned score comes first where the experiment starts with a release, else after the raw one.
+    order = ("rmse", ALIGNED.key) if score.primary == "rmse" else (ALIGNED.key, "rmse")
+    for key in dict.fromkeys((*order, *METRICS)):
+        metric, line = SCORE_METRICS[key], baselines.get(key)
+        raw, normalized = raw_score(score, key), normalized_score(score, key)
+        if (normalized if metric is ALIGNED else raw) is None and line is None:
+            continue
+        is_partial = metric.is_normalized and raw is not None and normalized is None
+        row = common | {
+            "metric": metric.title,
+            "score": None if raw is None else with_unit(number_text(raw), metric.unit_of(score.unit)),
+            "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
+            "percentile": getattr(score, PERCENTILES[key]) if key in PERCENTILES else None,
+            # Published scores are over the whole motion. Some laws hold for its first frames alone.
+            "engines": None if line is None or is_partial else line.engines,
+        }
+        if key == "rmse":
+            row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
+            row["convergence"] = discretization_text(result)
+        elif metric is ALIGNED:
+            row["shift"] = score.release_offset_s
+        rows.append(row)
+    return rows or [common]
+
+
+def _budget_table(results: Sequence[Result]) -> Table:
+    origins = sorted({result.score.sensitivities for result in results if result.score.sensitivities})
+    return Table(
+        title="Uncertainty budget",
+        columns=(
+            EXPERIMENT,
+            LABEL,
+            Column("name", "contribution"),
+            Column("evaluation", "type"),
+            Column("standard_uncertainty", "u", lambda value: f"{value:.3f}", is_number=True),
+            Column("share", "share", lambda share: f"{100.0 * share:.0f} %", is_number=True),
+            Column("source", "source", wide_only=True),
+        ),
+        rows=[
+            {"id": result.id, "label": result_label(result), **asdict(entry)}
+            for result in results
+            for entry in result.score.budget
+        ],
+        notes=(BUDGET_NOTE, *(f"Sensitivities: {origin}." for origin in origins)),
+    )
+
+
+def _deformation_table(results: Sequence[Result]) -> Table:
+    """Return the statistics of deformation of results beside the real ones."""
+    found = [(result, result.deformation) for result in results if result.deformation is not None]
+    numbers = {"simulated": "simulated", "real": "real", "uncertainty": "+-"}
+    return Table(
+        title="Deformation, grade statistics (no part of the score)",
+        columns=(
+            EXPERIMENT,
+            LABEL,
+            Column("name", "statistic"),
+            Column("unit", "unit", wide_only=True),
+            Column("frame", "frame", str, is_number=True),
+            # Adding 0.0 makes a rounded -0.0000 plain zero.
+            *(
+                Column(key, title, lambda value: f"{round(value, 4) + 0.0:.4f}", is_number=True)
+                for key, title in numbers.items()
+            ),
+            Column("z", "z", number_text, is_number=True),
+            Column("z_rms", "z rms", number_text, is_number=True),
+        ),
+        rows=[
+            {"id": result.id, "label": result_label(result), **asdict(statistic)}
+            for result, deformation in found
+            for statistic in deformation.statistics
+        ],
+        notes=(
+            DEFORMATION_NOTE,
+            *sorted({f"{short_id(result.id)}: {one.note}." for result, one in found if one.note}),
+        ),
+    )
+
+
+def _remarks(result: Result) -> Iterator[str]:
+    """Yield what the table does not say of a result."""
+    name = short_id(result.id)
+    if result.score.implied:
+        yield _implied_line(name, result.score)
+    if result.score.withheld:
+        yield f"{name} is scored on a band that is withheld: {result.score.withheld}."
+    yield from estimator_lines(name, result.score)
+    if result.is_edited:
+        yield f"{name}, {result.asset['file']}: {shortened(result.asset['changes'])}."
+
+
+def _implied_line(name: str, score: Score) -> str:
+    """Return the parameters that a result implies beside those of the real trials."""
+    parts = []
+    for one in score.implied:
+        parameter, spread = one.parameter.replace("_", " "), ""
+        if one.real_uncertainty is not None:
+            spread = f" +- {one.real_uncertainty:.2g}"
+        if one.parameter == "release_time":
+            parts.append(f"real release {one.real:+.3f}{spread} s")
+        else:
+            real = "" if one.real is None else f" (real {_rounded(one.real)}{spread})"
+            parts.append(with_unit(f"{parameter} {_rounded(one.value)}{real}", one.unit))
+    return f"{name} implies {', '.join(parts)}."
+
+
+def _rounded(value: float) -> str:
+    # A pendulum without friction decays by rounding errors.
+    return f"{value:.4g}" if abs(value) > 1e-9 else "0"
+
+
+def estimator_lines(name: str, score: Score) -> Iterator[str]:
+    """Yield what the choice of an estimator does, and when the events of a swing happen; nothing without event metrics.
+
+    Args:
+        name: Id of the experiment, as `NewtonsCradle-metal`.
+        score: Its score.
+    """
+    if score.lsd_s is not None:
+        first, last = score.lsd_dropped_rests_s or (0.0, 0.0)
+        yield (
+            f"{name}: LSD limits the speed of the height from frame to frame: "
+            f"{_duration(score.lsd_s, score.lsd_normalized)}. With central differences it is "
+            f"{_duration(score.lsd_central_s, score.lsd_central_normalized)}, with the speed in space "
+            f"{_duration(score.lsd_speed_3d_s, score.lsd_speed_3d_normalized)}. Rests that touch the first frame "
+            f"({first:.3f} s) or the last ({last:.3f} s) do not count."
+        )
+    if score.pd_s is not None:
+        yield (
+            f"{name}: PD is the peak of the windowed spectrum between the bins: "
+            f"{_duration(score.pd_s, score.pd_normalized)}. The strongest bin of the plain spectrum gives "
+            f"{_duration(score.pd_fft_s, score.pd_fft_normalized)}."
+        )
+    events = score.events or ()
+    for quantity in dict.fromkeys(event.quantity for event in events):
+        of_kind = [event for event in events if event.quantity == quantity]
+        pairs = ", ".join(
+            f"{'-' if event.simulated_s is None else f'{event.simulated_s:.2f}'} / {event.recorded_s:.2f}"
+            for event in of_kind
+        )
+        yield f"{name}: last ball {quantity} [s], simulated / recorded (+- {of_kind[0].sigma_s:.2f}): {pairs}."
+
+
+def _duration(value_s: float | None, normalized: float | None) -> str:
+    """Return a duration, with its share of the published mean in brackets."""
+    share = "" if normalized is None else f" ({normalized:.2f})"
+    return "-" if value_s is None else f"{value_s:.3f} s{share}"
+
+
+def _outcomes(results: Sequence[Result]) -> Iterator[Paragraph]:
+    """Yield a line for each reason: a backend declines many experiments for the same one."""
+    for outcome, tone in TONES.items():
+        reasons: dict[str, list[str]] = {}
+        for result in results:
+            if result.outcome is outcome:
+                name = short_id(result.id)
+                reason = (result.error or result.diverged_reason or "").replace(f"{result.id}: ", "")
+                reasons.setdefault(reason.removeprefix(f"{name} "), []).append(name)
+        yield from (Paragraph(f"{outcome.value}: {shortened(ids)}: {text}", tone) for text, ids in reasons.items())
