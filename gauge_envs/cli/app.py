@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from typing import Annotated, Any
 
 import typer
@@ -34,22 +35,7 @@ def load_command(name: str) -> Any:
     single.command(name, cls=_Command, epilog="\n\n".join(["See also", *below]) if below else None)(
         load(instrument, name)
     )
-    command: Any = typer.main.get_command(single)
-    if any("--format" in one.opts for one in command.params):
-        command.params.append(_json_option())
-    return command
-
-
-def _json_option() -> Any:
-    """Return the short form of `--format json`, for the help alone: `_Command` replaces it."""
-
-    def command(json: Annotated[bool, typer.Option("--json", help="Short for --format json.")] = False) -> None: ...
-
-    single = typer.Typer(add_completion=False)
-    single.command()(command)
-    (option,) = typer.main.get_command(single).params
-    option.expose_value = False
-    return option
+    return typer.main.get_command(single)
 
 
 def _below(name: str) -> list[str]:
@@ -66,10 +52,10 @@ class _Command(typer.core.TyperCommand):
             if any(word.startswith("--format") for word in args):
                 raise ParameterError("--json is --format json: give one of them")
             args = ["--format=json" if word == "--json" else word for word in args]
-        for word in args:
-            option = word.partition("=")[0]
-            if option.startswith("--") and option not in known:
-                check_spelling(str(self.name), option)
+        for option in (word.partition("=")[0] for word in args):
+            if len(option) > 2 and option.startswith("--") and option not in known:
+                helps = " ".join(filter(None, [self.help, *(getattr(one, "help", "") for one in self.params)]))
+                check_spelling(str(self.name), option, details=re.findall(r"\b([a-z]\w*)=", helps))
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:

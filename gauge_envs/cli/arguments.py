@@ -5,82 +5,64 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
+from inspect import isfunction
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from gauge_envs.cli.output import Format
-from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
 
 if TYPE_CHECKING:
-    from gauge_envs.experiments.scene_builder import Parameters
     from gauge_envs.pages.table import Table
 
-FormatOption = Annotated[
-    Format,
-    typer.Option("--format", help="Format on stdout; wide is text with all columns, json has one object a line."),
+Form = Annotated[Format, typer.Option("--format", help="wide has all columns; --json is short for json, a line a row.")]
+
+Sources = Annotated[list[str] | None, typer.Argument(metavar="[DIR or FILE]...", help="Results; results/ by default.")]
+
+Backends = Annotated[list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")]
+
+Settings = Annotated[
+    list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="Setting of the engine, as timestep_s=0.0005.")
 ]
 
-SourcesArgument = Annotated[
-    list[str] | None,
-    typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
+Asset = Annotated[
+    Path | None, typer.Option("--asset", help="Scene, in place of the task file: a USD layer, or MJCF for mujoco.")
 ]
 
-BackendsOption = Annotated[list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")]
-
-SettingsOption = Annotated[
-    list[str] | None,
-    typer.Option("--set", metavar="NAME=VALUE", help="Setting of the engine, as timestep_s=0.0005; repeatable."),
+Parameters = Annotated[
+    str | None, typer.Option(help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1")
 ]
 
-AssetOption = Annotated[
-    Path | None,
-    typer.Option("--asset", help="File with the scene, in place of the task file: a USD layer, or MJCF for mujoco."),
-]
-
-ParametersOption = Annotated[
-    str | None,
-    typer.Option("--parameters", help="calibrated, effective, ..., or overrides: cube.friction=0.3,cube.mass_kg=0.1"),
-]
-
-UseOption = Annotated[
+Use = Annotated[
     str,
     typer.Option(
         "--use",
         metavar="DATA",
-        help="Data beyond those of the package, with commas: imported-drivers and imported-reference, of real trials; "
-        "imported for both; withheld for bands that gauge show ID reports as withheld.",
+        help="Data beyond the bundled: imported-drivers, imported-reference, imported for both; withheld bands.",
     ),
 ]
 
-WithheldOption = Annotated[
-    str, typer.Option("--use", metavar="DATA", help="withheld: also bands that gauge show ID reports as withheld.")
-]
-
-LimitsOption = Annotated[
+Limits = Annotated[
     str,
     typer.Option(
-        "--limits",
-        metavar="LIMITS",
-        help="Limits of time and memory, as 3600s,4GB, in another process; isolate for that process without them.",
+        "--limits", metavar="LIMITS", help="Process of its own with limits, as 3600s,4GB; isolate for one without."
     ),
 ]
 
-OnlyOption = Annotated[
-    list[str] | None, typer.Option("--only", metavar="ID", help="Id or pattern; repeatable, or with commas.")
-]
+Only = Annotated[list[str] | None, typer.Option("--only", metavar="ID", help="Ids or patterns; repeatable.")]
 
-USES: Mapping[str, tuple[str, ...]] = {
+USES = {
     "imported": ("drivers", "reference"),
     "imported-drivers": ("drivers",),
     "imported-reference": ("reference",),
     "withheld": ("use_withheld",),
 }
-"""What the words of `--use` change."""
+"""Keyword arguments that the words of `--use` change."""
 
 DETAIL = re.compile(r"([A-Za-z_]\w*)=(.*)", re.DOTALL)
 """A detail of a command, NAME=VALUE. A file of such a name is written as ./NAME=VALUE."""
@@ -113,7 +95,7 @@ def json_or_text(value: str) -> Any:
         return value
 
 
-def parsed_parameters(text: str | None) -> Parameters | None:
+def parsed_parameters(text: str | None) -> str | dict[str, Any] | None:
     """Return the name of a parameter set, or overrides such as `cube.friction=0.3,cube.mass_kg=0.1` as a dictionary."""
     if text is None or "=" not in text:
         return text
@@ -126,50 +108,35 @@ def parsed_settings(changes: Sequence[str] | None) -> dict[str, Any] | None:
 
 
 def parsed_use(text: str, *names: str) -> dict[str, Any]:
-    """Return the keyword arguments that `--use` states.
+    """Return those of the keyword arguments `drivers`, `reference` and `use_withheld` that a command has.
 
     Args:
-        text: Words with commas, as `imported,withheld`.
-        names: Keyword arguments that the command has, of `drivers`, `reference` and `use_withheld`.
+        text: Words of `--use` with commas, as `imported,withheld`.
+        names: The keyword arguments.
     """
     from gauge_envs.references.imported import DataSource
 
     known = [word for word, changed in USES.items() if set(changed) & set(names)]
-    values: dict[str, Any] = {name: False if name == "use_withheld" else DataSource.BUNDLED for name in names}
-    for word in filter(None, (part.strip() for part in text.split(","))):
+    used: set[str] = set()
+    for word in filter(None, map(str.strip, text.split(","))):
         if word not in known:
             raise UnknownNameError("word of --use", word, known)
-        changed = set(USES[word]) & set(names)
-        values |= {name: True if name == "use_withheld" else DataSource.IMPORTED for name in changed}
-    return values
+        used.update(USES[word])
+    sources = {name: DataSource.IMPORTED if name in used else DataSource.BUNDLED for name in names}
+    return sources | ({"use_withheld": "use_withheld" in used} if "use_withheld" in names else {})
 
 
-class ProcessLimits(NamedTuple):
-    """Limits of a process of its own.
-
-    Attributes:
-        isolate: Whether there is such a process.
-        time_s: Limit of time [s]; None if none is given.
-        memory_gb: Limit of resident memory [GB]; None for none.
-    """
-
-    isolate: bool
-    time_s: float | None
-    memory_gb: float | None
-
-
-def parsed_limits(text: str) -> ProcessLimits:
-    """Return the limits that `--limits` states, as `3600s,4GB`."""
-    words = text.split(",")
-    values = quantities("--limits", ",".join(word for word in words if word != "isolate"), s=3600.0, GB=4.0)
-    return ProcessLimits(bool(text), values.get("s"), values.get("GB"))
+def parsed_limits(text: str) -> tuple[bool, float | None, float | None]:
+    """Return whether there is a process of its own, its limit of time [s] and of memory [GB], of `3600s,4GB`."""
+    values = quantities("--limits", ",".join(word for word in text.split(",") if word != "isolate"), s=3600.0, GB=4.0)
+    return bool(text), values.get("s"), values.get("GB")
 
 
 def parsed_jitter(text: str) -> dict[str, float]:
     """Return the standard deviations that `jitter` states, as `1mm,0.5deg`, by the names of `gauge_envs.Jitter`."""
     values = quantities("jitter", text, mm=1.0, deg=0.5)
-    names = {"position_m": ("mm", lambda value: 1e-3 * value), "angle_rad": ("deg", math.radians)}
-    return {name: convert(values[unit]) for name, (unit, convert) in names.items() if unit in values}
+    position = {"position_m": 1e-3 * values["mm"]} if "mm" in values else {}
+    return position | ({"angle_rad": math.radians(values["deg"])} if "deg" in values else {})
 
 
 def quantities(name: str, text: str, **units: float) -> dict[str, float]:
@@ -182,38 +149,46 @@ def quantities(name: str, text: str, **units: float) -> dict[str, float]:
     """
     values = {}
     for part in filter(None, text.split(",")):
-        found = re.fullmatch(r"(\d+\.?\d*|\.\d+)(?:e([-+]?\d{1,2}))?\s*([A-Za-z]+)", part.strip())
-        if found is None or found[3] not in units:
+        found = re.fullmatch(r"(\d*\.?\d+(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip())
+        if found is None or found[2] not in units:
             example = ",".join(f"{value:g}{unit}" for unit, value in units.items())
             raise ParameterError(f"{name} {text!r}: expected numbers with units, as {example}")
-        values[found[3]] = float(f"{found[1]}e{found[2] or 0}")
+        values[found[2]] = float(found[1])
     return values
 
 
-def split_details(
-    words: Sequence[str] | None, known: Mapping[str, Callable[[str], Any]]
-) -> tuple[list[str], dict[str, Any]]:
+def split_details(words: Sequence[str] | None, **known: Any) -> tuple[list[str], dict[str, Any]]:
     """Return the words of a command that are no details, and its details by name.
 
     Args:
         words: Arguments of the command.
-        known: Names of details, and how the text of each becomes a value; `float`, `whole` and `boolean` convert.
+        known: The type of each detail, as pydantic checks it; or a function that returns its value from a text.
     """
+    from pydantic import TypeAdapter, ValidationError
+
     others, values = [], {}
     for word in words or ():
         found = DETAIL.fullmatch(word)
         if found is None:
             others.append(word)
-        elif found[1] not in known:
-            raise UnknownNameError("detail", found[1], known)
-        else:
-            try:
-                values[found[1]] = known[found[1]](found[2])
-            except ValueError as error:
-                if isinstance(error, ParameterError):
-                    raise
-                raise ParameterError(f"{word}: expected a number") from None
+            continue
+        name, text = found.groups()
+        if name not in known:
+            raise UnknownNameError("detail", name, known)
+        convert = known[name] if isfunction(known[name]) else TypeAdapter(known[name]).validate_python
+        try:
+            values[name] = convert(text)
+        except ValidationError as error:
+            raise ParameterError(f"{name}: {first_fault(error)[1]}") from None
     return others, values
+
+
+def split_subject(words: Sequence[str], **known: Any) -> tuple[str, dict[str, Any]]:
+    """Return the one word of a command that is no detail, and its details by name."""
+    others, values = split_details(words, **known)
+    if len(others) != 1:
+        raise ParameterError(f"{' and '.join(others) or 'nothing'}: expected one name beside NAME=VALUE")
+    return others[0], values
 
 
 def matching(tables: Sequence[Table], patterns: Sequence[str], *, kind: str) -> list[Table]:
@@ -226,24 +201,6 @@ def matching(tables: Sequence[Table], patterns: Sequence[str], *, kind: str) -> 
     chosen = {name for name in names if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns)}
     kept = [[row for name, row in rows if name in chosen] for rows in named]
     return [replace(table, rows=rows) for table, rows in zip(tables, kept, strict=True) if rows]
-
-
-def whole(least: int) -> Callable[[str], int]:
-    """Return what converts the text of a whole number, at least `least`."""
-
-    def convert(text: str) -> int:
-        if not re.fullmatch(r"-?\d{1,18}", text) or int(text) < least:
-            raise ParameterError(f"{text!r}: expected a whole number, at least {least}")
-        return int(text)
-
-    return convert
-
-
-def boolean(text: str) -> bool:
-    """Return the value of `true` or `false`."""
-    if text not in ("true", "false"):
-        raise ParameterError(f"{text!r}: expected true or false")
-    return text == "true"
 
 
 def by_suffix(files: Sequence[Path] | None, *suffixes: str) -> dict[str, Path]:

@@ -6,6 +6,7 @@ A new instrument is a folder in `gauge_envs.tools` and a line here. No tool is i
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 from importlib import import_module
 from typing import Any
 
@@ -63,32 +64,28 @@ LISTINGS = {
 }
 """Instrument of each kind that `gauge list` knows beside experiments; `list_KIND` takes patterns and returns tables."""
 
-DRAWINGS = {"experiments": "compare", "compare": "compare", "diagnose": "diagnose", "cost": "cost"}
+DRAWINGS = {"experiments": "compare", "compare": "compare", "diagnose": "diagnose", "cost": "compare"}
 """Instrument of each kind of picture of `gauge plot`; `draw_KIND` returns files and the number of skipped results."""
 
 OLD_SPELLINGS = {
-    "film": "video film",
-    "materials": "recipe fabrics",
-    "envelope": "transfer envelope",
-    "query": "",
-    "export rerun": "video film RESULT --out FILE.rrd",
-    "export": "video film RESULT --out FILE.rrd",
-    "assets build": "data scenes",
-    "assets list": "list scenes",
-    "assets isaac-sim": "data isaac-sim",
-    "assets": "data scenes",
-    "backend list": "list backends",
-    "data status": "list references",
-    "video list": "list video-tasks",
+    "film": "gauge video film",
+    "materials": "gauge recipe fabrics",
+    "envelope": "gauge transfer envelope",
+    "query": "sqlite3 sweep/sweep.sqlite 'SELECT id, backend, score FROM results'",
+    "export": "gauge video film RESULT --out FILE.rrd",
+    "export rerun": "gauge video film RESULT --out FILE.rrd",
+    "assets": "gauge data scenes",
+    "assets build": "gauge data scenes",
+    "assets list": "gauge list scenes",
+    "assets isaac-sim": "gauge data isaac-sim",
+    "backend list": "gauge list backends",
+    "data status": "gauge list references",
+    "video list": "gauge list video-tasks",
     "--wide": "--format wide",
     "--markdown": "--format markdown",
     "--isolate": "--limits isolate",
     "--time-limit-s": "--limits 60s",
     "--memory-limit-gb": "--limits 4GB",
-    "--jitter-mm": "jitter=1mm,0.5deg",
-    "--jitter-deg": "jitter=1mm,0.5deg",
-    "--seed": "seed=0",
-    "--repeats": "repeats=3",
     "--drivers": "--use imported-drivers",
     "--reference": "--use imported-reference",
     "--use-withheld": "--use withheld",
@@ -97,17 +94,9 @@ OLD_SPELLINGS = {
     "--html": "--out PAGE.html",
     "--figure": "--out FILE.png",
     "run --all": "'*'",
-    "run --marker-proxy": "marker_proxy=node",
     "plot --pareto": "--kind cost",
     "compare --out": "gauge plot --kind compare --out DIR",
-    "compare --metric": "metric=rmse",
     "diagnose --out": "gauge plot --kind diagnose --out DIR",
-    "diagnose --order": "order=release,offset,rate",
-    "diagnose --measured-only": "measured_only=true",
-    "sweep --backend": "backends=mujoco,rapier",
-    "sweep --variant": "variants='SlopeSlider-*'",
-    "sweep --preset": "presets=NAME",
-    "sweep --parameters": "parameters=calibrated,effective",
     "sweep --jobs": "--shard 16",
     "sanity --list": "gauge list phenomena",
     "sanity --all": "--only '*'",
@@ -115,20 +104,8 @@ OLD_SPELLINGS = {
     "sanity judge --engine": "--label NAME",
     "recipe --list-materials": "gauge list materials",
     "recipe --material": "wood-on-wood",
-    "recipe --friction": "friction=0.3",
-    "recipe --restitution": "restitution=0.5",
-    "recipe --penetration": "penetration_m=0.001",
-    "recipe --stiffness": "stiffness_n_per_m=10000",
-    "recipe --damping": "damping_n_s_per_m=10",
-    "recipe --mass": "mass_kg=0.5",
-    "recipe --timestep": "timestep_s=0.002",
-    "transfer --sigmas": "sigmas=1,2",
-    "transfer --starts": "starts=3",
     "transfer envelope --fraction": "--policy law:fraction=0.95",
     "transfer envelope --informed": "--policy law:informed=true",
-    "transfer envelope --samples": "samples=256",
-    "transfer envelope --batch": "batch=256",
-    "transfer envelope --width": "width=2",
     "backend check --list": "gauge list checks",
     "backend check --all": "'*:*'",
     "backend check --configuration": "ENGINE:CONFIGURATION",
@@ -138,31 +115,15 @@ OLD_SPELLINGS = {
     "data download --to": "--out DIR",
     "data import --only": "PATTERN",
     "video film --id": "--only ID",
-    "video film --strip": "strip=5",
-    "video film --speed": "speed=1",
-    "video film --fps": "fps=30",
-    "video film --from-s": "from_s=0",
-    "video film --to-s": "to_s=2",
-    "video film --hold-s": "hold_s=1",
-    "video film --width": "width=480",
-    "video film --height": "height=360",
-    "video film --columns": "columns=2",
-    "video film --recording": "recording=FILE",
-    "video film --recording-start-s": "recording_start_s=0",
-    "video film --recording-rate-hz": "recording_rate_hz=240",
     "video prompts --source": "URL",
     "video score --track": "FILE.csv",
-    "video score --fps": "fps=30",
-    "video score --size": "size=832x480",
     "video score --overlay": "--out DIR",
     "video report --first-frames": "--first-frame DIR",
-    "video render --fps": "fps=30",
-    "video render --seconds": "seconds=2",
 }
 """Spellings of version 0.1 and what is written now; they go with the next release.
 
-An option without a command is one of every command that no longer has it. A new spelling follows the command's name,
-unless it begins with `gauge`.
+An option without a command is one of every command that no longer has it, and its new spelling follows the command,
+unless that is another one. Options that are details now need no line: `--hold-s 1` is `hold_s=1`.
 """
 
 
@@ -178,17 +139,19 @@ def load(instrument: str, name: str) -> Any:
     return getattr(module, function or re.sub(r"\W", "_", name))
 
 
-def check_spelling(command: str, option: str = "") -> None:
-    """Raise an error that states the new spelling, if a command or an option has an old one."""
-    old = f"{command} {option}".strip()
-    new = OLD_SPELLINGS.get(old, OLD_SPELLINGS.get(option) if option else None)
-    if new is None:
-        return
-    if not new:
-        raise ParameterError(
-            f"`gauge {old}` is gone: the store of a sweep is SQLite, as in "
-            "sqlite3 sweep/sweep.sqlite 'SELECT id, backend, score FROM results'"
-        )
-    if option and not new.startswith("gauge "):
-        new = f"{command} {new}"
-    raise ParameterError(f"`gauge {old}` is now `gauge {new.removeprefix('gauge ')}`")
+def check_spelling(command: str, option: str = "", details: Iterable[str] = ()) -> None:
+    """Raise an error that states the new spelling, if a command or an option has an old one.
+
+    Args:
+        command: Name of the command.
+        option: An option that it does not have.
+        details: Names of its details, NAME=VALUE.
+    """
+    old, plain = f"{command} {option}".strip(), option.removeprefix("--").replace("-", "_")
+    new = OLD_SPELLINGS.get(old) or OLD_SPELLINGS.get(option)
+    similar = [name for name in details if name.startswith(plain) or plain.startswith(f"{name}_")]
+    if new is None and similar:
+        new = f"{min(similar, key=lambda name: abs(len(name) - len(plain)))}=..."
+    if new:
+        full = new if not option or new.startswith("gauge ") else f"gauge {command} {new}"
+        raise ParameterError(f"`gauge {old}` is now `{full}`")

@@ -214,8 +214,3 @@ def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
 def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
     """Return rows as JSON, one object a line."""
     return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)
-
-
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: `1 check`, `2 checks`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"

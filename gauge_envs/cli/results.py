@@ -13,13 +13,7 @@ if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-def loaded_results(sources: Sequence[str | Path] | None, *, with_scene: bool = False) -> tuple[list[Result], int]:
-    """Return what `loaded_files` returns, without the files."""
-    results, skipped = loaded_files(sources, with_scene=with_scene)
-    return list(results.values()), skipped
-
-
-def loaded_files(sources: Sequence[str | Path] | None, *, with_scene: bool = False) -> tuple[dict[Path, Result], int]:
+def loaded_results(sources: Sequence[str] | None, *, with_scene: bool = False) -> tuple[dict[Path, Result], int]:
     """Return the results of files and folders by file, each file once, and the number of skipped files.
 
     Args:

@@ -186,7 +186,7 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
         (["run", NAME, "--set", "timestep_s"], "expected NAME=VALUE"),
         (["run", NAME, "--set", "nope=1"], "MuJoCo setting 'nope'"),
         (["run", NAME, "--out", "/proc/nowhere"], "results cannot be written there"),
-        (["run", NAME, "seed=-1"], "expected a whole number"),
+        (["run", NAME, "seed=-1"], "seed: Input should be greater than or equal to 0"),
         (["score", "no.csv", "--id", NAME], "cannot be read"),
         (["score", "no.csv"], "states no id"),
         (["score", "no.csv", "--id", "Nothing-2"], "unknown experiment"),

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import matching
-from gauge_envs.cli.output import counted, echo, message
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import echo, message
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -20,17 +20,16 @@ def data_scenes(
     check: Annotated[bool, typer.Option("--check", help="Write nothing; exit code 1 if a file is stale.")] = False,
 ) -> bool:
     """Write every scene as USD and MJCF, and every solid as OBJ."""
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.assets.build import assets_folder, build_assets, stale_asset
 
     folder = out or assets_folder()
-    if not check:
-        echo(f"{counted(len(build_assets(folder)), 'file')} in {folder}")
-    elif stale := stale_asset(folder):
+    stale = stale_asset(folder) if check else None
+    if stale:
         message(f"{stale}; gauge data scenes renews it", "stale")
-        return True
     else:
-        echo(f"{folder} is current")
-    return False
+        echo(f"{folder} is current" if check else f"{counted(len(build_assets(folder)), 'file')} in {folder}")
+    return stale is not None
 
 
 def list_scenes(patterns: Sequence[str]) -> list[Table]:
@@ -38,17 +37,13 @@ def list_scenes(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.pages.table import Column, Table
     from gauge_envs.tools.assets.build import asset_rows, assets_folder
 
-    columns = (
-        Column("file", "file"),
-        Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True),
-        Column("of", "of", _owners_text),
-    )
-    return matching([Table(columns=columns, rows=asset_rows(assets_folder()))], patterns, kind="scene")
+    def owners(names: str) -> str:
+        first, *others = names.split(", ")
+        return f"{first} and {len(others)} more" if others else first
 
-
-def _owners_text(names: str) -> str:
-    first, *others = names.split(", ")
-    return f"{first} and {len(others)} more" if others else first
+    size = Column("bytes", "KiB", lambda size: f"{size / 1024:.1f}", is_number=True)
+    columns = (Column("file", "file"), size, Column("of", "of", owners))
+    return arguments.matching([Table(columns=columns, rows=asset_rows(assets_folder()))], patterns, kind="scene")
 
 
 def data_isaac_sim(
@@ -64,13 +59,12 @@ def data_isaac_sim(
     from gauge_envs.tools.assets.isaac_sim import unsupported_reason, write_isaac_sim_layer
 
     experiments = [load_experiment(variant) for variant in matching_variants(pattern)]
-    reasons = [unsupported_reason(experiment.scene) for experiment in experiments]
-    supported = [experiment for experiment, reason in zip(experiments, reasons, strict=True) if reason is None]
+    reasons = {experiment.id: unsupported_reason(experiment.scene) for experiment in experiments}
     # If all are unsupported, the first one raises its reason.
-    for experiment in supported or experiments[:1]:
+    for experiment in [one for one in experiments if reasons[one.id] is None] or experiments[:1]:
         path = out / f"{experiment.name}.usda"
         write_isaac_sim_layer(experiment, path)
         echo(path)
-    for experiment, reason in zip(experiments, reasons, strict=True):
+    for name, reason in reasons.items():
         if reason is not None:
-            message(f"{experiment.id} is left out: {reason}")
+            message(f"{name} is left out: {reason}")

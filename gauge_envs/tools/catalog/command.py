@@ -3,28 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, FormatOption, UseOption, parsed_use
+from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import LISTINGS, load
-from gauge_envs.cli.output import Format, counted, message, note, print_document, stdout_console
-
-EXPERIMENTS = "experiments"
-"""The kind that `gauge list` lists by default."""
+from gauge_envs.cli.output import Format, message, note, print_document
 
 
 def list_(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KIND] [PATTERN]...",
-            help=f"{EXPERIMENTS}, {', '.join(LISTINGS)}; and ids or patterns such as 'SlopeSlider-*'.",
+            metavar="[KIND] [PATTERN]...", help=f"experiments by default, {', '.join(LISTINGS)}; ids, patterns."
         ),
     ] = None,
     scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
@@ -33,8 +29,8 @@ def list_(
     """
     from gauge_envs.pages.document import Document
 
-    kind, *patterns = words if words and words[0] in (EXPERIMENTS, *LISTINGS) else [EXPERIMENTS, *(words or ())]
-    if kind == EXPERIMENTS:
+    kind, *patterns = words if words and words[0] in ("experiments", *LISTINGS) else ["experiments", *(words or ())]
+    if kind == "experiments":
         return _list_experiments(patterns, scored, form)
     print_document(Document(parts=load(LISTINGS[kind], f"list {kind}")(patterns)), form)
     return False
@@ -44,9 +40,12 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     """Print the experiments of patterns, and return whether a task file was skipped."""
     from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.task_files import task_file_faults
+    from gauge_envs.experiments.variants import beyond_variants
+    from gauge_envs.pages.document import Document, Paragraph
+    from gauge_envs.pages.text import counted
     from gauge_envs.references.bands import BandGrade
     from gauge_envs.tools.catalog.listing import list_rows
-    from gauge_envs.tools.catalog.words import list_table
+    from gauge_envs.tools.catalog.words import control_summary, list_table
 
     faults = task_file_faults()
     for fault in faults.values():
@@ -54,29 +53,20 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
     found = list_rows([one for one in variants if one.family not in faults], notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
-    print_document(list_table(rows), form)
-    if form in (Format.TEXT, Format.WIDE):
-        _print_counts(rows, with_control=patterns in ([], ["*"]) and not scored)
-    return bool(faults)
-
-
-def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
-    from gauge_envs.experiments.variants import beyond_variants
-    from gauge_envs.tools.catalog.words import control_summary
-
     families = len({row["family"] for row in rows})
-    console = stdout_console()
-    if with_control:
-        console.print(control_summary())
-        console.print(f"Beyond the benchmark: {', '.join(variant.id for variant in beyond_variants())}")
-    console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
+    lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]
+    if patterns in ([], ["*"]) and not scored:
+        beyond = ", ".join(variant.id for variant in beyond_variants())
+        lines = [control_summary(), f"Beyond the benchmark: {beyond}", *lines]
+    print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
+    return bool(faults)
 
 
 def show(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
-    asset: AssetOption = None,
-    use: UseOption = "",
-    form: FormatOption = Format.TEXT,
+    asset: arguments.Asset = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
 ) -> None:
     """Show one experiment or control task: scene, constants, reference, published scores.
 
@@ -90,6 +80,6 @@ def show(
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
         document = control_document(control_description(find_control_task(name)))
     else:
-        experiment = resolve_experiment(name, asset=asset, **parsed_use(use, "drivers", "reference"))
+        experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
         document = experiment_document(description(experiment))
     print_document(document, form)

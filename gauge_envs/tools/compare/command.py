@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import FormatOption, SourcesArgument, WithheldOption, split_details, split_list
+from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import DRAWINGS, load
-from gauge_envs.cli.output import Format, echo, print_document
+from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError, UnknownNameError
 
 
-def compare(sources: SourcesArgument = None, form: FormatOption = Format.TEXT) -> bool:
+def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEXT) -> bool:
     """Compare engines, parameters and settings: scores with intervals, ranks and pairs.
 
     Ranks are within each grade of reference. Without a reference, distances between engines are shown. Results that
@@ -27,65 +28,75 @@ def compare(sources: SourcesArgument = None, form: FormatOption = Format.TEXT) -
 
     files, names = _split_metrics(sources)
     results, skipped = loaded_results(files)
-    print_document(comparison_document(compare_results(results), check_metrics(names)), form)
+    print_document(comparison_document(compare_results(list(results.values())), check_metrics(names)), form)
     return bool(skipped)
 
 
 def plot(
-    sources: SourcesArgument = None,
-    kind: Annotated[
-        str,
-        typer.Option(
-            metavar="KIND",
-            help="experiments; compare, all experiments in one picture; diagnose, the parts of the error; or cost, the "
-            "error over the cost of runs with several steps.",
-        ),
-    ] = "experiments",
+    sources: arguments.Sources = None,
+    kind: Annotated[str, typer.Option(help=f"{', '.join(DRAWINGS)}, which is the error over cost.")] = "experiments",
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
-    name: Annotated[
-        str | None, typer.Option("--id", metavar="ID", help="With diagnose: experiment of trajectory files.")
-    ] = None,
-    use: WithheldOption = "",
+    name: Annotated[str | None, typer.Option("--id", metavar="ID", help="With diagnose: of trajectory files.")] = None,
+    use: arguments.Use = "",
 ) -> bool:
     """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
 
     Details after the results: metric=rmse for compare; order=release,offset,rate and measured_only=true for diagnose.
-    Exit code 1 when a damaged file was skipped.
+    Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
     """
     if kind not in DRAWINGS:
         raise UnknownNameError("kind of picture", kind, DRAWINGS)
     options: dict[str, Any] = {key: value for key, value in {"name": name, "use": use}.items() if value}
     if options and kind != "diagnose":
         raise ParameterError("--id and --use go with --kind diagnose: leave them out")
-    files, skipped = load(DRAWINGS[kind], f"draw {kind}")(sources or [], out, **options)
+    files, skipped = load(DRAWINGS[kind], f"draw {kind}")(sources, out, **options)
     for file in files:
         echo(file)
     return bool(skipped)
 
 
-def draw_experiments(sources: Sequence[str], out: Path) -> tuple[Iterable[Path], int]:
+def draw_experiments(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
     """Draw a picture of each experiment, over its real band."""
     from gauge_envs.tools.compare.experiment_figure import save_figures
 
-    files, _ = split_details(sources, {})
-    results, skipped = loaded_results(files, with_scene=True)
-    return save_figures(results, out), skipped
+    results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
+    return save_figures(list(results.values()), out), skipped
 
 
-def draw_compare(sources: Sequence[str], out: Path) -> tuple[Iterable[Path], int]:
+def draw_compare(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
     """Draw a picture of each experiment, and one of all."""
     from gauge_envs.tools.compare.overview_figure import save_comparison
 
     files, names = _split_metrics(sources)
     results, skipped = loaded_results(files, with_scene=True)
-    return save_comparison(results, out, metric=names[0] if names else None), skipped
+    return save_comparison(list(results.values()), out, metric=next(iter(names), None)), skipped
+
+
+def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterator[Path], int]:
+    """Write error over cost as a picture, in Markdown and in JSON."""
+    results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
+
+    def written() -> Iterator[Path]:
+        from gauge_envs.pages.document import as_markdown, as_rows, save_file
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
+
+        found = tradeoff(results.values())
+        for text in found.notes:
+            note(text)
+        document = pareto_document(found)
+        yield save_png(draw_pareto(found), out / "pareto.png")
+        yield save_file(out / "pareto.md", as_markdown(document))
+        yield save_file(out / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
+
+    return written(), skipped
 
 
 def _split_metrics(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
     """Return files, and the metrics that the detail `metric` names."""
     from gauge_envs.tools.compare.words import check_metrics
 
-    files, details = split_details(words, {"metric": split_list})
+    files, details = arguments.split_details(words, metric=arguments.split_list)
     names = details.get("metric", [])
     check_metrics(names)
     return files, names

@@ -1,4 +1,4 @@
-"""`gauge backend check`."""
+"""`gauge backend check`, and the lists of engines and checks."""
 
 from __future__ import annotations
 
@@ -12,36 +12,28 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import (
-    FormatOption,
-    LimitsOption,
-    OnlyOption,
-    ProcessLimits,
-    SettingsOption,
-    by_suffix,
-    matching,
-    parsed_limits,
-    parsed_settings,
-    split_list,
-)
-from gauge_envs.cli.output import Format, Progress, counted, message, print_document, print_json_lines
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, message, print_document, print_json_lines
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
-    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import CheckResult
     from gauge_envs.tools.conformance.matrix import MatrixColumn
 
 LINE_INTERVAL_S = 5.0
 """Least time between two lines of progress where there is no terminal [s]."""
 
+Limits = tuple[float, float | None]
+"""Limits of a process: time of a check [s], and memory [GB]."""
+
 
 def list_backends(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the installed engines and their versions."""
     from gauge_envs.tools.conformance.words import backends_table
 
-    return matching([backends_table()], patterns, kind="backend")
+    return arguments.matching([backends_table()], patterns, kind="backend")
 
 
 def list_checks(patterns: Sequence[str]) -> list[Table]:
@@ -62,18 +54,13 @@ def backend_check(
             "columns that are not measured again.",
         ),
     ] = None,
-    only: OnlyOption = None,
-    changes: SettingsOption = None,
-    limits: LimitsOption = "",
+    only: arguments.Only = None,
+    changes: arguments.Settings = None,
+    limits: arguments.Limits = "",
     out: Annotated[
-        list[Path] | None,
-        typer.Option(
-            metavar="FILE",
-            help="Page with checks in rows, engines in columns, and all commands (.html), or the columns (.json); "
-            "repeatable.",
-        ),
+        list[Path] | None, typer.Option(help="Page with all commands (.html), or columns (.json); repeatable.")
     ] = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check engines against closed forms, with a diagnosis of each failure.
 
@@ -89,38 +76,42 @@ def backend_check(
         raise ParameterError("no backend is given: name one, as in gauge backend check mujoco; see gauge list backends")
     files = [Path(name) for name in names if name.endswith(".json")]
     engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
-    if misplaced := {one.id for one in checks()}.intersection(engines):
-        name = min(misplaced)
-        raise ParameterError(f"{name!r} is a check and no backend: repeat the option, as --only {name}")
-    patterns = [part for text in only or () for part in split_list(text)]
-    bounds = parsed_limits(limits)
-    if bounds.time_s is None:
-        bounds = bounds._replace(time_s=CHECK_LIMIT_S)
+    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
+        raise ParameterError(f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}")
+    patterns = [part for text in only or () for part in text.split(",")]
+    settings = arguments.parsed_settings(changes)
+    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
+    bounds = (CHECK_LIMIT_S if time_s is None else time_s, memory_gb)
     has_configurations = any(":" in name for name in engines)
-    if has_configurations or files or out:
-        matrix = _Matrix(by_suffix(out, ".html", ".json"), form, bounds)
-        return matrix.run(
-            engines, files, parsed_settings(changes), patterns or (CANONICAL if has_configurations else [])
-        )
-    return _check(engines, patterns, parsed_settings(changes), bounds, form)
+    if not (has_configurations or files or out):
+        return _check(engines, patterns, settings, isolate, bounds, form)
+    places = _checked_places(arguments.by_suffix(out, ".html", ".json"))
+    return _matrix(
+        engines, files, settings, patterns or (CANONICAL if has_configurations else []), bounds, places, form
+    )
 
 
 def _check(
-    engines: Sequence[str], only: Sequence[str], settings: Mapping[str, Any] | None, limits: ProcessLimits, form: Format
+    engines: Sequence[str],
+    only: Sequence[str],
+    settings: Mapping[str, Any] | None,
+    isolate: bool,
+    limits: Limits,
+    form: Format,
 ) -> bool:
     """Run checks on engines, print the results, and return whether one is bad."""
-    from gauge_envs.backends import backend_names
     from gauge_envs.backends.registry import is_bundled
+    from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks, run_checks
     from gauge_envs.tools.conformance.words import findings_document
 
     findings: list[CheckResult] = []
-    apart = {name for name in backend_names() if limits.isolate or not is_bundled(name)}
     total = len(checks(only)) * len(engines)
-    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress, _worker(limits) as worker:
+    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress, Worker(*limits) as worker:
         # Settings and patterns of all engines are checked before the first one runs.
         runs = [
-            run_checks(name, settings=settings, only=only, worker=worker if name in apart else None) for name in engines
+            run_checks(name, settings=settings, only=only, worker=worker if isolate or not is_bundled(name) else None)
+            for name in engines
         ]
         for finding in (finding for run in runs for finding in run):
             findings.append(finding)
@@ -134,103 +125,93 @@ def _check(
     return bad > 0
 
 
-def _worker(limits: ProcessLimits) -> Worker:
-    from gauge_envs.runs.isolation import Worker
+def _checked_places(files: Mapping[str, Path]) -> Mapping[str, Path]:
+    """Return files that can be written, before checks run that may take hours."""
+    from gauge_envs.files import check_replaceable
+    from gauge_envs.runs.batch import check_writable
 
-    assert limits.time_s is not None
-    return Worker(limits.time_s, limits.memory_gb)
+    for file in files.values():
+        try:
+            check_replaceable(file)
+        except OSError as error:
+            raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
+        check_writable(file.parent)
+    return files
 
 
-class _Matrix:
-    """A matrix of engines and checks; where it goes is checked before checks run, which may take hours.
+def _matrix(
+    names: Sequence[str],
+    files: Sequence[Path],
+    settings: Mapping[str, Any] | None,
+    only: Sequence[str],
+    limits: Limits,
+    places: Mapping[str, Path],
+    form: Format,
+) -> bool:
+    """Run checks on engines and configurations, print and write the matrix, and return whether a result is bad.
 
     Args:
-        files: Files by suffix: the page, and the columns.
-        form: Format on stdout. A matrix has no text for a terminal.
+        names: Engines and configurations that run, each engine in a process of its own.
+        files: Files with further columns.
+        settings: Settings for every column that runs.
+        only: Ids or patterns of checks; none are those of the files.
         limits: Limits of a process.
+        places: Files by suffix: the page, and the columns.
+        form: Format on stdout.
     """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.matrix import matrix_columns
+    from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
+    from gauge_envs.tools.conformance.page import conformance_page
+    from gauge_envs.tools.conformance.words import matrix_document
 
-    def __init__(self, files: Mapping[str, Path], form: Format, limits: ProcessLimits) -> None:
-        from gauge_envs.files import check_replaceable
-        from gauge_envs.runs.batch import check_writable
-
-        self._files, self._form, self._limits = files, form, limits
-        if not files and form not in (Format.JSON, Format.MARKDOWN):
-            raise ParameterError(
-                "configurations and files make a matrix: give --out PAGE.html, --out FILE.json, --format markdown or "
-                "--json"
-            )
-        for file in files.values():
-            try:
-                check_replaceable(file)
-            except OSError as error:
-                raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
-            check_writable(file.parent)
-
-    def run(
-        self, names: Sequence[str], files: Sequence[Path], settings: Mapping[str, Any] | None, only: Sequence[str]
-    ) -> bool:
-        """Run checks, each engine in a process of its own, write the matrix, and return whether a result is bad.
-
-        Args:
-            names: Engines and configurations that run.
-            files: Files with further columns.
-            settings: Settings for every column that runs.
-            only: Ids or patterns of checks; none are those of the files.
-        """
-        from gauge_envs.pages.document import save_file
-        from gauge_envs.tools.conformance import checks
-        from gauge_envs.tools.conformance.matrix import matrix_columns
-        from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
-        from gauge_envs.tools.conformance.page import conformance_page
-        from gauge_envs.tools.conformance.words import matrix_document
-
-        new: list[MatrixColumn] = []
-        if names:
-            with _worker(self._limits) as importer:
-                new = matrix_columns(names, settings, worker=importer)
-        # Before anything runs, so that a wrong file costs no time.
-        columns = with_columns(new, files)
-        rows = self._files.get(".json")
-        for column in self._measured(new, only):
-            if rows is not None and column is not new[-1]:
-                # After each column, so that a run that is stopped leaves the columns that ended.
-                write_columns([one for one in columns if one.made], rows)
-        found = {name for column in columns for name in (*column.findings, *column.refused)}
-        chosen = [check for check in checks(only) if new or only or check.id in found]
-        if rows is not None:
-            message(write_columns(columns, rows))
-        if ".html" in self._files:
-            command = join(["gauge", *sys.argv[1:]])
-            page = conformance_page(columns, chosen, command=command, when=datetime.now(UTC))
-            message(save_file(self._files[".html"], page))
-        if self._form is not Format.JSON:
-            print_document(matrix_document(columns, chosen), self._form)
-        bad = sum(finding.is_bad for column in new for finding in column.findings.values())
-        if new:
-            message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
-        else:
-            message(f"{counted(len(columns), 'column')} of files; no check ran")
-        return bad > 0
-
-    def _measured(self, columns: Sequence[MatrixColumn], only: Sequence[str]) -> Iterator[MatrixColumn]:
-        """Run the checks of columns, and yield each column as it ends."""
-        from gauge_envs.tools.conformance import checks
-        from gauge_envs.tools.conformance.matrix import run_column
-
-        with Progress("checks", len(checks(only)) * len(columns)) as progress:
-            for _, group in groupby(columns, key=lambda column: column.backend):
-                # Configurations of one engine share a process, which imports it once; two engines share none.
-                with _worker(self._limits) as worker:
-                    for column in group:
-                        for finding in run_column(column, only, worker):
-                            progress.advance(f"{column.title}: {finding.check}")
-                            if self._form is Format.JSON:
-                                print_json_lines([finding.to_dict() | {"configuration": column.name}])
-                        progress.line(f"{column.title}: {_summary(column)}")
-                        yield column
+    new: list[MatrixColumn] = []
+    if names:
+        with Worker(*limits) as importer:
+            new = matrix_columns(names, settings, worker=importer)
+    # Before anything runs, so that a wrong file costs no time.
+    columns = with_columns(new, files)
+    for column in _measured(new, only, limits, form):
+        if ".json" in places and column is not new[-1]:
+            # After each column, so that a run that is stopped leaves the columns that ended.
+            write_columns([one for one in columns if one.made], places[".json"])
+    found = {name for column in columns for name in (*column.findings, *column.refused)}
+    chosen = [check for check in checks(only) if new or only or check.id in found]
+    if ".json" in places:
+        message(write_columns(columns, places[".json"]))
+    if ".html" in places:
+        page = conformance_page(columns, chosen, command=join(["gauge", *sys.argv[1:]]), when=datetime.now(UTC))
+        message(save_file(places[".html"], page))
+    if form is not Format.JSON:
+        print_document(matrix_document(columns, chosen), form)
+    bad = sum(finding.is_bad for column in new for finding in column.findings.values())
+    if new:
+        message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+    else:
+        message(f"{counted(len(columns), 'column')} of files; no check ran")
+    return bad > 0
 
 
-def _summary(column: MatrixColumn) -> str:
-    bad = sum(finding.is_bad for finding in column.findings.values())
-    return column.reason or f"{counted(len(column.findings), 'check')}, {bad} failed"
+def _measured(
+    columns: Sequence[MatrixColumn], only: Sequence[str], limits: Limits, form: Format
+) -> Iterator[MatrixColumn]:
+    """Run the checks of columns, and yield each column as it ends."""
+    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.matrix import run_column
+
+    with Progress("checks", len(checks(only)) * len(columns)) as progress:
+        for _, group in groupby(columns, key=lambda column: column.backend):
+            # Configurations of one engine share a process, which imports it once; two engines share none.
+            with Worker(*limits) as worker:
+                for column in group:
+                    for finding in run_column(column, only, worker):
+                        progress.advance(f"{column.title}: {finding.check}")
+                        if form is Format.JSON:
+                            print_json_lines([finding.to_dict() | {"configuration": column.name}])
+                    bad = sum(finding.is_bad for finding in column.findings.values())
+                    ran = f"{counted(len(column.findings), 'check')}, {bad} failed"
+                    progress.line(f"{column.title}: {column.reason or ran}")
+                    yield column

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import FormatOption
-from gauge_envs.cli.output import Format, Progress, counted, echo, message, print_document, print_json_lines
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, echo, message, print_document, print_json_lines
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -19,9 +20,7 @@ if TYPE_CHECKING:
 def data_download(
     patterns: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[PATTERN]...", help="Files in the dataset, as 'data/rigid/slope slider/*'; by default all trials."
-        ),
+        typer.Argument(metavar="[PATTERN]...", help="Files, as 'data/rigid/slope slider/*'; all trials by default."),
     ] = None,
     revision: Annotated[
         str | None, typer.Option(help="Commit, branch or tag; by default the one of the bundled data.")
@@ -29,17 +28,12 @@ def data_download(
     out: Annotated[Path | None, typer.Option(help="Folder; by default below the user's data.")] = None,
 ) -> None:
     """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""
-    from gauge_envs.tools.dataset.download import (
-        DATASET,
-        PINNED_REVISION,
-        TRIAL_FILES,
-        download_dataset,
-        resolved_revision,
-    )
+    from gauge_envs.tools.dataset import download
 
-    commit = resolved_revision(revision or PINNED_REVISION)
-    message(f"{DATASET}, revision {revision or PINNED_REVISION} is {commit}")
-    path, _ = download_dataset(out, patterns=patterns or [TRIAL_FILES], revision=commit)
+    wanted = revision or download.PINNED_REVISION
+    commit = download.resolved_revision(wanted)
+    message(f"{download.DATASET}, revision {wanted} is {commit}")
+    path, _ = download.download_dataset(out, patterns=patterns or [download.TRIAL_FILES], revision=commit)
     echo(path)
     message(f"gauge data import '{path}' makes bands and drivers from it")
 
@@ -47,10 +41,9 @@ def data_download(
 def data_import(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset, which holds 'data'.")],
     only: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="[PATTERN]...", help="Ids or patterns of experiments; all by default."),
+        list[str] | None, typer.Argument(metavar="[PATTERN]...", help="Experiments; all by default.")
     ] = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Make bands and drivers of real trials, beside the published baselines; offline.
 

@@ -8,15 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import (
-    FormatOption,
-    SourcesArgument,
-    WithheldOption,
-    boolean,
-    parsed_use,
-    split_details,
-    split_list,
-)
+from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
@@ -27,12 +19,10 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    sources: SourcesArgument = None,
-    name: Annotated[
-        str | None, typer.Option("--id", metavar="ID", help="Experiment of trajectory files, as for gauge score.")
-    ] = None,
-    use: WithheldOption = "",
-    form: FormatOption = Format.TEXT,
+    sources: arguments.Sources = None,
+    name: Annotated[str | None, typer.Option("--id", metavar="ID", help="Experiment of trajectory files.")] = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Split the error of episodes: release time, constant offset, rate of the motion, rest.
 
@@ -48,7 +38,7 @@ def diagnose(
 
 
 def draw_diagnose(
-    sources: Sequence[str], out: Path, name: str | None = None, use: str = ""
+    sources: Sequence[str] | None, out: Path, name: str | None = None, use: str = ""
 ) -> tuple[Sequence[Path], int]:
     """Draw the parts of the error of all results."""
     from gauge_envs.pages.figures import save_png
@@ -61,26 +51,24 @@ def draw_diagnose(
 def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tuple[list[tuple[Result, Diagnosis]], int]:
     """Return results with their diagnoses, and the number of skipped files; report what is left out."""
     from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.diagnose.error_budget import DEFAULT_ORDER, DiagnosisError, diagnose, stage_order
+    from gauge_envs.tools.diagnose.error_budget import DiagnosisError, diagnose, stage_order
 
-    files, details = split_details(sources, {"order": split_list, "measured_only": boolean})
-    stages = stage_order(part.strip() for part in details.get("order", DEFAULT_ORDER))
-    use_withheld = parsed_use(use, "use_withheld")["use_withheld"]
+    files, details = arguments.split_details(sources, order=arguments.split_list, measured_only=bool)
+    if "order" in details:
+        details["order"] = stage_order(map(str.strip, details["order"]))
+    used = arguments.parsed_use(use, "use_withheld")
     if name is None:
-        results, skipped = loaded_results(files, with_scene=True)
+        loaded, skipped = loaded_results(files, with_scene=True)
+        results = list(loaded.values())
     elif not files:
         raise ParameterError("--id needs trajectory files: give one or more")
     else:
-        results = [score_file(Path(file), variant=name, use_withheld=use_withheld)[0] for file in files]
-        skipped = 0
+        results, skipped = [score_file(Path(file), variant=name, **used)[0] for file in files], 0
     pairs: list[tuple[Result, Diagnosis]] = []
     reasons: dict[str, None] = {}
     for result in results:
         try:
-            diagnosis = diagnose(
-                result, order=stages, measured_only=details.get("measured_only", False), use_withheld=use_withheld
-            )
-            pairs.append((result, diagnosis))
+            pairs.append((result, diagnose(result, **details, **used)))
         except DiagnosisError as error:
             reasons[str(error)] = None
     if results and not pairs:

@@ -2,31 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import WithheldOption, parsed_use, split_details, whole
+from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
-from gauge_envs.cli.results import loaded_files
+from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
-RECORDING: dict[str, Callable[[str], Any]] = {"recording": Path, "recording_start_s": float, "recording_rate_hz": float}
+RECORDING = {"recording": Path, "recording_start_s": float, "recording_rate_hz": float}
+"""Details of the real recording beside a film."""
 
-DETAILS: dict[str, Callable[[str], Any]] = {
-    "speed": float,
-    "fps": float,
-    "from_s": float,
-    "to_s": float,
-    "hold_s": float,
-    "width": whole(0),
-    "height": whole(0),
-    "columns": whole(0),
-    "strip": whole(0),
-    **RECORDING,
-}
+TIMES = dict.fromkeys(("speed", "fps", "from_s", "to_s", "hold_s"), float)
+
+COUNTS = dict.fromkeys(("width", "height", "columns", "strip"), int)
 
 
 def video_film(
@@ -34,25 +25,22 @@ def video_film(
         list[str] | None,
         typer.Argument(
             metavar="[DIR or FILE]... [NAME=VALUE]...",
-            help="Result files, or folders of them; results/ by default. Details: speed=1, seconds of the experiment "
-            "in one of the film; fps=30; from_s=0 and to_s=, times of the first and the last picture; hold_s=1 for the "
-            "last frame; width=480 and height=360 of a panel in pixels; columns=, panels in a row, at most four by "
-            "default; strip=COUNT, so many times in a row instead of a film; recording=FILE, a video of the real "
-            "experiment as the first panel, recording_start_s=0, its time at which the experiment starts, and "
-            "recording_rate_hz=, pictures that its camera took in a second, if it is in slow motion.",
+            help="Results; results/ by default. Details: speed=1, seconds of the experiment in one of the film; "
+            "fps=30; from_s=0 and to_s=, of the first and the last picture; hold_s=1 for the last frame; width=480 "
+            "and height=360 of a panel in pixels; columns=, panels in a row; strip=COUNT, so many times in a row "
+            "instead of a film; recording=FILE, a video of the real experiment as the first panel, "
+            "recording_start_s=0, its time at the start, and recording_rate_hz=, pictures that its camera took in a "
+            "second, if it is in slow motion.",
         ),
     ] = None,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Film, .mp4, .webp or .gif; with strip= a picture, .png or .webp; or .rrd for the Rerun viewer, of "
-            "one result. By default film.mp4 or strip.png."
+            help="Film, .mp4, .webp or .gif; strip, .png or .webp; or .rrd for the Rerun viewer, of one result."
         ),
     ] = None,
-    only: Annotated[
-        str | None, typer.Option("--only", metavar="ID", help="Experiment, if the results are of several.")
-    ] = None,
-    use: WithheldOption = "",
+    only: Annotated[str | None, typer.Option(metavar="ID", help="Experiment, if the results are of several.")] = None,
+    use: arguments.Use = "",
 ) -> bool:
     """Film results of one experiment side by side, or write one for the Rerun viewer.
 
@@ -60,22 +48,27 @@ def video_film(
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is
     left.
     """
-    from gauge_envs.tools.film.film import FilmOptions, results_of_one_experiment, save_film, save_strip
+    from gauge_envs.tools.film.film import FilmOptions, Recording, results_of_one_experiment, save_film, save_strip
+    from gauge_envs.tools.film.rerun_file import write_rerun
 
-    files, details = split_details(sources, DETAILS)
+    files, details = arguments.split_details(sources, **TIMES, **COUNTS, **RECORDING)
     file = out or Path("strip.png" if "strip" in details else "film.mp4")
-    keywords = parsed_use(use, "use_withheld")
-    loaded, skipped = loaded_files(files, with_scene=True)
+    used = arguments.parsed_use(use, "use_withheld")
+    loaded, skipped = loaded_results(files, with_scene=True)
     if file.suffix == ".rrd":
-        from gauge_envs.tools.film.rerun_file import write_rerun
-
         results = results_of_one_experiment(loaded, only)
         if details or len(results) != 1:
             raise ParameterError(f"{file}: a recording for Rerun shows one result, and has no details")
-        echo(write_rerun(next(iter(results.values())), file, **keywords))
+        echo(write_rerun(next(iter(results.values())), file, **used))
         return bool(skipped)
     strip = details.pop("strip", None)
-    options = FilmOptions(recording=_recording(details), **details, **keywords)
+    real = {name: details.pop(name) for name in RECORDING if name in details}
+    if real and "recording" not in real:
+        raise ParameterError("recording_start_s and recording_rate_hz need recording=FILE")
+    if real:
+        start_s, rate_hz = real.get("recording_start_s", 0.0), real.get("recording_rate_hz")
+        details["recording"] = Recording(file=real["recording"], start_s=start_s, rate_hz=rate_hz)
+    options = FilmOptions(**details, **used)
     results = results_of_one_experiment(loaded, only)
     with Progress("episodes", None) as progress:
 
@@ -90,14 +83,3 @@ def video_film(
         message(f"{one.file.name}: {one.reason}", "left out")
     echo(file)
     return bool(skipped or left_out)
-
-
-def _recording(details: dict[str, Any]) -> Any:
-    """Take what states the real recording out of the details, and return it; None without one."""
-    from gauge_envs.tools.film.film import Recording
-
-    given: Mapping[str, Any] = {name: details.pop(name) for name in RECORDING if name in details}
-    if given and "recording" not in given:
-        raise ParameterError("recording_start_s and recording_rate_hz need recording=FILE")
-    names = {"recording": "file", "recording_start_s": "start_s", "recording_rate_hz": "rate_hz"}
-    return Recording(**{names[name]: value for name, value in given.items()}) if given else None

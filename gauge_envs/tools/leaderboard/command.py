@@ -8,29 +8,26 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import FormatOption
-from gauge_envs.cli.output import Format, Progress, counted, message, print_document
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, message, print_document
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
 
-FolderArgument = Annotated[
-    Path, typer.Argument(metavar="[DIR]", help="Folder of the leaderboard, or of one submission.")
-]
+FolderArgument = Annotated[Path, typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission.")]
 
 
 def leaderboard_check(
     folder: FolderArgument = Path("leaderboard"),
     rerun: Annotated[int, typer.Option(min=0, help="Run this many episodes of each submission again.")] = 0,
-    salt: Annotated[
-        str, typer.Option(help="Text unknown to the submitter, which enters the choice of these episodes.")
-    ] = "",
-    form: FormatOption = Format.TEXT,
+    salt: Annotated[str, typer.Option(help="Text unknown to the submitter, for the choice of these episodes.")] = "",
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check submissions: layout, versions, task hashes, trajectories and scores.
 
     Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.leaderboard.words import check_document
 
     check = _checked(folder, rerun, salt)
@@ -41,10 +38,8 @@ def leaderboard_check(
 
 def leaderboard_table(
     folder: FolderArgument = Path("leaderboard"),
-    out: Annotated[
-        Path | None, typer.Option(help="Write leaderboard.json and leaderboard.md into this folder.")
-    ] = None,
-    form: FormatOption = Format.TEXT,
+    out: Annotated[Path | None, typer.Option(help="Folder for leaderboard.json and leaderboard.md.")] = None,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Print scores of all submissions without faults: intervals, ranks and pairs.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import FormatOption, matching, split_details
+from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.errors import ParameterError
 
@@ -16,16 +16,9 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
-EXAMPLES = {
-    "friction": "0.4",
-    "restitution": "0.6",
-    "penetration_m": "0.001",
-    "stiffness_n_per_m": "10000",
-    "damping_n_s_per_m": "10",
-    "mass_kg": "0.5",
-    "timestep_s": "0.002",
-}
-"""An example of each number that a recipe may state."""
+BEHAVIOUR = ("friction", "restitution", "penetration_m", "stiffness_n_per_m", "damping_n_s_per_m")
+
+NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
 
 
 def recipe(
@@ -34,23 +27,18 @@ def recipe(
         typer.Argument(
             metavar="[MATERIAL] [NAME=VALUE]...",
             help="Measured pair or fabric, as wood-on-wood or satin; gauge list materials shows them. Numbers: "
-            "friction=0.01 to 2; restitution=0 to 1, rebound over impact speed; penetration_m=, largest depth at rest; "
-            "stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=, of the "
-            "body; timestep_s=, of the engine.",
+            "friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest; "
+            "stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=0.5, of "
+            "the body; timestep_s=0.002, of the engine.",
         ),
     ] = None,
     engine: Annotated[
-        str | None,
-        typer.Option(
-            "--backend",
-            help="mujoco, mujoco_warp, newton, physx, pybullet, rapier, drake or genesis; isaac for a fabric.",
-        ),
+        str | None, typer.Option("--backend", help="Engine; also mujoco_warp, and isaac for a fabric.")
     ] = None,
     explain: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Contact settings of the engine, as 'solref=0.02 1': report what they give."),
+        str | None, typer.Option(metavar="TEXT", help="Settings, as 'solref=0.02 1': report what they give.")
     ] = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give contact settings of an engine for a measured behaviour, and what they reach.
 
@@ -58,34 +46,30 @@ def recipe(
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
     that the engine cannot reach is no failure: the nearest one is given, with the reason.
     """
-    names, numbers = split_details(words, dict.fromkeys(EXAMPLES, float))
+    names, numbers = arguments.split_details(words, **dict.fromkeys(NUMBERS, float))
     if len(names) > 1:
         raise ParameterError(f"{' and '.join(names)}: expected one pair of materials or one fabric")
-    backend = _given(engine, "--backend", " mujoco")
+    backend = _given(engine, "--backend", "--backend mujoco")
+    material = names[0] if names else None
+    behaviour = [name for name in BEHAVIOUR if name in numbers]
     if explain is not None:
-        _refuse("--explain states the contact itself and goes with mass_kg and timestep_s", names, numbers, "mass_kg")
+        if names or behaviour:
+            raise ParameterError(
+                "--explain states the contact itself and goes with mass_kg and timestep_s: leave the others out"
+            )
         return _explain(backend, explain, numbers, form)
-    if names and names[0] in _fabrics():
-        _refuse("a fabric goes with timestep_s alone", [], numbers)
-        return _print_fabric(names[0], backend, numbers.get("timestep_s"), form)
-    return _print_recipe(backend, names[0] if names else None, numbers, form)
+    if material in _fabrics():
+        if behaviour or "mass_kg" in numbers:
+            raise ParameterError("a fabric goes with timestep_s alone: leave the others out")
+        return _print_fabric(str(material), backend, numbers.get("timestep_s"), form)
+    return _print_recipe(backend, material, numbers, form)
 
 
 def _given(value: Any, name: str, example: str) -> Any:
     """Return a value that the request needs."""
     if value is None:
-        raise ParameterError(f"{name} is missing: add it, as {name}{example}")
+        raise ParameterError(f"{name} is missing: add it, as {example}")
     return value
-
-
-def _number(numbers: Mapping[str, float], name: str) -> float:
-    return float(_given(numbers.get(name), name, f"={EXAMPLES[name]}"))
-
-
-def _refuse(text: str, names: Sequence[str], numbers: Mapping[str, float], *also: str) -> None:
-    """Raise an error if a word is given that does not go with the request."""
-    if names or set(numbers) - {"timestep_s", *also}:
-        raise ParameterError(f"{text}: leave the others out")
 
 
 def _print(document: Shown, snippet: str, form: Format) -> None:
@@ -103,16 +87,14 @@ def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], 
     settings = engine_settings(engine)
     pair = None if material is None else find_material(material, also=_fabrics())
     if pair is not None:
-        defaults = {"mass_kg": pair.mass_kg, "friction": pair.friction}
-        if "damping_n_s_per_m" not in numbers:
-            defaults["restitution"] = pair.restitution
-        numbers = {name: value for name, value in defaults.items() if value is not None} | numbers
-    if not set(numbers) - {"mass_kg", "timestep_s", "damping_n_s_per_m"}:
-        raise ParameterError(
-            "nothing is asked: add friction=0.4, restitution=0.6, penetration_m=... or stiffness_n_per_m=..."
-        )
-    for name in ("mass_kg", "timestep_s"):
-        _number(numbers, name)
+        measured = {"mass_kg": pair.mass_kg, "friction": pair.friction, "restitution": pair.restitution}
+        if "damping_n_s_per_m" in numbers:
+            del measured["restitution"]
+        numbers = {name: value for name, value in measured.items() if value is not None} | numbers
+    if not any(name in numbers for name in BEHAVIOUR[:4]):
+        raise ParameterError("nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m")
+    _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=0.5")
+    _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
     aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
     found = find_recipe(settings, aim)
     _print(recipe_document(found, pair), found.settings.snippet(aim.mass_kg), form)
@@ -124,10 +106,11 @@ def _explain(engine: str, text: str, numbers: Mapping[str, float], form: Format)
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.words import meaning_document
 
-    step_s = _number(numbers, "timestep_s")
+    step_s = _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
     if not step_s > 0.0:
         raise ParameterError(f"timestep_s {step_s:g}: expected a positive number")
-    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), _number(numbers, "mass_kg"))
+    mass_kg = _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=2")
+    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), mass_kg)
     _print(meaning_document(meaning), meaning.settings.snippet(meaning.mass_kg), form)
     return meaning.found is None
 
@@ -147,7 +130,7 @@ def _fabrics() -> Mapping[str, Fabric]:
     return fabrics()
 
 
-def recipe_fabrics(form: FormatOption = Format.TEXT) -> None:
+def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
     """Show the six fabrics in every engine's constants, and what is lost.
 
     Each has the stiffness that its constants give.
@@ -162,4 +145,5 @@ def list_materials(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.tools.recipes.materials import material_pairs
     from gauge_envs.tools.recipes.words import fabric_table, material_table
 
-    return matching([material_table(material_pairs()), fabric_table(_fabrics())], patterns, kind="material")
+    tables = [material_table(material_pairs()), fabric_table(_fabrics())]
+    return arguments.matching(tables, patterns, kind="material")

@@ -3,75 +3,45 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+from pydantic import NonNegativeInt, PositiveInt
 
-from gauge_envs.cli.arguments import (
-    AssetOption,
-    BackendsOption,
-    FormatOption,
-    LimitsOption,
-    ParametersOption,
-    SettingsOption,
-    UseOption,
-    parsed_jitter,
-    parsed_limits,
-    parsed_parameters,
-    parsed_settings,
-    parsed_use,
-    split_details,
-    whole,
-)
+from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import (
-    Format,
-    Progress,
-    counted,
-    message,
-    note,
-    print_document,
-    print_json_lines,
-    stderr_console,
-)
+from gauge_envs.cli.output import Format, Progress, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
-DETAILS: dict[str, Callable[[str], Any]] = {
-    "seed": whole(0),
-    "repeats": whole(1),
-    "jitter": parsed_jitter,
-    "marker_proxy": str,
-}
-
 
 def run(
-    ids: Annotated[
+    words: Annotated[
         list[str] | None,
         typer.Argument(
             metavar="[ID or pattern]... [NAME=VALUE]...",
-            help="Ids or patterns, as 'SlopeSlider-*', or '*' for all; or experiment files. Details: seed=0; repeats=1 "
-            "from starts that scatter as real ones do; jitter=1mm,0.5deg, the scatter of positions and angles; "
+            help="Ids, patterns as 'SlopeSlider-*' or '*', or experiment files. Details: seed=0; repeats=1 from starts "
+            "that scatter as real ones do; jitter=1mm,0.5deg, the scatter of positions and angles; "
             "marker_proxy=material for a marker on a deformable body, or node for its nearest node (paper).",
         ),
     ] = None,
-    backends: BackendsOption = None,
-    parameters: ParametersOption = None,
-    asset: AssetOption = None,
-    use: UseOption = "",
-    changes: SettingsOption = None,
+    backends: arguments.Backends = None,
+    parameters: arguments.Parameters = None,
+    asset: arguments.Asset = None,
+    use: arguments.Use = "",
+    changes: arguments.Settings = None,
     uncertainty: Annotated[
-        bool,
-        typer.Option("--uncertainty", help="Measure the sensitivities of this run, by about 20 further runs."),
+        bool, typer.Option("--uncertainty", help="Measure sensitivities of this run, by about 20 further runs.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Keep results that exist already.")] = False,
-    limits: LimitsOption = "",
-    form: FormatOption = Format.TEXT,
+    limits: arguments.Limits = "",
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score them against reality, and write a result file for each.
 
@@ -88,7 +58,9 @@ def run(
     from gauge_envs.scene.jitter import Jitter
     from gauge_envs.tools.run.words import summary_document
 
-    patterns, details = split_details(ids, DETAILS)
+    patterns, details = arguments.split_details(
+        words, seed=NonNegativeInt, repeats=PositiveInt, jitter=arguments.parsed_jitter, marker_proxy=str
+    )
     if not patterns:
         raise ParameterError("nothing to run: give ids, or patterns as '*'; gauge list shows them")
     if "jitter" in details:
@@ -98,18 +70,18 @@ def run(
         RunRequest(
             subject,
             backend=engine,
-            parameters=parsed_parameters(parameters) or "calibrated",
-            settings=parsed_settings(changes),
+            parameters=arguments.parsed_parameters(parameters) or "calibrated",
+            settings=arguments.parsed_settings(changes),
             asset=asset,
             uncertainty=uncertainty,
-            **parsed_use(use, "drivers", "reference", "use_withheld"),
+            **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),
             **details,
         )
         for engine in dict.fromkeys(backends or ["mujoco"])
         for subject in dict.fromkeys(subject for found in subjects.values() for subject in found)
     ]
-    bounds = parsed_limits(limits)
-    check_requests(requests, isolate=bounds.isolate or None)
+    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
+    check_requests(requests, isolate=isolate or None)
     named = {subject for pattern, found in subjects.items() if not is_glob(pattern) for subject in found}
     by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
     results: list[Result] = []
@@ -117,9 +89,9 @@ def run(
         requests,
         out=out,
         resume=resume,
-        isolate=bounds.isolate or None,
-        time_limit_s=TIME_LIMIT_S if bounds.time_s is None else bounds.time_s,
-        memory_limit_gb=bounds.memory_gb,
+        isolate=isolate or None,
+        time_limit_s=TIME_LIMIT_S if time_s is None else time_s,
+        memory_limit_gb=memory_gb,
         notify=note,
     )
     try:
@@ -150,32 +122,27 @@ def run(
 def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[
-        str | None, typer.Option("--id", help="Experiment, or experiment file; not needed if a JSON file states it.")
+        str | None, typer.Option("--id", metavar="ID", help="Experiment, if the file does not state it.")
     ] = None,
-    parameters: ParametersOption = None,
-    use: UseOption = "",
-    form: FormatOption = Format.TEXT,
+    parameters: arguments.Parameters = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
 ) -> None:
     """Score a trajectory from your own simulator; no engine is needed.
 
     It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
-    Without a `time_s` column, rows are 30 Hz frames.
+    Without a `time_s` column, rows are 30 Hz frames. The id may be an experiment file.
     """
+    from dataclasses import replace
+
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.words import summary_document
 
-    result, interpolated = score_file(
-        file,
-        variant=name,
-        parameters=parsed_parameters(parameters),
-        **parsed_use(use, "reference", "use_withheld"),
-    )
+    used = arguments.parsed_use(use, "reference", "use_withheld")
+    result, interpolated = score_file(file, variant=name, parameters=arguments.parsed_parameters(parameters), **used)
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
-    if form is Format.JSON:
-        print_json_lines([result.to_dict(trajectory=False)])
-    else:
-        print_document(summary_document([result]), form)
+    print_document(replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]), form)
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

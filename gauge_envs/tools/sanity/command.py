@@ -10,15 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import FormatOption, OnlyOption, by_suffix, parsed_limits, split_list
-from gauge_envs.cli.output import (
-    Format,
-    Progress,
-    counted,
-    echo,
-    message,
-    print_document,
-)
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, echo, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -43,13 +36,11 @@ class FailOn(StrEnum):
 FailOnOption = Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")]
 
 BaselineOption = Annotated[
-    Path | None,
-    typer.Option("--baseline", metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only."),
+    Path | None, typer.Option(metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only.")
 ]
 
 OutOption = Annotated[
-    list[Path] | None,
-    typer.Option("--out", metavar="FILE", help="Page with pictures (.html), table (.md) or rows (.json); repeatable."),
+    list[Path] | None, typer.Option("--out", help="Page (.html), table (.md) or rows (.json); repeatable.")
 ]
 
 
@@ -65,32 +56,23 @@ def sanity(
     ] = None,
     pair: Annotated[
         str | None,
-        typer.Option(
-            metavar="GEOM1,GEOM2",
-            help="Two geoms whose contact constants are used; by default all on the ground.",
-        ),
+        typer.Option(metavar="GEOM1,GEOM2", help="Geoms whose contact counts; all on the ground by default."),
     ] = None,
     against: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TARGET", help="Target where the policy runs: report what changes from the first target to it."
-        ),
+        str | None, typer.Option(metavar="TARGET", help="Where the policy runs: report what changes to this target.")
     ] = None,
-    only: OnlyOption = None,
+    only: arguments.Only = None,
     fail_on: FailOnOption = FailOn.NEVER,
     baseline: BaselineOption = None,
     limits: Annotated[
-        str,
-        typer.Option(
-            "--limits", metavar="TIME", help="Start no simulation after this time, as 60s; other rows are declined."
-        ),
+        str, typer.Option(metavar="TIME", help="Start no simulation after this time, as 60s; decline other rows.")
     ] = "",
     backend: Annotated[
         OtherEngine | None,
-        typer.Option(help="Run flagged rows of a MuJoCo model again on mujoco_warp: a minute more, longer at first."),
+        typer.Option(help="Run flagged rows of a MuJoCo model again, which takes a minute."),
     ] = None,
     out: OutOption = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Report which physics a training configuration gets wrong, and what corrects it.
 
@@ -105,25 +87,24 @@ def sanity(
 
     if target is None:
         raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
-    time_limit = parsed_limits(limits)
-    if (limits and time_limit.time_s is None) or time_limit.memory_gb is not None:
+    _, time_limit_s, memory_gb = arguments.parsed_limits(limits)
+    if limits and (time_limit_s is None or memory_gb is not None):
         raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")
-    patterns = only or []
-    common: dict[str, Any] = {
-        "only": patterns,
-        "include_deformables": _with_deformables(patterns),
-        "time_limit_s": time_limit.time_s,
-    }
+    common: dict[str, Any] = {"only": only or [], "include_deformables": _with_deformables(only or [])}
     if against is not None:
         if baseline is not None or pair is not None:
             raise ParameterError("--against goes with neither --baseline nor --pair: leave them out")
-        return _compare(target, against, common, fail_on, by_suffix(out, ".md", ".json"), form)
-    is_bad = _judged_by(fail_on, baseline)
-    files = _checked_files(out)
-    checked = configuration(target, pair=_geom_pair(pair))
-    rows = len(selection(patterns, include_deformables=common["include_deformables"]))
-    with Progress("phenomena", rows) as progress:
-        report = check(checked, notify=lambda row: progress.advance(row.phenomenon), **common)
+        files = arguments.by_suffix(out, ".md", ".json")
+        return _compare(target, against, common | {"time_limit_s": time_limit_s}, fail_on, files, form)
+    is_bad, files = _judged_by(fail_on, baseline), _checked_files(out)
+    geoms = None if pair is None else tuple(map(str.strip, pair.split(",")))
+    if geoms is not None and (len(geoms) != 2 or not all(geoms)):
+        raise ParameterError(f"--pair {pair!r}: expected the names of two geoms, as floor,foot")
+    checked = configuration(target, pair=geoms)
+    with Progress("phenomena", len(selection(**common))) as progress:
+        report = check(
+            checked, notify=lambda row: progress.advance(row.phenomenon), time_limit_s=time_limit_s, **common
+        )
         if backend is not None:
             from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
 
@@ -137,19 +118,15 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
     """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
     from gauge_envs.tools.sanity.selection import selection
 
-    rigid = selection()
-    return any(
-        pattern == "*" or not any(fnmatchcase(name, pattern) for name in rigid)
-        for text in patterns
-        for pattern in map(str.strip, split_list(text))
-    )
+    each = (pattern.strip() for text in patterns for pattern in text.split(","))
+    return any(pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection()) for pattern in each)
 
 
 def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
     """Return the files of `--out`; a page needs what draws its pictures."""
     from gauge_envs.tools.sanity.page import check_can_draw
 
-    files = by_suffix(out, ".html", ".md", ".json")
+    files = arguments.by_suffix(out, ".html", ".md", ".json")
     if ".html" in files:
         check_can_draw()
     return files
@@ -199,15 +176,6 @@ def _compare(
     return any(row.change in bad[fail_on] for row in comparison.rows)
 
 
-def _geom_pair(text: str | None) -> tuple[str, str] | None:
-    if text is None:
-        return None
-    names = [name.strip() for name in text.split(",")]
-    if len(names) != 2 or not all(names):
-        raise ParameterError(f"--pair {text!r}: expected the names of two geoms, as floor,foot")
-    return names[0], names[1]
-
-
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
     """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
     from gauge_envs.tools.sanity.words import phenomena_table
@@ -234,8 +202,8 @@ def sanity_probe(
 
 def sanity_export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder, or one of an earlier export.")],
-    only: OnlyOption = None,
-    form: FormatOption = Format.TEXT,
+    only: arguments.Only = None,
+    form: arguments.Form = Format.TEXT,
 ) -> None:
     """Write the scenes of a sanity check for any simulator.
 
@@ -243,6 +211,7 @@ def sanity_export(
     folder explains, and judge them with gauge sanity judge DIR.
     """
     from gauge_envs.pages.document import Document, Paragraph
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.sanity.export import export
     from gauge_envs.tools.sanity.export_manifest import scenes
 
@@ -256,11 +225,11 @@ def sanity_export(
 def sanity_judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sanity export, with your motion.")],
     label: Annotated[str, typer.Option(metavar="NAME", help="Name of your simulator for the report.")] = "",
-    only: OnlyOption = None,
+    only: arguments.Only = None,
     fail_on: FailOnOption = FailOn.NEVER,
     baseline: BaselineOption = None,
     out: OutOption = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Report which physics a simulator gets wrong, from its motion in exported scenes.
 

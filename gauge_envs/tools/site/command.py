@@ -8,39 +8,36 @@ from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import SourcesArgument
-from gauge_envs.cli.output import Progress, counted, echo, message
-from gauge_envs.cli.results import loaded_files
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Progress, echo, message
+from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ResultFileError
+from gauge_envs.pages.text import counted
 
 
 def report(
-    sources: SourcesArgument = None,
+    sources: arguments.Sources = None,
     out: Annotated[Path, typer.Option(help="Folder for the site; a site in it is replaced.")] = Path("site"),
     replay: Annotated[
-        bool,
-        typer.Option(
-            "--replay/--no-replay", help="Run the episodes again for 3D replays; the poses are kept beside the results."
-        ),
+        bool, typer.Option("--replay/--no-replay", help="3D replays; the poses are kept beside the results.")
     ] = True,
 ) -> bool:
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
-    It opens from the folder. A replay is shown only if the repeated run has the g(t) of its result, bit for bit. Exit
-    code 1 when a damaged file was skipped.
+    It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
+    bit for bit. Exit code 1 when a damaged file was skipped.
     """
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
     # Before the runs, which may take minutes.
     check_replaceable(out)
-    results, skipped = loaded_files(sources, with_scene=True)
+    results, skipped = loaded_results(sources, with_scene=True)
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
-    named = sources or ["results"]
-    command = shlex.join(["gauge", "report", *named, "--out", str(out), *([] if replay else ["--no-replay"])])
+    words = ["gauge", "report", *(sources or ["results"]), "--out", str(out), *([] if replay else ["--no-replay"])]
     with Progress("pages", len({result.id for result in results.values()})) as progress:
-        notes = save_site(results, out, replays=replay, command=command, progress=progress.advance)
+        notes = save_site(results, out, replays=replay, command=shlex.join(words), progress=progress.advance)
     reasons: dict[str, list[str]] = {}
     for one in notes:
         reasons.setdefault(one.reason, []).append(f"{one.id.removeprefix('GAUGE/')} on {one.label}")

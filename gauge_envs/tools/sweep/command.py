@@ -14,45 +14,22 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from pydantic import NonNegativeInt, PositiveInt
 
-from gauge_envs.cli.arguments import (
-    FormatOption,
-    LimitsOption,
-    ProcessLimits,
-    json_or_text,
-    parsed_jitter,
-    parsed_limits,
-    parsed_parameters,
-    split_details,
-    split_list,
-    whole,
-)
+from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import Format, counted, echo, message, note, print_document, print_json_lines, stderr_console
+from gauge_envs.cli.output import Format, echo, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Outcome
     from gauge_envs.tools.sweep.lanes import Lane
     from gauge_envs.tools.sweep.plan import SweepPlan
-    from gauge_envs.tools.sweep.session import SweepSession
     from gauge_envs.tools.sweep.spec import SweepSpec
 
 DEFAULT_JOBS = 16
-
-
-def _parameters(text: str) -> list[Any]:
-    """Return names of parameter sets, or one dictionary of overrides."""
-    return [parsed_parameters(text)] if "=" in text else split_list(text)
-
-
-LISTS: Mapping[str, Callable[[str], list[Any]]] = {
-    "backends": split_list,
-    "variants": split_list,
-    "presets": split_list,
-    "parameters": _parameters,
-}
-"""Keys of a sweep file with lists; they may be given several times."""
+"""Parts of a sweep on Slurm."""
 
 
 def sweep(
@@ -69,37 +46,20 @@ def sweep(
     out: Annotated[Path, typer.Option(help="Folder for the result files and the store.")] = Path("sweep"),
     changes: Annotated[
         list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUES",
-            help="Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50; repeatable.",
-        ),
+        typer.Option("--set", help="Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50."),
     ] = None,
-    dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Show the plan and its estimated cost; run nothing.")
-    ] = False,
-    workers: Annotated[
-        int | None, typer.Option(min=1, help="Worker processes; one for each processor by default.")
-    ] = None,
-    retry_failed: Annotated[
-        bool, typer.Option("--retry-failed", help="Run episodes again that failed before.")
-    ] = False,
-    limits: LimitsOption = "",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the plan and its cost; run nothing.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Worker processes; all processors by default.")] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what failed before.")] = False,
+    limits: arguments.Limits = "",
     ray: Annotated[
         str | None, typer.Option(help="Run on Ray: auto, local, or the address of a cluster.", metavar="ADDRESS")
     ] = None,
-    slurm: Annotated[
-        Path | None, typer.Option(help="Write a script that submits the sweep file to Slurm; run nothing.")
+    slurm: Annotated[Path | None, typer.Option(help="Write a script for Slurm, of --shard parts; run nothing.")] = None,
+    shard: Annotated[
+        str | None, typer.Option(metavar="NUMBER/COUNT", help="Run one part, as 0/16; parts may run at the same time.")
     ] = None,
-    part: Annotated[
-        str | None,
-        typer.Option(
-            "--shard",
-            metavar="NUMBER/COUNT",
-            help="Run one part of the plan, as 0/16; parts may run at the same time. With --slurm, their number.",
-        ),
-    ] = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run engines, settings and experiments in all combinations; continue an earlier run.
 
@@ -108,6 +68,8 @@ def sweep(
     are those of the worker processes; with isolate each task has a process of its own. Exit code 1 when an episode
     failed or diverged, or when an experiment given by its id was declined.
     """
+    from gauge_envs.runs.isolation import TIME_LIMIT_S
+    from gauge_envs.tools.sweep.lanes import Limits
     from gauge_envs.tools.sweep.plan import plan_sweep
     from gauge_envs.tools.sweep.plan import shard as part_of
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
@@ -124,19 +86,18 @@ def sweep(
         known = given.get("backends") or stated.get("backends") or ["mujoco"]
         given["settings"] = _with_changes(stated.get("settings", {}), changes, known)
     spec = sweep_spec(stated | given)
-    bounds = parsed_limits(limits)
-    isolate = "isolate" in limits.split(",")
-    plan = plan_sweep(spec, isolate=isolate)
+    _, time_s, memory_gb = arguments.parsed_limits(limits)
+    bounds = Limits(TIME_LIMIT_S if time_s is None else time_s, memory_gb, "isolate" in limits.split(","))
+    plan = plan_sweep(spec, isolate=bounds.isolate)
     if slurm is not None:
-        _write_slurm(slurm, file, out, part, workers, given)
+        _write_slurm(slurm, file, out, shard, workers or 1, given)
         return False
-    if part is not None:
-        plan = part_of(plan, *_part(part))
+    if shard is not None:
+        plan = part_of(plan, *_part(shard))
     if dry_run:
         _show_plan(plan, out, workers or _processors(), retry_failed=retry_failed, form=form)
         return False
-    lanes = partial(_lanes, ray, workers, bounds, isolate)
-    return _run(plan, spec, out, lanes, part is not None, retry_failed, form)
+    return _run(plan, spec, out, partial(_lanes, ray, workers, bounds), shard is not None, retry_failed, form)
 
 
 # --- what is asked for -----------------------------------------------------------------------------------------------
@@ -144,21 +105,18 @@ def sweep(
 
 def _split(words: Sequence[str] | None) -> tuple[Path | None, dict[str, Any]]:
     """Return the sweep file, and the keys that replace its own."""
-    given: dict[str, Any] = {}
 
-    def more(key: str, text: str) -> list[Any]:
-        return [*given.get(key, []), *LISTS[key](text)]
+    def parameters(text: str) -> list[Any]:
+        return [arguments.parsed_parameters(text)] if "=" in text else arguments.split_list(text)
 
+    lists = dict.fromkeys(("backends", "variants", "presets"), arguments.split_list) | {"parameters": parameters}
+    numbers = {"repeats": PositiveInt, "seed": NonNegativeInt, "jitter": arguments.parsed_jitter}
     files: list[str] = []
-    known = {key: partial(more, key) for key in LISTS} | {
-        "repeats": whole(1),
-        "seed": whole(0),
-        "jitter": parsed_jitter,
-    }
+    given: dict[str, Any] = {}
     for word in words or ():
-        others, values = split_details([word], known)
+        others, values = arguments.split_details([word], **lists, **numbers)
         files += others
-        given |= values
+        given |= {key: [*given.get(key, []), *value] if key in lists else value for key, value in values.items()}
     if len(files) > 1:
         raise ParameterError(f"{' and '.join(files)}: expected one sweep file; experiments are variants=ID,ID")
     return (Path(files[0]) if files else None), given
@@ -171,19 +129,18 @@ def _with_changes(settings: dict[str, Any], changes: list[str], backends: list[s
         key, equals, values = (part.strip() for part in text.partition("="))
         if not (key and equals and values):
             raise ParameterError(f"--set {text!r}: expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE")
-        listed = [json_or_text(value.strip()) for value in split_list(values)]
+        listed = [arguments.json_or_text(value.strip()) for value in arguments.split_list(values)]
         backend, dot, name = key.partition(".")
         if not dot:
             result[key] = listed
-        elif backend in backends:
-            own = result.get(backend, {})
-            if not isinstance(own, dict):
-                raise ParameterError(
-                    f"--set {text!r}: settings.{backend} of the sweep file is a list, expected a table of settings"
-                )
+        elif backend not in backends:
+            raise ParameterError(f"--set {text!r}: {backend!r} is no engine of this sweep: {', '.join(backends)}")
+        elif isinstance(own := result.get(backend, {}), dict):
             result[backend] = own | {name: listed}
         else:
-            raise ParameterError(f"--set {text!r}: {backend!r} is no engine of this sweep: {', '.join(backends)}")
+            raise ParameterError(
+                f"--set {text!r}: settings.{backend} of the sweep file is a list, expected a table of settings"
+            )
     return result
 
 
@@ -199,20 +156,18 @@ def _processors() -> int:
     return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
-def _lanes(ray: str | None, workers: int | None, bounds: ProcessLimits, isolate: bool, most: int) -> list[Lane]:
+def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list[Lane]:
     """Return the lanes, at most so many as there are tasks."""
-    from gauge_envs.runs.isolation import TIME_LIMIT_S
-    from gauge_envs.tools.sweep.lanes import Limits, WorkerLane
+    from gauge_envs.tools.sweep.lanes import WorkerLane
     from gauge_envs.tools.sweep.ray_lanes import ray_lanes
 
-    limits = Limits(TIME_LIMIT_S if bounds.time_s is None else bounds.time_s, bounds.memory_gb, isolate)
     if ray is not None:
         return [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
     return [WorkerLane(limits) for _ in range(min(workers or _processors(), most))]
 
 
 def _write_slurm(
-    script: Path, file: Path | None, out: Path, part: str | None, workers: int | None, given: Mapping[str, Any]
+    script: Path, file: Path | None, out: Path, shard: str | None, workers: int, given: Mapping[str, Any]
 ) -> None:
     from gauge_envs.tools.sweep.slurm import slurm_script, write_slurm_script
 
@@ -220,10 +175,11 @@ def _write_slurm(
         raise ParameterError(
             "--slurm needs a sweep file that states everything: write what the other words and options state into it"
         )
-    jobs = DEFAULT_JOBS if part is None else whole(1)(part)
-    count = workers or 1
-    arguments = [str(file.resolve()), "--out", str(out.resolve()), "--workers", str(count)]
-    text = slurm_script(script.name, arguments, jobs=jobs, workers=count, log_folder=out.resolve() / "slurm")
+    if shard is not None and not re.fullmatch(r"[1-9]\d{0,8}", shard):
+        raise ParameterError(f"--shard {shard!r}: expected a number of parts with --slurm, as {DEFAULT_JOBS}")
+    jobs = DEFAULT_JOBS if shard is None else int(shard)
+    words = [str(file.resolve()), "--out", str(out.resolve()), "--workers", str(workers)]
+    text = slurm_script(script.name, words, jobs=jobs, workers=workers, log_folder=out.resolve() / "slurm")
     write_slurm_script(script, text)
     message(f"{script} written; it needs submitit: pip install 'gauge-envs[slurm]'")
 
@@ -269,37 +225,23 @@ def _run(
         counts.update(session.earlier)
         progress = SweepProgress(stderr_console(), total=plan.episode_count, done=session.earlier.total())
         try:
-            _run_left(session, lanes, progress, counts, form)
+            if session.tasks:
+                with progress, closing(session.run(lanes(len(session.tasks)))) as results:
+                    for result in results:
+                        counts[str(result.backend), result.outcome] += 1
+                        progress.advance(result)
+                        if form is Format.JSON:
+                            print_json_lines([result.to_dict(trajectory=False)])
         except KeyboardInterrupt:
             message(f"interrupted: {session.left()} of {plan.episode_count} episodes left; continue with:")
             message(shlex.join(["gauge", *sys.argv[1:]]))
             raise typer.Exit(EXIT_INTERRUPTED) from None
-    if form is Format.JSON:
-        message(f"{counted(counts.total(), 'episode')}; results in {out}")
-    else:
+    if form is not Format.JSON:
         print_document(outcome_table(counts), form)
-        message(f"results in {out}")
+    message(f"{counted(counts.total(), 'episode')}; results in {out}")
     if any(counts[name, Outcome.FAILED] for name in spec.backends):
         message("causes of failures are in the folder failed; --retry-failed runs them again")
     named = {name.removeprefix("GAUGE/") for name in spec.variants if not is_glob(name)}
     return any(outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts) or any(
         run.declined is not None and run.experiment in named for run in plan.runs
     )
-
-
-def _run_left(
-    session: SweepSession,
-    lanes: Callable[[int], list[Lane]],
-    progress: Any,
-    counts: Counter[tuple[str, Outcome]],
-    form: Format,
-) -> None:
-    """Run what is left, and count it."""
-    if not session.tasks:
-        return
-    with progress, closing(session.run(lanes(len(session.tasks)))) as results:
-        for result in results:
-            counts[str(result.backend), result.outcome] += 1
-            progress.advance(result)
-            if form is Format.JSON:
-                print_json_lines([result.to_dict(trajectory=False)])

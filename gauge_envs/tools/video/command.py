@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import (
-    FormatOption,
-    ParametersOption,
-    SettingsOption,
-    matching,
-    parsed_parameters,
-    parsed_settings,
-    split_details,
-)
-from gauge_envs.cli.output import Format, Progress, counted, echo, json_text, message, print_document
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, echo, json_text, message, print_document
 from gauge_envs.errors import ParameterError, VideoError
 
 if TYPE_CHECKING:
@@ -31,15 +23,12 @@ def list_video_tasks(patterns: Sequence[str]) -> list[Table]:
     from gauge_envs.tools.video import video_tasks
     from gauge_envs.tools.video.words import task_table
 
-    return matching([task_table(video_tasks())], patterns, kind="video task")
+    return arguments.matching([task_table(video_tasks())], patterns, kind="video task")
 
 
 def video_prompts(
     source: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="[URL or DIR]", help="Copy of the benchmark's repository; by default its address on GitHub."
-        ),
+        str | None, typer.Argument(metavar="[URL or DIR]", help="Copy of the repository; that on GitHub by default.")
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for TASK.png, TASK.txt and a note.")] = Path("world_model_inputs"),
 ) -> None:
@@ -47,6 +36,7 @@ def video_prompts(
 
     Files that are there are checked and kept, so that the same command continues after an error.
     """
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.video.prompts import SOURCE, fetch_inputs, input_files
 
     total = len(input_files())
@@ -54,14 +44,6 @@ def video_prompts(
         written = fetch_inputs(out, source=source or SOURCE, advance=progress.advance)
     echo(out)
     message(f"{counted(len(written), 'file')} written, {total + 1 - len(written)} kept")
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Return width and height of `832x480`."""
-    parts = text.lower().split("x")
-    if len(parts) != 2 or not all(re.fullmatch("[1-9][0-9]{0,4}", part) for part in parts):
-        raise ParameterError(f"size={text}: give width and height in pixels, as 832x480")
-    return int(parts[0]), int(parts[1])
 
 
 def video_score(
@@ -73,30 +55,19 @@ def video_score(
             "second, instead of the rate that a video states; size=832x480, of the pictures of a track in pixels.",
         ),
     ],
-    task: Annotated[
-        str,
-        typer.Option(
-            "--id",
-            metavar="ID",
-            help="Task that the videos show, as SlopeSlider-2-wood; gauge list video-tasks shows them.",
-        ),
-    ],
+    task: Annotated[str, typer.Option("--id", metavar="ID", help="Task of the videos; see gauge list video-tasks.")],
     camera: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="For tracks: TOML or JSON file on how the camera sees the plane."),
+        Path | None, typer.Option(metavar="FILE", help="For tracks: how the camera sees the plane, TOML or JSON.")
     ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn into them.")
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn in.")] = None,
     first_frame: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Picture that the model was given, to register the videos by it."),
+        Path | None, typer.Option(metavar="FILE", help="Picture that the model was given, to register the videos by.")
     ] = None,
-    form: FormatOption = Format.TEXT,
+    form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    Exit code 1 when a video is graded invalid.
+    They have intervals. Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
@@ -104,31 +75,35 @@ def video_score(
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import score_document
 
-    names, details = split_details(words, {"fps": float, "size": _size})
-    files = list(map(Path, names))
+    names, details = arguments.split_details(words, fps=float, size=_size)
     chosen = video_task(task)
-    for file in files:
-        if _is_track(file) and (out or first_frame):
-            raise ParameterError("--out and --first-frame need the video, and a track has none: leave out one of both")
-        if not _is_track(file) and ("size" in details or camera):
-            raise ParameterError("size and --camera go with tracks; a video shows the first frame and states its size")
+    are_tracks = {Path(name): name.lower().endswith(".csv") for name in names}
+    if any(are_tracks.values()) and (out or first_frame):
+        raise ParameterError("--out and --first-frame need the video, and a track has none: leave out one of both")
+    if not all(are_tracks.values()) and ("size" in details or camera):
+        raise ParameterError("size and --camera go with tracks; a video shows the first frame and states its size")
     view = None if camera is None else read_camera(camera)
     has_failed = False
-    for file in files:
-        if _is_track(file):
-            result = score_track(_given_track(file, details, view), chosen, name=str(file), camera=view)
+    for file, is_track in are_tracks.items():
+        if is_track:
+            track = _given_track(file, details, view)
         else:
             source = FileFrames(file, fps=details.get("fps"))
-            result = score_track(track_object(source, chosen, first_frame=first_frame), chosen, name=str(file))
-            if out is not None:
-                message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
+            track = track_object(source, chosen, first_frame=first_frame)
+        result = score_track(track, chosen, name=str(file), camera=view)
+        if out is not None:
+            message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
         print_document(score_document(result, chosen.real), form)
         has_failed = has_failed or result.grade is Grade.INVALID
     return has_failed
 
 
-def _is_track(file: Path) -> bool:
-    return file.suffix.lower() == ".csv"
+def _size(text: str) -> tuple[int, int]:
+    """Return width and height of `832x480`."""
+    found = re.fullmatch("([1-9][0-9]{0,4})x([1-9][0-9]{0,4})", text.lower())
+    if found is None:
+        raise ParameterError(f"size={text}: give width and height in pixels, as 832x480")
+    return int(found[1]), int(found[2])
 
 
 def _given_track(file: Path, details: Mapping[str, Any], view: PlaneView | None) -> Track:
@@ -146,12 +121,12 @@ def video_report(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
     out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
     first_frame: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that the models were given, TASK.png.")
+        Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that models were given, TASK.png.")
     ] = None,
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    Exit code 1 when a video cannot be read; the others are on the page.
+    The pictures show what was followed. Exit code 1 when a video cannot be read; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import score_track, video_task
@@ -179,7 +154,7 @@ def video_report(
         rows = [{"model": model, **result.to_dict()} for (model, _), result in results.items()]
         save_file(out / "results.json", json_text(rows))
         echo(page)
-    return bool(broken) or not results
+    return bool(broken)
 
 
 def video_render(
@@ -187,14 +162,14 @@ def video_render(
         list[str],
         typer.Argument(
             metavar="TASK [NAME=VALUE]...",
-            help="Task, as SlopeSlider-2-wood; gauge list video-tasks shows them. Details: fps=30, which divides 180; "
-            "seconds=, time after the release, by default the experiment, at most 8 s.",
+            help="Task; see gauge list video-tasks. Details: fps=30, which divides 180; seconds=, time after the "
+            "release, by default the experiment, at most 8 s.",
         ),
     ],
     out: Annotated[Path, typer.Option(help="Video to write, .mp4; its exact track goes beside it.")],
     backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",
-    parameters: ParametersOption = None,
-    changes: SettingsOption = None,
+    parameters: arguments.Parameters = None,
+    changes: arguments.Settings = None,
 ) -> None:
     """Make a video of an engine with the view of the first frame of a task.
 
@@ -202,15 +177,13 @@ def video_render(
     """
     from gauge_envs.tools.video.render import film
 
-    tasks, details = split_details(words, {"fps": float, "seconds": float})
-    if len(tasks) != 1:
-        raise ParameterError(f"{' and '.join(tasks) or 'nothing'}: expected one task")
+    task, details = arguments.split_subject(words, fps=float, seconds=float)
     filmed = film(
-        tasks[0],
+        task,
         backend=backend,
-        parameters=parsed_parameters(parameters) or "calibrated",
-        settings=parsed_settings(changes),
-        **{"fps": 30.0, "seconds": None} | details,
+        parameters=arguments.parsed_parameters(parameters) or "calibrated",
+        settings=arguments.parsed_settings(changes),
+        **details,
     )
     track = filmed.save(out)
     echo(out)

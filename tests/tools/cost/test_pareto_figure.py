@@ -72,7 +72,10 @@ def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
 
 
 def test_a_picture_is_written(tmp_path: Path) -> None:
-    assert save_png(draw_pareto(made(family("mujoco", floor=None), unit="mm")), tmp_path / "pareto.png").stat().st_size > 10_000
+    assert (
+        save_png(draw_pareto(made(family("mujoco", floor=None), unit="mm")), tmp_path / "pareto.png").stat().st_size
+        > 10_000
+    )
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,6 @@ from sweep_lanes import stored
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.cli.arguments import ProcessLimits
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
@@ -212,7 +211,9 @@ def test_hostile_requests_have_exit_code_2(text: str, options: list[str], messag
 
 
 def test_there_are_no_more_lanes_than_tasks() -> None:
-    assert len(command._lanes(None, 10**9, ProcessLimits(False, None, None), False, 3)) == 3
+    from gauge_envs.tools.sweep.lanes import Limits
+
+    assert len(command._lanes(None, 10**9, Limits(), 3)) == 3
 
 
 def test_the_slurm_script_takes_the_place_of_no_device(tmp_path: Path) -> None:
