@@ -46,8 +46,7 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.scene.usd.reader import from_usd
-from gauge_envs.tools.compare.comparison import compare
-from gauge_envs.tools.compare.words import comparison_markdown
+from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
 from gauge_envs.tools.conformance.matrix_file import read_columns, write_columns
@@ -316,6 +315,9 @@ def targets(folder: Path) -> dict[str, Target]:
                 left.unlink()
         assert rows == [(f"GAUGE/{NAME}", "finished")], rows
 
+    def compared(file: Path) -> None:
+        as_markdown(comparison_document(compare([load_result(file)])))
+
     def sweep_read(file: Path) -> None:
         spec = sweep_spec(load_sweep_file(file))
         spec.episode_count()
@@ -335,9 +337,7 @@ def targets(folder: Path) -> dict[str, Target]:
         "csv": Target(".csv", [table.encode()], trajectory_read, 2.0),
         "npz": Target(".npz", [(folder / name).read_bytes() for name in ("g.npz", "small.npz")], trajectory_read, 2.0),
         "json": Target(".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, 2.0),
-        "result": Target(
-            ".json", [result_file.read_bytes()], lambda file: comparison_markdown(compare([load_result(file)])), 0.5
-        ),
+        "result": Target(".json", [result_file.read_bytes()], compared, 0.5),
         "band": Target(".csv", [band.read_bytes()], lambda file: read_band(file, sidecar, file), 1.0),
         "task": Target(".toml", [task_path("SlopeSlider").read_bytes()], load_task, 0.2),
         "experiment": Target(".toml", [own.encode()], load_experiment_file, 0.5),

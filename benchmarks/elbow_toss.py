@@ -351,8 +351,7 @@ def picture(options: argparse.Namespace) -> None:
     """Draw one toss as recorded, above the same toss in MuJoCo."""
     from gauge_envs.envs.rendering.camera import scene_view
     from gauge_envs.envs.rendering.renderer import SceneRenderer
-    from gauge_envs.tools.film.layout import Caption, PanelText, strip_picture
-    from gauge_envs.tools.film.writer import save_still
+    from gauge_envs.tools.film import Caption, PanelText, save_still, strip_picture
 
     experiment = with_trial(load_experiment(NAME), SHOWN_TRIAL)
     view = scene_view(experiment.scene, reference=reference_path(experiment, reference_band(experiment)))

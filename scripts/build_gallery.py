@@ -37,10 +37,16 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film.film import FilmOptions, save_film, save_strip
-from gauge_envs.tools.film.layout import Caption, PanelText, strip_picture
-from gauge_envs.tools.film.panel import score_line
-from gauge_envs.tools.film.writer import save_still
+from gauge_envs.tools.film import (
+    Caption,
+    FilmOptions,
+    PanelText,
+    save_film,
+    save_still,
+    save_strip,
+    score_line,
+    strip_picture,
+)
 
 ROOT = Path(__file__).parents[1]
 BEGIN, END = "<!-- gallery, written by scripts/build_gallery.py -->", "<!-- end of gallery -->"

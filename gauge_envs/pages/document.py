@@ -146,7 +146,7 @@ class Document:
         markdown: Parts of the Markdown text; None for the same.
     """
 
-    parts: Sequence[Part | Html]
+    parts: Sequence[Part]
     rows: Iterable[Mapping[str, Any]] | None = None
     markdown: Sequence[Part] | None = None
 
@@ -155,7 +155,7 @@ Shown = Document | Part
 """A document, or one of its parts alone."""
 
 
-def _parts(shown: Shown) -> Sequence[Part | Html]:
+def _parts(shown: Shown) -> Sequence[Part]:
     return shown.parts if isinstance(shown, Document) else (shown,)
 
 
@@ -174,15 +174,13 @@ class Terminal:
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
         """Yield the lines of all parts."""
         for part in _parts(self.shown):
-            if not isinstance(part, Html):
-                yield from part.lines(options.max_width, wide=self.wide)
+            yield from part.lines(options.max_width, wide=self.wide)
 
 
 def as_markdown(shown: Shown) -> str:
     """Return a document as GitHub Markdown, with an empty line between its parts."""
     chosen = shown.markdown if isinstance(shown, Document) and shown.markdown is not None else _parts(shown)
-    texts = (part.markdown() for part in chosen if not isinstance(part, Html))
-    return "\n\n".join(filter(None, texts)).rstrip() + "\n"
+    return "\n\n".join(filter(None, (part.markdown() for part in chosen))).rstrip() + "\n"
 
 
 def as_rows(shown: Shown) -> list[dict[str, Any]]:
@@ -194,12 +192,12 @@ def as_rows(shown: Shown) -> list[dict[str, Any]]:
     return ready
 
 
-def as_html(parts: Iterable[Part | Html]) -> Html:
+def as_html(parts: Iterable[Part]) -> Html:
     """Return the parts of a page below each other."""
-    return join((part if isinstance(part, Html) else part.html() for part in parts), "\n")
+    return join((part.html() for part in parts), "\n")
 
 
-def page(title: str, parts: Iterable[Part | Html], *, above: Html | None = None, **frame: Any) -> str:
+def page(title: str, parts: Iterable[Part], *, above: Html | None = None, **frame: Any) -> str:
     """Return a page.
 
     Args:

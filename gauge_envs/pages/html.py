@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from html import escape
 from importlib.resources import files
@@ -20,9 +20,21 @@ Text = str | float | int | None
 
 
 class Html(str):
-    """Markup."""
+    """Markup; as a part of a document, only pages show it."""
 
     __slots__ = ()
+
+    def lines(self, width: int, *, wide: bool) -> Iterator[Any]:
+        """Yield nothing: a terminal shows no markup."""
+        yield from ()
+
+    def markdown(self) -> str:
+        """Return nothing: Markdown shows no markup."""
+        return ""
+
+    def html(self) -> Html:
+        """Return the markup."""
+        return self
 
 
 VOID = ("br", "col", "input", "link", "meta", "line", "path", "polygon", "polyline", "rect", "circle", "wbr", "img")

@@ -58,6 +58,23 @@ def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
     return sorted(faces)
 
 
+def hull_triangles(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the faces of a convex polyhedron as triangles, counter-clockwise seen from outside.
+
+    Args:
+        points_m: Vertices [m], shape [vertex_count, 3].
+
+    Returns:
+        Corners of each triangle [m], shape [triangle_count, 3, 3].
+    """
+    hull = ConvexHull(points_m)
+    triangles = points_m[hull.simplices]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
+    triangles[inward] = triangles[inward][:, ::-1]
+    return triangles
+
+
 def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
     """Return the nodes of a regular grid about the origin [m], shape [node_count, 3], and the count along each axis."""
     counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]

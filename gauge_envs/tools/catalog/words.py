@@ -185,9 +185,11 @@ def _scene(values: Mapping[str, Any]) -> Iterator[Part]:
         rows=values["contacts"],
     )
     if joints := (*values["joints"], *values["attachments"]):
-        yield from (Heading("Joints"), *(Paragraph(pairs_text(joint)) for joint in joints))
+        yield Heading("Joints")
+        yield from (Paragraph(pairs_text(joint)) for joint in joints)
     if values["air"] is not None:
-        yield from (Heading("Air"), Paragraph(pairs_text(values["air"])))
+        yield Heading("Air")
+        yield Paragraph(pairs_text(values["air"]))
     for driver in values["drivers"]:
         yield Heading(f"Driver of {driver['body']} ({driver['provenance']})")
         yield Paragraph(driver["note"])

@@ -21,9 +21,8 @@ from gauge_envs.runs.configuration import RunConfiguration, group_by_configurati
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
-from gauge_envs.tools.compare.draws import ScoreDraws, score_draws
+from gauge_envs.tools.compare.draws import ScoreDraws, ScoreSpread, repeats_interval, score_draws
 from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, compare_grade, grade_name
-from gauge_envs.tools.compare.scores import ScoreSpread, repeats_interval
 
 
 @dataclass(frozen=True, kw_only=True)

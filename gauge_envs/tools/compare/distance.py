@@ -13,7 +13,7 @@ from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.compare.scores import ScoreSpread
+from gauge_envs.tools.compare.draws import ScoreSpread
 
 MOTION_SHARE = 0.05
 """Threshold of a distance, as a share of the motion, for experiments without a published scatter of real trials."""

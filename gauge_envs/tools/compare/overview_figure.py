@@ -12,8 +12,8 @@ from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
 from gauge_envs.pages.text import ENGINE_TITLES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
+from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import save_figures
-from gauge_envs.tools.compare.scores import ScoreSpread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

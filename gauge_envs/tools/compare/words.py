@@ -371,11 +371,11 @@ def _pair_tables(comparison: Comparison, labels: Sequence[str]) -> tuple[Table, 
     over_experiments: list[dict[str, Any]] = []
     for grade in comparison.grades:
         for pair in grade.pairs:
-            between = {"between": f"{labels[pair.first]} : {labels[pair.second]}"}
+            names = {"between": f"{labels[pair.first]} : {labels[pair.second]}"}
             heading = {"grade": f"{grade.name}, {counted(len(pair.ids), 'experiment')}"}
-            over_grades.append(heading | between | {"of": pair})
+            over_grades.append(heading | names | {"of": pair})
             about = {"grade": grade.grade, "withheld": grade.withheld}
-            over_experiments += [{"id": one.id} | about | between | {"of": one} for one in pair.experiments]
+            over_experiments += [{"id": one.id} | about | names | {"of": one} for one in pair.experiments]
 
     def difference(title: str) -> Column:
         return Column(

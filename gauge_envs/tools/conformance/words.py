@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from gauge_envs.backends import backend_names, is_bundled, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.pages.document import Bullets, Document, Heading
+from gauge_envs.pages.html import Html, below, element, join
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
 from gauge_envs.runs.isolation import Worker
@@ -19,9 +20,12 @@ from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 QUERY_LIMIT_S = 60.0
 """Time for which an engine outside this package may answer [s]."""
 
+CLASSES = {Status.PASS: "inside", Status.FAIL: "wrong", Status.DECLINED: "declined", Status.ERROR: "wrong"}
+"""Classes of outcomes on a page: blue, orange and grey, which colour-blind readers distinguish."""
+
 STYLES = {Status.PASS: "green", Status.FAIL: "bold red", Status.DECLINED: "dim", Status.ERROR: "bold red"}
 WORDS = {Status.PASS: "pass", Status.FAIL: "FAIL", Status.DECLINED: "declined", Status.ERROR: "error"}
-SIGNS = {Status.PASS: "✓ pass", Status.FAIL: "✗ FAIL", Status.DECLINED: "\u2013 declined", Status.ERROR: "✗ error"}
+SIGNS = {Status.PASS: "✓", Status.FAIL: "✗ FAIL", Status.DECLINED: "- declined", Status.ERROR: "✗ error"}
 """Outcomes with a sign, which is visible without a colour."""
 
 LEAST_PERCENT = 1e-4
@@ -196,14 +200,14 @@ def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = Fal
     return ""
 
 
-def measured_text(finding: CheckResult) -> str:
+def measured_text(finding: CheckResult | None) -> str:
     """Return the measured value; empty if nothing was measured."""
-    return "" if finding.measured is None else f"{finding.measured:.4g}"
+    return "" if finding is None or finding.measured is None else f"{finding.measured:.4g}"
 
 
-def error_text(finding: CheckResult) -> str:
+def error_text(finding: CheckResult | None) -> str:
     """Return the error relative to the expected value, or in tolerances where that is 0."""
-    if finding.measured is None or finding.expected is None or finding.width is None:
+    if finding is None or finding.measured is None or finding.expected is None or finding.width is None:
         return ""
     difference = finding.measured - finding.expected
     if not math.isfinite(difference):
@@ -254,7 +258,10 @@ def matrix_document(columns: Sequence[MatrixColumn], checks: Sequence[Check]) ->
     parts: list[Heading | Table] = [Heading("Columns", 3), _columns_table(columns)]
     for title, group in groups.items():
         if group:
-            parts += [Heading(Markdown(title), 3), _matrix_table(group, checks)]
+            # A name that all columns share is that of the table.
+            is_one = len({column.name for column in group}) == 1
+            titles = [column.backend if is_one else column.title for column in group]
+            parts += [Heading(Markdown(title), 3), matrix_table(group, checks, titles)]
     return Document(parts=parts)
 
 
@@ -277,32 +284,57 @@ def _columns_table(columns: Sequence[MatrixColumn]) -> Table:
     )
 
 
-def _matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check]) -> Table:
-    # A name that all columns share is that of the table.
-    is_one = len({column.name for column in columns}) == 1
+def matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check], titles: Sequence[str]) -> Table:
+    """Return one row per check and one column per configuration: the outcome, the value, its error and the CPU time."""
     current = [column.current() for column in columns]
+    cells = [partial(_cell, column, column.outdated) for column in columns]
     return Table(
         columns=(
-            Column("", "phenomenon", lambda check: Markdown(f"{markdown_text(check.title)}<br>`{check.id}`")),
+            Column(
+                "",
+                "phenomenon",
+                lambda check: Markdown(f"{markdown_text(check.title)}<br>`{check.id}`"),
+                html=lambda check: element("a", check.title, href=f"#{check.id}"),
+            ),
             Column("id", "expected", lambda check: expected_text(found.get(check) for found in current)),
             *(
-                Column("id", one.backend if is_one else one.title, partial(_matrix_cell, one, one.outdated))
-                for one in columns
+                Column("id", title, partial(_cell_markdown, cell), html=partial(_cell_html, cell))
+                for title, cell in zip(titles, cells, strict=True)
             ),
         ),
         rows=checks,
+        look="matrix",
     )
 
 
-def _matrix_cell(column: MatrixColumn, outdated: Collection[str], check: str) -> str:
+Cell = Callable[[str], tuple[str, list[str], str]]
+"""Class, lines and hint of the cell of a check."""
+
+
+def _cell(column: MatrixColumn, outdated: Mapping[str, str], check: str) -> tuple[str, list[str], str]:
     finding = column.findings.get(check)
     if finding is None:
-        return "- refused" if check in column.refused else "- not run"
+        word = "- refused" if check in column.refused else "- not run"
+        return "declined", [word], column.refused.get(check, column.reason)
     if check in outdated:
-        return "⚠ other check"
-    if finding.status is Status.DECLINED:
-        return "- declined"
-    # In a narrow column the sign says that a check passed.
-    outcome = SIGNS[finding.status].removesuffix(" pass")
-    parts = [f"{outcome} {measured_text(finding)}".rstrip(), error_text(finding), cost_text(finding)]
-    return Markdown("<br>".join(markdown_text(part) for part in parts if part))
+        hint = f"{outdated[check]}; its result was {finding.status.value} {measured_text(finding)}".rstrip()
+        return "declined", ["⚠ other check"], hint
+    lines = [f"{SIGNS[finding.status]} {measured_text(finding)}".rstrip()]
+    if finding.status is not Status.DECLINED:
+        lines += [error_text(finding), cost_text(finding)]
+    return CLASSES[finding.status], lines, "; ".join(finding.missing) or finding.diagnosis
+
+
+def _cell_markdown(cell: Cell, check: str) -> Markdown:
+    _, lines, _ = cell(check)
+    return Markdown("<br>".join(markdown_text(line) for line in lines if line))
+
+
+def _cell_html(cell: Cell, check: str) -> Html:
+    kind, (first, *others), hint = cell(check)
+    return join([badge(kind, first, hint), *(below(line) for line in others if line)])
+
+
+def badge(kind: str, text: str, hint: str = "") -> Html:
+    """Return an outcome with the colour of its class, and a hint for the pointer."""
+    return element("span", text, class_=f"badge {kind}", title=hint or None)

@@ -19,9 +19,8 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.film.layout import Caption, FilmLayout, PanelText, strip_picture
-from gauge_envs.tools.film.panel import Panel, SimulatedPanel, Take, take_of
-from gauge_envs.tools.film.recording import RecordedPanel
+from gauge_envs.tools.film.layout import Caption, FilmLayout, strip_picture
+from gauge_envs.tools.film.panel import Panel, RecordedPanel, SimulatedPanel, Take, take_of
 from gauge_envs.tools.film.writer import STRIP_SUFFIXES, check_film_format, check_suffix, film_writer, save_still
 
 MOST_PANELS = 12
@@ -125,15 +124,14 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
         name: Id of the experiment, with or without `GAUGE/`; None if all are of one.
     """
     ids = sorted({short_id(result.id) for result in results.values()})
-    if name is None:
-        if len(ids) > 1:
-            raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only")
-        if not ids:
-            raise ResultFileError("no result is left to film; gauge run writes them")
-        return dict(results)
-    found = {file: result for file, result in results.items() if short_id(result.id) == short_id(name)}
+    if name is None and len(ids) > 1:
+        raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only")
+    if name is None and not ids:
+        raise ResultFileError("no result is left to film; gauge run writes them")
+    wanted = ids[0] if name is None else short_id(name)
+    found = {file: result for file, result in results.items() if short_id(result.id) == wanted}
     if not found:
-        raise ResultFileError(f"no result is of {short_id(name)}; the results are of: {', '.join(ids) or 'nothing'}")
+        raise ResultFileError(f"no result is of {wanted}; the results are of: {', '.join(ids) or 'nothing'}")
     return found
 
 
@@ -169,7 +167,7 @@ def save_film(
         panels, takes, left_out = _panels(results, options, stack)
         times_s = film_times(options, max(panel.last_s for panel in panels))
         layout = FilmLayout(
-            [_text(panel) for panel in panels],
+            [panel.text for panel in panels],
             _caption(takes, options),
             width=options.width,
             height=options.height,
@@ -216,9 +214,8 @@ def save_strip(
             rows.append([panel.picture(float(time_s)) for time_s in times_s])
             if progress is not None:
                 progress(number + 1, len(panels))
-        texts = [_text(panel) for panel in panels]
-        caption = _caption(takes, options)
-        save_still(strip_picture(rows, texts, caption, [f"{time_s:.2f} s" for time_s in times_s]), out)
+        clocks = [f"{time_s:.2f} s" for time_s in times_s]
+        save_still(strip_picture(rows, [panel.text for panel in panels], _caption(takes, options), clocks), out)
     return left_out
 
 
@@ -239,7 +236,17 @@ def _panels(
     if recording is not None:
         panels.append(RecordedPanel(recording.file, start_s=recording.start_s, rate_hz=recording.rate_hz, **size))
         stack.callback(panels[-1].close)
-    takes, left_out = _takes(results, options)
+    takes: list[Take] = []
+    left_out: list[LeftOut] = []
+    views, use_withheld = options.views_per_frame, options.use_withheld
+    for file, result in results.items():
+        try:
+            takes.append(take_of(result, file, views_per_frame=views, use_withheld=use_withheld))
+        except GaugeError as error:
+            left_out.append(LeftOut(file=file, reason=str(error)))
+    if not takes:
+        reasons = "; ".join(f"{one.file.name}: {one.reason}" for one in left_out)
+        raise ReplayError(f"no result can be drawn: {reasons}")
     configurations = [RunConfiguration.of(take.result) for take in takes]
     for take, configuration, title in zip(takes, configurations, _titles(configurations), strict=True):
         panels.append(SimulatedPanel(take, title=title, detail=versions_text(configuration), **size))
@@ -255,26 +262,6 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
         labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
     split = [label.partition(", ") for label in labels]
     return [f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}" for engine, comma, rest in split]
-
-
-def _takes(results: Mapping[Path, Result], options: FilmOptions) -> tuple[list[Take], list[LeftOut]]:
-    """Return the episodes that can be drawn, and why others cannot."""
-    takes: list[Take] = []
-    left_out: list[LeftOut] = []
-    views, use_withheld = options.views_per_frame, options.use_withheld
-    for file, result in results.items():
-        try:
-            takes.append(take_of(result, file, views_per_frame=views, use_withheld=use_withheld))
-        except GaugeError as error:
-            left_out.append(LeftOut(file=file, reason=str(error)))
-    if not takes:
-        reasons = "; ".join(f"{one.file.name}: {one.reason}" for one in left_out)
-        raise ReplayError(f"no result can be drawn: {reasons}")
-    return takes, left_out
-
-
-def _text(panel: Panel) -> PanelText:
-    return PanelText(title=panel.title, detail=panel.detail, note=panel.note)
 
 
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:

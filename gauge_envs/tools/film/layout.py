@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import cache
 
@@ -104,27 +106,20 @@ class FilmLayout:
         scale = self._scale = _Scale(height)
         # Rows are as even as possible: five panels are three and two.
         rows = -(-len(texts) // (columns or MOST_ROW))
-        in_row = columns or -(-len(texts) // rows)
-        in_row = min(in_row, len(texts))
-        panel_height = scale.large_line + height + scale.small_line + scale.gap
-        self._head = scale.gap + scale.large_line + scale.small_line
-        full_width = scale.gap + in_row * (width + scale.gap)
-        legend = _legend_lines(caption, full_width - 2 * scale.gap, scale)
-        full_height = self._head + rows * panel_height + len(legend) * scale.small_line + scale.gap
-        self.size = (full_width + full_width % 2, full_height + full_height % 2)
+        in_row = min(columns or -(-len(texts) // rows), len(texts))
+        step = (width + scale.gap, scale.large_line + height + scale.small_line + scale.gap)
+        sheet = _Sheet(scale.gap + in_row * step[0], rows * step[1], caption, scale, is_even=True)
+        self._ground, self.size = sheet, sheet.image.size
+        sheet.head(caption, self.size[0] - 2 * scale.gap - 9 * scale.large)
         self._places = [
-            (
-                scale.gap + (index % in_row) * (width + scale.gap),
-                self._head + (index // in_row) * panel_height + scale.large_line,
-            )
+            (scale.gap + (index % in_row) * step[0], sheet.top + (index // in_row) * step[1] + scale.large_line)
             for index in range(len(texts))
         ]
-        self._ground = Image.new("RGB", self.size, GROUND)
-        clock_width = 9 * scale.large
-        _head(self._ground, caption, scale, self.size[0] - 2 * scale.gap - clock_width)
-        for text, place in zip(texts, self._places, strict=True):
-            _panel_text(self._ground, text, place, width, height, scale)
-        _draw_legend(self._ground, legend, scale, self._head + rows * panel_height)
+        for text, (left, top) in zip(texts, self._places, strict=True):
+            above, under = top - 0.5 * scale.large_line, top + height + 0.5 * scale.small_line
+            used = sheet.write((left, above), text.title, width, is_large=True)
+            sheet.write((left + width, above), text.detail, width - used - scale.gap, color=QUIET, from_right=True)
+            sheet.write((left, under), text.note, width)
 
     def frame(self, pictures: Sequence[NDArray[np.uint8]], clock: str) -> NDArray[np.uint8]:
         """Return a frame, shape [height, width, 3].
@@ -133,13 +128,12 @@ class FilmLayout:
             pictures: Picture of each panel, shape [height, width, 3].
             clock: The time, in words.
         """
-        frame = self._ground.copy()
+        frame, scale = self._ground.copy(), self._scale
         for picture, place in zip(pictures, self._places, strict=True):
-            frame.paste(Image.fromarray(picture), place)
-        scale = self._scale
+            frame.image.paste(Image.fromarray(picture), place)
         middle = scale.gap + 0.5 * scale.large_line
-        _write(frame, (self.size[0] - scale.gap, middle), clock, size=scale.large, color=INK, from_right=True)
-        return np.array(frame)
+        frame.write((self.size[0] - scale.gap, middle), clock, is_large=True, from_right=True)
+        return np.array(frame.image)
 
 
 def strip_picture(
@@ -158,25 +152,118 @@ def strip_picture(
     """
     height, width = rows[0][0].shape[:2]
     scale = _Scale(height)
-    full_width = scale.gap + len(clocks) * (width + scale.gap)
     row_height = scale.large_line + height + scale.gap
-    head = scale.gap + scale.large_line + scale.small_line
-    legend = _legend_lines(caption, full_width - 2 * scale.gap, scale)
-    full_height = head + len(rows) * row_height + len(legend) * scale.small_line + scale.gap
-    sheet = Image.new("RGB", (full_width, full_height), GROUND)
-    _head(sheet, caption, scale, full_width - 2 * scale.gap)
+    sheet = _Sheet(scale.gap + len(clocks) * (width + scale.gap), len(rows) * row_height, caption, scale)
+    room = sheet.image.width - 2 * scale.gap
+    sheet.head(caption, room)
     for number, (pictures, text) in enumerate(zip(rows, texts, strict=True)):
-        top = head + number * row_height
-        _row_text(sheet, text, top, scale)
+        top = sheet.top + number * row_height
+        middle = top + 0.5 * scale.large_line
+        left = sheet.write((scale.gap, middle), text.title, room, is_large=True) + 2 * scale.gap
+        taken = sheet.write((scale.gap + room, middle), text.note, room - left, from_right=True)
+        sheet.write((scale.gap + left, middle), text.detail, room - left - taken - scale.gap, color=QUIET)
         for column, (picture, clock) in enumerate(zip(pictures, clocks, strict=True)):
-            left = scale.gap + column * (width + scale.gap)
-            sheet.paste(Image.fromarray(picture), (left, top + scale.large_line))
-            _tag(sheet, clock, (left, top + scale.large_line), scale)
-    _draw_legend(sheet, legend, scale, head + len(rows) * row_height)
-    return np.array(sheet)
+            corner = (scale.gap + column * (width + scale.gap), top + scale.large_line)
+            sheet.image.paste(Image.fromarray(picture), corner)
+            sheet.tag(clock, corner)
+    return np.array(sheet.image)
 
 
-# --- parts ---
+# --- text ---
+
+Entry = tuple[Color | None, str]
+"""Colour of a spot, or None, and text of an entry of the legend."""
+
+
+class _Sheet:
+    """A white picture with a head, room for panels, and a legend below them.
+
+    Args:
+        width: Its width [pixels].
+        height: Height of the panels [pixels].
+        caption: Its text.
+        scale: Sizes of text.
+        is_even: Whether its sides are rounded up to even numbers.
+
+    Attributes:
+        image: The picture.
+        top: Upper end of the panels [pixels].
+    """
+
+    def __init__(self, width: int, height: int, caption: Caption, scale: _Scale, *, is_even: bool = False) -> None:
+        self._scale = scale
+        self.top = scale.gap + scale.large_line + scale.small_line
+        legend = _legend_lines(caption, width - 2 * scale.gap, scale)
+        full_height = self.top + height + len(legend) * scale.small_line + scale.gap
+        odd = (width % 2, full_height % 2) if is_even else (0, 0)
+        self.image = Image.new("RGB", (width + odd[0], full_height + odd[1]), GROUND)
+        for number, line in enumerate(legend):
+            left, middle = float(scale.gap), self.top + height + (number + 0.5) * scale.small_line
+            for color, text in line:
+                if color:
+                    self._spot((left, middle), 0.38 * scale.small, color)
+                self.write((left + _spot_width(color, scale), middle), text, color=QUIET)
+                left += _entry_width(color, text, scale)
+
+    def copy(self) -> _Sheet:
+        """Return a sheet with a picture of its own."""
+        other = copy(self)
+        other.image = self.image.copy()
+        return other
+
+    def head(self, caption: Caption, width: float) -> None:
+        """Write title and subtitle."""
+        gap, large, small = self._scale.gap, self._scale.large_line, self._scale.small_line
+        self.write((gap, gap + 0.5 * large), caption.title, width, is_large=True)
+        self.write((gap, gap + large + 0.5 * small), caption.subtitle, width, color=QUIET)
+
+    def write(
+        self,
+        place: tuple[float, float],
+        text: str,
+        room: float = math.inf,
+        *,
+        is_large: bool = False,
+        color: tuple[int, int, int] = INK,
+        from_right: bool = False,
+    ) -> float:
+        """Write a text in a line, cut to its room, and return its width [pixels].
+
+        Args:
+            place: Left end of the line and its middle [pixels].
+            text: The text.
+            room: Largest width [pixels].
+            is_large: Whether the letters are large.
+            color: Colour.
+            from_right: Whether the place is the right end.
+        """
+        size = self._scale.large if is_large else self._scale.small
+        text = _fitted(text, size, room)
+        if not text:
+            return 0.0
+        width, height = round(_length(text, size)) + 4, 2 * size
+        mask = Image.new("L", (FINER * width, FINER * height))
+        ImageDraw.Draw(mask).text((2 * FINER, FINER * size), text, fill=255, font=_font(size), anchor="lm")
+        mask = mask.resize((width, height), Image.Resampling.BOX)
+        left = place[0] - width + 2 if from_right else place[0] - 2
+        self.image.paste(color, (round(left), round(place[1]) - size), mask)
+        return _length(text, size)
+
+    def tag(self, text: str, corner: tuple[int, int]) -> None:
+        """Write a time on a light field in the corner of a picture."""
+        (left, top), size, line = corner, self._scale.small, self._scale.small_line
+        pad = size // 2
+        self.image.paste(GROUND, (left, top, left + round(_length(text, size)) + 2 * pad, top + line))
+        self.write((left + pad, top + 0.5 * line), text)
+
+    def _spot(self, place: tuple[float, float], radius: float, color: Color) -> None:
+        """Draw a disk whose left end is at a place."""
+        side = round(2 * radius) + 2
+        mask = Image.new("L", (FINER * side, FINER * side))
+        ImageDraw.Draw(mask).ellipse((0, 0, FINER * 2 * radius, FINER * 2 * radius), fill=255)
+        red, green, blue = (round(255 * part) for part in color[:3])
+        corner = (round(place[0]), round(place[1] - radius))
+        self.image.paste((red, green, blue), corner, mask.resize((side, side), Image.Resampling.BOX))
 
 
 @cache
@@ -192,35 +279,6 @@ def _length(text: str, size: int) -> float:
     return _font(size).getlength(text) / FINER
 
 
-def _write(
-    image: Image.Image,
-    place: tuple[float, float],
-    text: str,
-    *,
-    size: int,
-    color: tuple[int, int, int],
-    from_right: bool = False,
-) -> None:
-    """Write a text in a line.
-
-    Args:
-        image: The image.
-        place: Left end of the line and its middle [pixels].
-        text: The text.
-        size: Size of the font [pixels].
-        color: Colour.
-        from_right: Whether the place is the right end.
-    """
-    if not text:
-        return
-    width, height = round(_length(text, size)) + 4, 2 * size
-    mask = Image.new("L", (FINER * width, FINER * height))
-    ImageDraw.Draw(mask).text((2 * FINER, FINER * size), text, fill=255, font=_font(size), anchor="lm")
-    mask = mask.resize((width, height), Image.Resampling.BOX)
-    left = place[0] - 2 if not from_right else place[0] - width + 2
-    image.paste(color, (round(left), round(place[1]) - size), mask)
-
-
 def _fitted(text: str, size: int, width: float) -> str:
     """Return a text that fits, with dots where it was cut."""
     if _length(text, size) <= width:
@@ -230,59 +288,16 @@ def _fitted(text: str, size: int, width: float) -> str:
     return f"{text.rstrip()} ..." if text else ""
 
 
-def _head(image: Image.Image, caption: Caption, scale: _Scale, width: float) -> None:
-    title = _fitted(caption.title, scale.large, width)
-    _write(image, (scale.gap, scale.gap + 0.5 * scale.large_line), title, size=scale.large, color=INK)
-    middle = scale.gap + scale.large_line + 0.5 * scale.small_line
-    subtitle = _fitted(caption.subtitle, scale.small, width)
-    _write(image, (scale.gap, middle), subtitle, size=scale.small, color=QUIET)
-
-
-def _panel_text(
-    image: Image.Image, text: PanelText, place: tuple[int, int], width: int, height: int, scale: _Scale
-) -> None:
-    left, top = place
-    middle = top - 0.5 * scale.large_line
-    title = _fitted(text.title, scale.large, width)
-    _write(image, (left, middle), title, size=scale.large, color=INK)
-    detail = _fitted(text.detail, scale.small, width - _length(title, scale.large) - scale.gap)
-    _write(image, (left + width, middle), detail, size=scale.small, color=QUIET, from_right=True)
-    note = _fitted(text.note, scale.small, width)
-    _write(image, (left, top + height + 0.5 * scale.small_line), note, size=scale.small, color=INK)
-
-
-def _row_text(image: Image.Image, text: PanelText, top: int, scale: _Scale) -> None:
-    room, middle = image.width - 2 * scale.gap, top + 0.5 * scale.large_line
-    title = _fitted(text.title, scale.large, room)
-    _write(image, (scale.gap, middle), title, size=scale.large, color=INK)
-    left = _length(title, scale.large) + 2 * scale.gap
-    note = _fitted(text.note, scale.small, room - left)
-    _write(image, (scale.gap + room, middle), note, size=scale.small, color=INK, from_right=True)
-    detail = _fitted(text.detail, scale.small, room - left - _length(note, scale.small) - scale.gap)
-    _write(image, (scale.gap + left, middle), detail, size=scale.small, color=QUIET)
-
-
-def _tag(image: Image.Image, text: str, corner: tuple[int, int], scale: _Scale) -> None:
-    """Write a time on a light field in the corner of a picture."""
-    left, top = corner
-    pad = scale.small // 2
-    size = (round(_length(text, scale.small)) + 2 * pad, scale.small_line)
-    image.paste(GROUND, (left, top, left + size[0], top + size[1]))
-    _write(image, (left + pad, top + 0.5 * scale.small_line), text, size=scale.small, color=INK)
-
-
-Entry = tuple[Color | None, str]
-
-
 def _legend_lines(caption: Caption, width: float, scale: _Scale) -> list[list[Entry]]:
     """Return the entries of the legend in lines that fit."""
     entries: list[Entry] = [(SIMULATED_COLOR, caption.simulated), (RECORDED_COLOR, caption.reference)]
-    entries = [entry for entry in (*entries, (None, caption.remark)) if entry[1]]
-    lines: list[list[Entry]] = [[]] if entries else []
+    lines: list[list[Entry]] = []
     left = 0.0
-    for color, text in entries:
+    for color, text in (*entries, (None, caption.remark)):
+        if not text:
+            continue
         taken = _entry_width(color, text, scale)
-        if lines[-1] and left + taken > width:
+        if not lines or (lines[-1] and left + taken > width):
             lines.append([])
             left = 0.0
         room = width - (taken - _length(text, scale.small))
@@ -291,27 +306,9 @@ def _legend_lines(caption: Caption, width: float, scale: _Scale) -> list[list[En
     return lines
 
 
+def _spot_width(color: Color | None, scale: _Scale) -> float:
+    return 1.4 * scale.small if color else 0.0
+
+
 def _entry_width(color: Color | None, text: str, scale: _Scale) -> float:
-    return (1.4 * scale.small if color else 0.0) + _length(text, scale.small) + 1.5 * scale.small
-
-
-def _draw_legend(image: Image.Image, lines: list[list[Entry]], scale: _Scale, top: int) -> None:
-    for number, line in enumerate(lines):
-        left, middle = float(scale.gap), top + (number + 0.5) * scale.small_line
-        for color, text in line:
-            start = left
-            if color:
-                _spot(image, (left, middle), 0.38 * scale.small, color)
-                start += 1.4 * scale.small
-            _write(image, (start, middle), text, size=scale.small, color=QUIET)
-            left += _entry_width(color, text, scale)
-
-
-def _spot(image: Image.Image, place: tuple[float, float], radius: float, color: Color) -> None:
-    """Draw a disk whose left end is at a place."""
-    side = round(2 * radius) + 2
-    mask = Image.new("L", (FINER * side, FINER * side))
-    ImageDraw.Draw(mask).ellipse((0, 0, FINER * 2 * radius, FINER * 2 * radius), fill=255)
-    red, green, blue = (round(255 * part) for part in color[:3])
-    corner = (round(place[0]), round(place[1] - radius))
-    image.paste((red, green, blue), corner, mask.resize((side, side), Image.Resampling.BOX))
+    return _spot_width(color, scale) + _length(text, scale.small) + 1.5 * scale.small

@@ -1,27 +1,32 @@
-"""One panel of a film: an episode of an engine, with its reference, its tracked points and their paths so far."""
+"""Panels of a film: episodes of engines with references, tracked points and their paths so far, and real recordings."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
 from gauge_envs.envs.rendering.tracked import MOST_PATHS, reference_ghosts
+from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.pages.text import ALIGNED_TITLE, METRIC_TITLES, interval_text, score_text
+from gauge_envs.pages.results import SCORE_METRICS, normalized_score, raw_score, score_interval
+from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.compare.scores import COMPARED_METRICS
+from gauge_envs.tools.film.layout import PanelText
+from gauge_envs.tools.video import FileFrames
 
 FloatArray = NDArray[np.float64]
 
@@ -34,20 +39,19 @@ PATH_POINTS = 240
 SHOWN_SCORES = 2
 """Number of scores below a panel."""
 
+GREY = (225, 228, 232)
+"""Ground of a recording with another shape than its panel."""
+
 
 class Panel(Protocol):
     """One panel of a film.
 
     Attributes:
-        title: What the panel shows, as the name of the engine.
-        detail: What identifies it further, as versions.
-        note: Line below the picture, as its score.
+        text: What the panel shows.
         last_s: Time of its last picture [s].
     """
 
-    title: str
-    detail: str
-    note: str
+    text: PanelText
     last_s: float
 
     def picture(self, time_s: float) -> NDArray[np.uint8]:
@@ -115,7 +119,7 @@ class SimulatedPanel:
     """
 
     def __init__(self, take: Take, *, title: str, detail: str, width: int, height: int) -> None:
-        self.title, self.detail, self.note = title, detail, score_line(take.result, take.band)
+        self.text = PanelText(title=title, detail=detail, note=score_line(take.result, take.band))
         self.last_s = take.last_s
         self._take = take
         self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
@@ -189,22 +193,74 @@ def score_line(result: Result, band: Band | None) -> str:
     if result.outcome is Outcome.DIVERGED:
         return f"diverged: {result.diverged_reason}" if result.diverged_reason else "diverged"
     score = result.score
-    order = sorted(COMPARED_METRICS, key=lambda key: key != score.primary)
     texts = []
-    for key in order:
-        metric = COMPARED_METRICS[key]
-        title = ALIGNED_TITLE if key == "rmse_aligned" else METRIC_TITLES[key]
-        raw = getattr(score, metric.raw)
-        normalized = None if metric.normalized is None else getattr(score, metric.normalized)
+    for key in sorted(SCORE_METRICS, key=lambda key: key != score.primary):
+        metric, raw, normalized = SCORE_METRICS[key], raw_score(score, key), normalized_score(score, key)
         if normalized is not None:
-            interval = None if metric.interval is None else getattr(score, metric.interval)
-            texts.append(f"{title} {interval_text(normalized, interval)}")
+            texts.append(f"{metric.title} {interval_text(normalized, score_interval(score, key))}")
         elif raw is not None:
-            unit = score.unit if metric.unit is None else metric.unit
-            texts.append(f"{title} {score_text(raw)}{'' if unit == '1' else f' {unit}'}")
+            texts.append(f"{metric.title} {with_unit(score_text(raw), metric.unit_of(score.unit))}")
     if texts:
         return ", ".join(texts[:SHOWN_SCORES])
     return "not scored" if band is None else "not scored: the reference is withheld"
+
+
+class RecordedPanel:
+    """Pictures of a video file; each is shown from its time to that of the next one.
+
+    Args:
+        file: The video.
+        start_s: Time in the video at which the experiment starts [s].
+        rate_hz: Pictures that the camera took in a second of the experiment; None for the times in the file.
+        width: Width of the pictures [pixels].
+        height: Height of the pictures [pixels].
+    """
+
+    def __init__(self, file: Path, *, start_s: float, rate_hz: float | None, width: int, height: int) -> None:
+        self._frames = FileFrames(file, fps=rate_hz)
+        self._size = (width, height)
+        count = sum(1 for _ in self._frames.native())
+        times_s = self._frames.times_s
+        # With a stated rate the times follow from it.
+        self._times_s = np.arange(count) / self._frames.fps if times_s is None else times_s
+        ends_s = float(self._times_s[-1])
+        if not 0.0 <= start_s <= ends_s:
+            raise VideoError(f"{file}: its pictures are from 0 s to {ends_s:.3f} s; the start is at {start_s:g} s")
+        self.text = PanelText(title="real", detail=file.name, note=f"recording from {start_s:.3f} s of the file")
+        self.last_s = ends_s - start_s
+        self._start_s = start_s
+        self._pictures: Iterator[NDArray[np.uint8]] = iter(())
+        self._index = -1
+        self._shown = np.zeros((height, width, 3), dtype=np.uint8)
+
+    def picture(self, time_s: float) -> NDArray[np.uint8]:
+        """Return the picture that is shown at a time [s], shape [height, width, 3]; the last one stays."""
+        # Times in files are whole milliseconds or ticks.
+        wanted = int(np.searchsorted(self._times_s, self._start_s + time_s + 5e-4, side="right")) - 1
+        if self._index < 0:
+            self._pictures = self._frames.native()
+        latest = None
+        while self._index < wanted:
+            latest = next(self._pictures)
+            self._index += 1
+        if latest is not None:
+            self._shown = self._fitted(latest)
+        return self._shown
+
+    def close(self) -> None:
+        """Close the file."""
+        self._pictures = iter(())
+        self._index = -1
+
+    def _fitted(self, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Return a picture of blue, green and red as one of red, green and blue that fits, on a grey ground."""
+        image = Image.fromarray(np.ascontiguousarray(picture[:, :, ::-1]))
+        scale = min(self._size[0] / image.width, self._size[1] / image.height)
+        fitted = (max(1, round(scale * image.width)), max(1, round(scale * image.height)))
+        ground = Image.new("RGB", self._size, GREY)
+        corner = ((self._size[0] - fitted[0]) // 2, (self._size[1] - fitted[1]) // 2)
+        ground.paste(image.resize(fitted, Image.Resampling.LANCZOS), corner)
+        return np.asarray(ground)
 
 
 # --- between views ---

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from gauge_envs.envs.rendering.ghost import ghost_trajectory
 from gauge_envs.envs.rendering.skin import Skin
@@ -21,8 +21,23 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.replay import Replay, replay, replayed_experiment
 from gauge_envs.runs.result import Result
-from gauge_envs.scene import Box, Cloth, ConvexUnion, Cylinder, Motion, Plane, Pose, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    ConvexUnion,
+    Cylinder,
+    Deformable,
+    Motion,
+    Plane,
+    Pose,
+    Rod,
+    Rope,
+    Shape,
+    SoftBody,
+    Sphere,
+)
 from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid
+from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -60,9 +75,7 @@ def write_rerun(result: Result, file: Path, *, use_withheld: bool = False) -> Pa
     band = reference_band(experiment, use_withheld=use_withheld)
     stream = rerun.RecordingStream(f"gauge-envs {experiment.name}")
     recording = _Recording(rerun, stream, experiment, again)
-    recording.bodies()
-    recording.deformables()
-    recording.markers()
+    recording.scene()
     assert result.trajectory is not None
     times_s, samples = result.trajectory.arrays()
     if band is not None:
@@ -109,41 +122,27 @@ class _Recording:
         self._scene = experiment.scene
         self._again = again
         self._view_times_s = np.arange(len(again.poses)) / again.rate_hz
-        self._frame_times_s = np.arange(len(again.markers_m)) / FRAME_RATE_HZ
         stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
 
-    def bodies(self) -> None:
-        """Log the shape of each rigid body, and the pose of those that move."""
+    def scene(self) -> None:
+        """Log the bodies, the surfaces and lines of deformable ones at each view, and their markers at each frame."""
         for body in self._scene.bodies:
-            color = PLANE_COLOR if isinstance(body.shape, Plane) else COLORS[body.motion]
-            self._shape(f"world/bodies/{body.name}", body.shape, color)
+            path = f"world/bodies/{body.name}"
+            self._shape(path, body.shape, PLANE_COLOR if isinstance(body.shape, Plane) else COLORS[body.motion])
             if body.name in self._again.bodies:
                 poses = self._again.poses[:, self._again.bodies.index(body.name)]
-                self._poses(f"world/bodies/{body.name}", self._view_times_s, poses[:, :3], poses[:, 3:])
+                self._poses(path, self._view_times_s, poses[:, :3], poses[:, 3:])
             else:
-                self._stream.log(f"world/bodies/{body.name}", self._transform(body.pose), static=True)
-
-    def deformables(self) -> None:
-        """Log the surface of each sheet and solid, and the line of each rope and rod, at each view."""
-        for body in self._scene.deformables:
-            nodes = np.asarray(self._again.nodes_m[body.name], dtype=np.float64)
-            path = f"world/bodies/{body.name}"
-            color = COLORS[Motion.DYNAMIC]
-            faces = Skin(body, nodes[0]).faces if isinstance(body, Cloth | SoftBody) else None
+                self._stream.log(path, self._transform(body.pose), static=True)
+        for soft in self._scene.deformables:
+            nodes = np.asarray(self._again.nodes_m[soft.name], dtype=np.float64)
+            faces = Skin(soft, nodes[0]).faces if isinstance(soft, Cloth | SoftBody) else None
             for time_s, points in zip(self._view_times_s, nodes, strict=True):
                 self._stream.set_time(TIMELINE, duration=float(time_s))
-                if faces is None:
-                    assert isinstance(body, Rope | Rod)
-                    line = self._rerun.LineStrips3D([points], radii=body.radius_m, colors=[color])
-                    self._stream.log(path, line)
-                else:
-                    self._stream.log(path, self._mesh(points, faces, color))
-
-    def markers(self) -> None:
-        """Log the markers of deformable bodies at each frame."""
-        for time_s, points in zip(self._frame_times_s, self._again.markers_m, strict=True):
+                self._stream.log(f"world/bodies/{soft.name}", self._surface(soft, points, faces))
+        for frame, points in enumerate(self._again.markers_m):
             if len(points):
-                self._points("world/markers", float(time_s), points, MARKER_COLOR)
+                self._points("world/markers", frame / FRAME_RATE_HZ, points, MARKER_COLOR)
 
     def ghost(self, band: Band, frames: FloatArray) -> None:
         """Log the recorded mean where it is a place in space: as bodies, or as markers.
@@ -235,12 +234,14 @@ class _Recording:
             translation=pose.position_m, quaternion=self._rerun.Quaternion(xyzw=(x, y, z, w))
         )
 
-    def _mesh(self, points_m: FloatArray, faces: NDArray[np.intp], color: tuple[int, ...]) -> Any:
+    def _surface(self, body: Deformable, points_m: FloatArray, faces: NDArray[np.intp] | None) -> Any:
+        color = COLORS[Motion.DYNAMIC]
+        if faces is None:
+            assert isinstance(body, Rope | Rod)
+            return self._rerun.LineStrips3D([points_m], radii=body.radius_m, colors=[color])
+        normals = trimesh.Trimesh(points_m, faces, process=False).vertex_normals
         return self._rerun.Mesh3D(
-            vertex_positions=points_m,
-            triangle_indices=faces,
-            vertex_normals=_normals(points_m, faces),
-            albedo_factor=color,
+            vertex_positions=points_m, triangle_indices=faces, vertex_normals=normals, albedo_factor=color
         )
 
     def _shape(self, path: str, shape: Shape, color: tuple[int, ...]) -> None:
@@ -265,8 +266,9 @@ class _Recording:
             # The viewer's capsule stands on the origin.
             low = [(0.0, 0.0, -0.5 * shape.length_m)]
             return self._rerun.Capsules3D(lengths=[shape.length_m], radii=[shape.radius_m], translations=low, **look)
-        points, faces = _hull(np.asarray(shape))
-        return self._rerun.Mesh3D(vertex_positions=points, triangle_indices=faces, albedo_factor=color)
+        corners = hull_triangles(np.asarray(shape)).reshape(-1, 3)
+        faces = np.arange(len(corners)).reshape(-1, 3)
+        return self._rerun.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=color)
 
 
 def _solids(shape: Any) -> list[tuple[Any, Pose]]:
@@ -279,23 +281,3 @@ def _solids(shape: Any) -> list[tuple[Any, Pose]]:
     if isinstance(shape, Compound):
         return [(solid, part.pose) for part in shape.parts for solid, _ in _solids(part.shape)]
     return [(shape, origin)]
-
-
-def _hull(points_m: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
-    """Return vertices and outward triangles of a convex solid, each triangle with vertices of its own."""
-    hull = ConvexHull(points_m)
-    corners = points_m[hull.simplices]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
-    corners[inward] = corners[inward][:, ::-1]
-    return corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.intp).reshape(-1, 3)
-
-
-def _normals(points_m: FloatArray, faces: NDArray[np.intp]) -> FloatArray:
-    """Return the normal of a surface at each node, shape [node_count, 3]."""
-    corners = points_m[faces]
-    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(points_m)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], across)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)

@@ -29,6 +29,9 @@ COLOR_COUNT = 255
 WEBP_QUALITY = 82
 """Quality of WebP, from 0 to 100."""
 
+MP4_OPTIONS = ("-crf", "20", "-threads", "1", "-fflags", "+bitexact", "-movflags", "+faststart", "-f", "mp4")
+"""Options of ffmpeg: one thread and no date give the same file for the same frames."""
+
 PALETTE_FRAMES = 4
 """Frames that a palette is chosen from."""
 
@@ -110,7 +113,6 @@ def _mp4_writer(file: Path, size: tuple[int, int], fps: float) -> Iterator[FilmW
     import imageio_ffmpeg
 
     try:
-        # One thread and no date give the same file for the same frames.
         stream = imageio_ffmpeg.write_frames(
             str(file),
             size,
@@ -118,18 +120,7 @@ def _mp4_writer(file: Path, size: tuple[int, int], fps: float) -> Iterator[FilmW
             codec="libx264",
             macro_block_size=2,
             ffmpeg_log_level="error",
-            output_params=[
-                "-crf",
-                "20",
-                "-threads",
-                "1",
-                "-fflags",
-                "+bitexact",
-                "-movflags",
-                "+faststart",
-                "-f",
-                "mp4",
-            ],
+            output_params=list(MP4_OPTIONS),
         )
         stream.send(None)
     except (OSError, RuntimeError) as error:
@@ -182,16 +173,11 @@ class _HeldWriter:
         tick_ms = 10 if self._is_gif else 1
         ends = np.rint(np.cumsum([0, *self._counts]) * 1000.0 / self._fps / tick_ms).astype(int) * tick_ms
         first, *rest = _in_one_palette(self._frames) if self._is_gif else self._frames
-        common: dict[str, Any] = {
-            "save_all": True,
-            "append_images": rest,
-            "duration": np.diff(ends).tolist(),
-            "loop": 0,
-        }
+        options: dict[str, Any] = {"quality": WEBP_QUALITY, "method": 4}
         if self._is_gif:
-            first.save(file, format="GIF", disposal=1, optimize=False, **common)
-        else:
-            first.save(file, format="WEBP", quality=WEBP_QUALITY, method=4, **common)
+            options = {"disposal": 1, "optimize": False}
+        options |= {"save_all": True, "append_images": rest, "duration": np.diff(ends).tolist(), "loop": 0}
+        first.save(file, format="GIF" if self._is_gif else "WEBP", **options)
 
 
 def _in_one_palette(frames: list[Image.Image]) -> list[Image.Image]:

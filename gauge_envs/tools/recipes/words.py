@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -178,11 +179,12 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         losses = {name: "; ".join((*one.fallbacks, *one.lost)) for name, one in zip(fabrics, mapped, strict=True)}
         if any(losses.values()):
             notes += [Heading(engine), *(Paragraph(f"{name}: {text}") for name, text in losses.items() if text)]
-    values = (
-        Column(name, name, partial(_constant_text, digits=digits), is_number=True, **{only: True})
-        for digits, only in ((3, "narrow_only"), (4, "wide_only"))
-        for name in fabrics
+    narrow, wide = (
+        [Column(name, name, partial(_constant_text, digits=digits), is_number=True) for name in fabrics]
+        for digits in (3, 4)
     )
+    values = [replace(column, narrow_only=True) for column in narrow]
+    values += [replace(column, wide_only=True) for column in wide]
     table = Table(
         columns=(Column("source", "source", place=Place.HEADING), Column("constant", "constant"), *values),
         rows=rows,

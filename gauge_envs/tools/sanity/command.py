@@ -168,7 +168,7 @@ def _compare(
 ) -> bool:
     """Print what changes between two targets, and return whether a change is as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.against_words import against_document
+    from gauge_envs.tools.sanity.words import against_document
 
     comparison = compare(trained, deployed, **options)
     print_document(against_document(comparison), form, files=files)

@@ -53,7 +53,7 @@ def sanity_page(report: Report) -> str:
     checked = report.configuration
     lead = "What the numerical settings of this configuration do to the physics of measured objects: "
     cards = (_card(row) for row in sorted(report.rows, key=lambda row: not row.is_flag))
-    parts: list[Part | Html] = [
+    parts: list[Part] = [
         Paragraph(top_line(report), Tone.ANSWER),
         element("p", f"{lead}{tally_text(report)}.", class_="lead"),
         _phenomena(report),
@@ -98,8 +98,8 @@ def _phenomena(report: Report) -> Table:
     )
 
 
-def _configuration(checked: TrainingConfiguration) -> list[Part | Html]:
-    parts: list[Part | Html] = [Facts(source_facts(checked))]
+def _configuration(checked: TrainingConfiguration) -> list[Part]:
+    parts: list[Part] = [Facts(source_facts(checked))]
     parts += [Paragraph(note, Tone.WARNING) for note in checked.notes]
     rows = [
         (name, setting_text(value), origin)
@@ -130,7 +130,7 @@ def _card(row: PhenomenonResult) -> Html:
     values = f"reality {reality_text(row.reality, row.unit)}, preset {measured_text(row.default)}, this configuration "
     source = f"Reality ({row.reality.kind.value}): {row.reality.source}. Interval: {row.reality.rationale}."
     scene = f" Scene: {row.experiment}." if row.experiment else ""
-    parts: list[Part | Html] = [element("p", _row_badge(row), f" {values}{measured_text(row.configured)}")]
+    parts: list[Part] = [element("p", _row_badge(row), f" {values}{measured_text(row.configured)}")]
     if row.curve is not None:
         parts.append(_figure(row.curve))
     if text := responsible_text(row):

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from secrets import token_hex
+from string import Template
 from typing import Any
 
 from gauge_envs.errors import GaugeError, ResultFileError
@@ -20,7 +21,7 @@ from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison, compare
 from gauge_envs.tools.site.engine_page import engine_page
 from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, first_result
+from gauge_envs.tools.site.model import Site, first_results
 from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.replay import ghost_text, replay_data
 from gauge_envs.tools.site.reproduce import reproduce_page
@@ -30,7 +31,14 @@ MARK = "gauge-report-site.txt"
 
 MARK_TEXT = "A site of `gauge report`. The next one with this folder replaces everything in it.\n"
 
+ASSETS = files("gauge_envs.tools.site") / "assets"
+
 SCRIPTS = ("replay.js", "three.min.js", "three.LICENSE.txt")
+
+HELP = (
+    "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. Poses of the "
+    "run, which was repeated and has the same g(t) as its result, bit for bit."
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,9 +126,8 @@ def _write(
 ) -> tuple[ReplayNote, ...]:
     comparison = compare(results.values())
     site = Site(comparison=comparison, files={id(result): file for file, result in results.items()})
-    assets = files("gauge_envs.tools.site") / "assets"
     for name in SCRIPTS:
-        save_file(out / "assets" / name, (assets / name).read_bytes())
+        save_file(out / "assets" / name, (ASSETS / name).read_bytes())
     save_file(out / "assets" / "site.css", stylesheet())
     save_file(out / MARK, MARK_TEXT)
     notes: list[ReplayNote] = []
@@ -143,12 +150,8 @@ def _write(
 def _replays(site: Site, one: ExperimentComparison, out: Path) -> tuple[Html | None, list[ReplayNote]]:
     """Write the replay of each configuration in an experiment; return their element, and what has none and why."""
     entries: list[dict[str, str]] = []
-    ghosts = []
-    notes = []
-    for index, cell in enumerate(one.cells):
-        result = first_result(cell)
-        if result is None:
-            continue
+    ghosts, notes = [], []
+    for index, result in first_results(one).items():
         label = site.labels[index]
         try:
             data = _replay(site, index, result)
@@ -175,17 +178,6 @@ def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
 
 
 def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
-    speeds = join(
-        element("option", f"{text} speed", value=value, selected=value == "1")
-        for text, value in (("1/20", "0.05"), ("1/4", "0.25"), ("1/2", "0.5"), ("real", "1"), ("2 times", "2"))
-    )
-    controls = [
-        element("button", "Play", name="play", type="button"),
-        element("input", type="range", name="time", min=0, max=1, step="any", value=0, aria_label="time"),
-        element("output", "loading", name="now", aria_live="off"),
-        element("select", speeds, name="speed", aria_label="speed"),
-        element("button", "Reset view", name="view", type="button"),
-    ]
     boxes = [
         element("label", element("input", type="checkbox", name="engine", value=entry["key"]), f" {entry['label']}")
         for entry in entries
@@ -193,26 +185,6 @@ def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
     if ghost:
         box = element("input", type="checkbox", name="ghost", checked=True)
         boxes.append(element("label", box, " reference"))
-    choice = element("fieldset", element("legend", "Show"), *boxes)
-    canvas = element(
-        "canvas",
-        tabindex=0,
-        role="application",
-        aria_label="3D replay. Space plays, arrow keys step by a frame, A and D turn the view.",
-    )
-    stage = element("div", canvas, element("div", class_="names"), class_="stage")
-    help_text = "Drag to turn, click and scroll to zoom. Keys in the picture: Space, left and right, Home, End, A, D. "
-    help_text += "Poses of the run, which was repeated and has the same g(t) as its result, bit for bit."
-    return join(
-        [
-            element(
-                "div",
-                stage,
-                element("div", *controls, choice, class_="controls"),
-                element("noscript", "The replay needs JavaScript."),
-                class_="replay",
-                data_replays=script_value(list(entries)),
-            ),
-            element("p", help_text, f" {ghost}" if ghost else "", class_="small"),
-        ]
-    )
+    stage = Template((ASSETS / "stage.html").read_text(encoding="utf-8")).substitute(boxes=join(boxes))
+    replay = element("div", Html(stage), class_="replay", data_replays=script_value(list(entries)))
+    return join([replay, element("p", HELP, f" {ghost}" if ghost else "", class_="small")])

@@ -13,7 +13,7 @@ from gauge_envs.pages.svg import CurvePanel, curve_panel
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison
-from gauge_envs.tools.site.model import Site, first_result
+from gauge_envs.tools.site.model import Site, first_results
 
 FloatArray = NDArray[np.float64]
 
@@ -29,12 +29,12 @@ Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
 """Configuration, times [s], g(t) of shape [sample_count, coordinate_count], and names of the coordinates."""
 
 
-def curve_section(site: Site, one: ExperimentComparison, band: Band | None) -> list[Part | Html]:
+def curve_section(site: Site, one: ExperimentComparison, band: Band | None) -> list[Part]:
     """Return the curves of all configurations that ran over the band, or without one."""
     recorded = [
         (index, *result.trajectory.arrays(), result.trajectory.coordinates)
-        for index, cell in enumerate(one.cells)
-        if (result := first_result(cell)) is not None and result.trajectory is not None
+        for index, result in first_results(one).items()
+        if result.trajectory is not None
     ]
     if not recorded:
         return []

@@ -20,7 +20,7 @@ def engine_page(site: Site, name: str) -> str:
         site: The site.
         name: Name of the engine, or `file` for trajectory files.
     """
-    parts: list[Part | Html] = []
+    parts: list[Part] = []
     for index in site.engines[name]:
         parts += [*_means(site, index), _scores(site, index), *_settings(site, index), *_reasons(site, index)]
     return site_page(f"Engine: {name}", parts, here=site.engine_page(name))
@@ -59,7 +59,7 @@ def _scores(site: Site, index: int) -> Table:
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)
 
 
-def _settings(site: Site, index: int) -> list[Part | Html]:
+def _settings(site: Site, index: int) -> list[Part]:
     groups: dict[str, list[str]] = {}
     for one in site.comparison.experiments:
         result = first_result(one.cells[index])
@@ -73,7 +73,7 @@ def _settings(site: Site, index: int) -> list[Part | Html]:
     return [Heading("Settings in force", 3), *blocks] if groups else []
 
 
-def _reasons(site: Site, index: int) -> list[Part | Html]:
+def _reasons(site: Site, index: int) -> list[Part]:
     reasons: dict[tuple[str, str], list[str]] = {}
     for one in site.comparison.experiments:
         cell = one.cells[index]

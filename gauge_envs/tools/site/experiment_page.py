@@ -19,7 +19,7 @@ from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare import ExperimentComparison, compare_grade, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
 from gauge_envs.tools.site.curves import curve_section
-from gauge_envs.tools.site.model import Site, first_result, score_cell, section, site_page
+from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -47,7 +47,7 @@ UNCERTAINTY_NOTE = (
     "observations, B from other knowledge (GUM)."
 )
 
-Parts = list[Part | Html]
+Parts = list[Part]
 
 Results = Mapping[int, Result]
 """First result of each configuration that ran, by its index."""
@@ -62,7 +62,7 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
         replay: Element of the replay, or None.
         replay_notes: Why configurations have no replay, a sentence each.
     """
-    results = {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+    results = first_results(one)
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
     band = None if experiment is None else reference_band(experiment, use_withheld=withheld)
@@ -98,7 +98,7 @@ def _experiment(results: Results) -> Experiment | None:
     return None
 
 
-def _head(one: ExperimentComparison, experiment: Experiment | None, band: Band | None) -> Iterator[Part | Html]:
+def _head(one: ExperimentComparison, experiment: Experiment | None, band: Band | None) -> Iterator[Part]:
     if isinstance(experiment, TaskExperiment):
         yield element("p", experiment.spec.summary, class_="lead")
         yield element("p", element("b", "Tests: "), ", ".join(experiment.spec.evaluates), ".")
@@ -141,7 +141,7 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     if not names:
         return []
     titles, note = ["", *(SCORE_METRICS[name].title for name in names)], SCORES_NOTE
-    rows = [
+    rows: list[list[str]] = [
         [link, *(score_cell(one, cell, name) for name in names)]
         for link, cell in zip(site.links, one.cells, strict=True)
     ]

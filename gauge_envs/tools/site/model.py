@@ -62,12 +62,12 @@ def whisker_text(value: float, interval: Sequence[float] | None) -> Html:
     )
 
 
-def section(title: str, table: Table, *notes: str) -> list[Part | Html]:
+def section(title: str, table: Table, *notes: str) -> list[Part]:
     """Return a table below its title, with notes below it; nothing without rows."""
     return [Heading(title), table, *(Paragraph(note, Tone.NOTE) for note in notes)] if table.rows else []
 
 
-def site_page(title: str, parts: Iterable[Part | Html], *, here: str, scripts: Sequence[str] = ()) -> str:
+def site_page(title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()) -> str:
     """Return a page of the site.
 
     Args:
@@ -162,6 +162,11 @@ class Site:
 def first_result(cell: Cell | None) -> Result | None:
     """Return the first result of a cell that ran; None without one."""
     return None if cell is None else next((one for one in cell.results if one.error is None), None)
+
+
+def first_results(one: ExperimentComparison) -> dict[int, Result]:
+    """Return the first result of each configuration that ran an experiment, by its index."""
+    return {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
 
 
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:

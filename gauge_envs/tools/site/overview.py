@@ -60,8 +60,9 @@ def overview_page(site: Site) -> str:
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
         f"Scored in all configurations: {against or 'none'}."
     )
-    answers = [_answer(site, grade) for grade in graded] or ["No experiment has a score in all configurations."]
-    parts: list[Part | Html] = [
+    none: list[str] = ["No experiment has a score in all configurations."]
+    answers = [_answer(site, grade) for grade in graded] or none
+    parts: list[Part] = [
         element("p", lead, class_="lead"),
         element("div", *(element("p", answer) for answer in answers), class_="answer"),
         element("div", *(_grade_forest(site, grade) for grade in graded), class_="forest"),
@@ -162,7 +163,7 @@ def _phenomena(site: Site) -> Iterator[_Phenomenon]:
             yield _Phenomenon(title, tests, compared, members)
 
 
-def _matrix(site: Site) -> list[Part | Html]:
+def _matrix(site: Site) -> list[Part]:
     def heading(one: _Phenomenon) -> Html:
         links = (
             element("a", member.name.partition("-")[2] or member.name, href=site.experiment_page(member))
@@ -264,7 +265,7 @@ def _unscored_table(site: Site) -> Table:
     return grid(("experiment", "furthest apart", "distance", "motion"), rows, number_from=2)
 
 
-def _engines(site: Site) -> list[Part | Html]:
+def _engines(site: Site) -> list[Part]:
     comparison = site.comparison
     rows = [
         [

@@ -1,19 +1,17 @@
 """Replays as data of a page: shapes, quantized poses and nodes, and the real trajectory as a ghost.
 
 Positions are whole numbers of 16 bits between the ends of their range, orientations the components of the quaternion
-times 32767. `Quantized.step_m` states the rounding of positions.
+times 32767.
 """
 
 from __future__ import annotations
 
 from base64 import b64encode
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import ConvexHull
 
 from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
 from gauge_envs.envs.rendering.ghost import reference_words
@@ -42,6 +40,7 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import Pose, Shape
+from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.floating[Any]]
@@ -53,38 +52,22 @@ ROUND_M = 5
 """Digits of lengths in metres that are written as text: 10 micrometres."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Quantized:
-    """Positions as numbers of 16 bits.
+def quantized(positions_m: FloatArray) -> dict[str, Any]:
+    """Return positions as numbers of 16 bits, JSON-ready; a position that is not finite becomes the centre.
 
-    Attributes:
-        values: Numbers from -32767 to 32767, of the shape of the positions, [..., 3].
-        centre_m: Position of number 0 [m].
-        step_m: Length of one count along each axis [m]; a position is wrong by half of it at most.
+    Args:
+        positions_m: Positions [m], shape [..., 3].
+
+    Returns:
+        The numbers as base64, the position of number 0 [m], and the length of one count along each axis [m]; a position
+        is wrong by half of it at most.
     """
-
-    values: NDArray[np.int16]
-    centre_m: NDArray[np.float64]
-    step_m: NDArray[np.float64]
-
-    def restored(self) -> NDArray[np.float64]:
-        """Return the positions [m]."""
-        return self.centre_m + self.values * self.step_m
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return a JSON-ready dictionary."""
-        return {"data": _packed(self.values), "centre": self.centre_m.tolist(), "step": self.step_m.tolist()}
-
-
-def quantized(positions_m: FloatArray) -> Quantized:
-    """Return positions [m], shape [..., 3], as numbers of 16 bits; a position that is not finite becomes the centre."""
     points = positions_m.reshape(-1, 3).astype(np.float64)
     finite = points[np.isfinite(points).all(axis=1)]
     low, high = (finite.min(axis=0), finite.max(axis=0)) if len(finite) else (np.zeros(3), np.zeros(3))
     centre, step = 0.5 * (low + high), np.maximum(0.5 * (high - low) / MOST, 1e-12)
-    counts = np.rint((positions_m - centre) / step)
-    values = np.where(np.isfinite(counts), counts, 0.0).astype(np.int16)
-    return Quantized(values=values, centre_m=centre, step_m=step)
+    counts = np.nan_to_num(np.rint((positions_m - centre) / step), posinf=0.0, neginf=0.0).astype(np.int16)
+    return {"data": _packed(counts), "centre": centre.tolist(), "step": step.tolist()}
 
 
 def _packed(values: NDArray[Any]) -> str:
@@ -138,37 +121,26 @@ def _pose(pose: Pose) -> list[float]:
     return [*pose.position_m, x, y, z, w]
 
 
+SOLIDS: Mapping[type, tuple[str, Mapping[str, str]]] = {
+    Box: ("box", {"size": "size_m"}),
+    Sphere: ("sphere", {"radius": "radius_m"}),
+    Cylinder: ("cylinder", {"radius": "radius_m", "length": "length_m"}),
+    Capsule: ("capsule", {"radius": "radius_m", "length": "length_m"}),
+    Ellipsoid: ("ellipsoid", {"radii": "radii_m"}),
+    Plane: ("plane", {}),
+}
+"""Kind of each shape, and its attributes by their names in the data."""
+
+
 def _solids(shape: Shape) -> list[dict[str, Any]]:
     """Return the solids of a shape, each with its place in the body frame."""
     if isinstance(shape, Compound):
         return [solid | {"pose": _pose(part.pose)} for part in shape.parts for solid in _solids(part.shape)]  # type: ignore[arg-type]
-    if isinstance(shape, Box):
-        return [{"kind": "box", "size": list(shape.size_m)}]
-    if isinstance(shape, Sphere):
-        return [{"kind": "sphere", "radius": shape.radius_m}]
-    if isinstance(shape, Cylinder):
-        return [{"kind": "cylinder", "radius": shape.radius_m, "length": shape.length_m}]
-    if isinstance(shape, Plane):
-        return [{"kind": "plane"}]
     if isinstance(shape, ConvexUnion):
-        return [_hull(np.asarray(piece)) for piece in shape.pieces_m]
-    return [_part(shape)]
-
-
-def _part(shape: Capsule | Ellipsoid) -> dict[str, Any]:
-    if isinstance(shape, Capsule):
-        return {"kind": "capsule", "radius": shape.radius_m, "length": shape.length_m}
-    return {"kind": "ellipsoid", "radii": list(shape.radii_m)}
-
-
-def _hull(points_m: NDArray[np.float64]) -> dict[str, Any]:
-    """Return the faces of a convex piece as triangles with outward normals."""
-    hull = ConvexHull(points_m)
-    triangles = points_m[hull.simplices]
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    inward = (across * hull.equations[:, :3]).sum(axis=1) < 0.0
-    triangles[inward] = triangles[inward][:, ::-1]
-    return {"kind": "mesh", "triangles": np.round(triangles, ROUND_M + 1).ravel().tolist()}
+        triangles = (hull_triangles(np.asarray(piece)) for piece in shape.pieces_m)
+        return [{"kind": "mesh", "triangles": np.round(one, ROUND_M + 1).ravel().tolist()} for one in triangles]
+    kind, sizes = SOLIDS[type(shape)]
+    return [{"kind": kind} | {name: getattr(shape, attribute) for name, attribute in sizes.items()}]
 
 
 # --- motion ---
@@ -184,7 +156,6 @@ def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, la
         label: Name of the configuration.
         color: Its colour in CSS.
     """
-    positions = quantized(replay.poses[..., :3])
     # Quaternions are stored x y z w, the order of three.js.
     turns = np.rint(MOST * np.nan_to_num(replay.poses[..., [4, 5, 6, 3]])).clip(-MOST, MOST).astype(np.int16)
     return {
@@ -194,10 +165,10 @@ def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, la
         "views": len(replay.poses),
         "scene": scene_data(experiment.scene),
         "moving": list(replay.bodies),
-        "positions": positions.to_dict(),
+        "positions": quantized(replay.poses[..., :3]),
         "turns": _packed(turns),
         "soft": [_soft(body, replay.nodes_m[body.name]) for body in experiment.scene.deformables],
-        "markers": quantized(replay.markers_m).to_dict() | {"count": replay.markers_m.shape[1]}
+        "markers": quantized(replay.markers_m) | {"count": replay.markers_m.shape[1]}
         if replay.markers_m.size
         else None,
         "ghost": None if band is None else _ghost(experiment, band),
@@ -205,7 +176,7 @@ def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, la
 
 
 def _soft(body: Cloth | SoftBody | Rope | Rod, nodes_m: NDArray[np.float32]) -> dict[str, Any]:
-    data: dict[str, Any] = {"count": nodes_m.shape[1], "nodes": quantized(nodes_m).to_dict()}
+    data: dict[str, Any] = {"count": nodes_m.shape[1], "nodes": quantized(nodes_m)}
     if isinstance(body, Rope | Rod):
         return data | {"kind": "line", "radius": body.radius_m, "color": _color(USUAL[Motion.DYNAMIC].color)}
     faces = Skin(body, nodes_m[0].astype(np.float64)).faces
@@ -222,24 +193,16 @@ def _ghost(experiment: Experiment, band: Band) -> dict[str, Any] | None:
     if path is None:
         return None
     is_body = experiment.score.observable is Observable.POSITION
-    scene = experiment.scene
-    known = [bool(np.isfinite(row).all()) for row in path.places_m]
+    shapes = [experiment.scene.body(name).shape if is_body else None for name in path.names]
     return {
         "grade": band.grade.value,
         "trials": band.trial_count,
         "full": path.is_full,
         "names": list(path.names),
-        "radii": [_radius(scene.body(name).shape) if is_body else None for name in path.names],
-        "places": [
-            np.round(row, ROUND_M).tolist() if is_known else None
-            for row, is_known in zip(path.places_m, known, strict=True)
-        ],
+        "radii": [shape.radius_m if isinstance(shape, Sphere) else None for shape in shapes],
+        "places": [np.round(row, ROUND_M).tolist() if np.isfinite(row).all() else None for row in path.places_m],
         "measured": band.measured.tolist(),
     }
-
-
-def _radius(shape: Shape) -> float | None:
-    return shape.radius_m if isinstance(shape, Sphere) else None
 
 
 def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
-from gauge_envs.pages.html import Html, below, code, element, folded, join
+from gauge_envs.pages.html import below, code, element, folded, join
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.imported import DataSource
@@ -83,9 +83,9 @@ def _exact(value: float, scaled: float, restored: Callable[[float], float]) -> s
     return next((text for text in texts if restored(float(text)) == value), repr(scaled))
 
 
-def run_commands(site: Site, one: ExperimentComparison) -> list[Part | Html]:
+def run_commands(site: Site, one: ExperimentComparison) -> list[Part]:
     """Return the commands of all configurations in one experiment, each with its versions."""
-    parts: list[Part | Html] = []
+    parts: list[Part] = []
     for index, cell in enumerate(one.cells):
         if cell is None:
             continue
@@ -139,7 +139,7 @@ def reproduce_page(site: Site, command: str) -> str:
         join([code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."]),
         join([code("gauge diagnose results/"), " prints the error budgets."]),
     )
-    parts: list[Part | Html] = [
+    parts: list[Part] = [
         Paragraph("Every number on these pages comes from a result file, and each file from one command."),
         element("ol", *(element("li", step) for step in steps)),
         Heading("This site"),

@@ -156,10 +156,10 @@ def transfer_envelope(
     from gauge_envs.envs.control.tasks import control_tasks
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.envelope import experiment_envelope
-    from gauge_envs.tools.transfer.envelope_figure import draw_envelope
     from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-    from gauge_envs.tools.transfer.envelope_words import envelope_document
+    from gauge_envs.tools.transfer.figure import draw_envelope
     from gauge_envs.tools.transfer.randomization import write_randomization
+    from gauge_envs.tools.transfer.words import envelope_document
 
     known = {"samples": PositiveInt, "batch": PositiveInt, "seed": NonNegativeInt, "width": float}
     subject, details = arguments.split_subject(words, **known)

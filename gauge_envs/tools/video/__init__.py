@@ -7,6 +7,7 @@ Example:
 """
 
 from gauge_envs.tools.video.camera_file import read_camera
+from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.grade import Grade
 from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose
 from gauge_envs.tools.video.scoring import METRICS, VideoScore, score, score_track
@@ -16,6 +17,7 @@ from gauge_envs.tools.video.track import Event, Track, read_track
 __all__ = [
     "METRICS",
     "Event",
+    "FileFrames",
     "Grade",
     "Lens",
     "Motion",

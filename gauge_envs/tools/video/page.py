@@ -69,7 +69,7 @@ def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:
     models = list(dict.fromkeys(model for model, _ in results))
     tasks = list(dict.fromkeys(task for _, task in results))
     rows = [(task, name) for task in tasks for name in METRICS if name in video_task(task).real]
-    parts: list[Part | Html] = [
+    parts: list[Part] = [
         element("p", VALUES_NOTE),
         _values_table(models, rows, results),
         Heading("Published models"),

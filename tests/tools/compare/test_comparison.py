@@ -15,8 +15,9 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.files import versions
+from gauge_envs.pages.document import Terminal, as_markdown, as_rows
 from gauge_envs.pages.figures import OURS, legend_above, new_figure
-from gauge_envs.pages.results import configuration_labels
+from gauge_envs.pages.results import SCORE_METRICS, configuration_labels
 from gauge_envs.pages.text import score_text
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
@@ -26,10 +27,10 @@ from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.runs.scene_record import recorded_experiment
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.distance import MOTION_SHARE
+from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
 from gauge_envs.tools.compare.overview_figure import draw_overview, save_comparison
-from gauge_envs.tools.compare.scores import COMPARED_METRICS, ScoreSpread, check_metrics
-from gauge_envs.tools.compare.words import comparison_json, comparison_markdown, comparison_rows, comparison_view
+from gauge_envs.tools.compare.words import check_metrics, comparison_document, comparison_rows
 
 SLIDER, PLASTIC, FOAM, CRADLE = (
     "SlopeSlider-2-wood",
@@ -110,14 +111,14 @@ def declined(name=SLIDER, *, backend="newton"):
 def printed(results, *metrics):
     console = Console(width=300)
     with console.capture() as capture:
-        console.print(comparison_view(compare(results), metrics or tuple(COMPARED_METRICS), wide=True))
+        console.print(Terminal(comparison_document(compare(results), metrics or tuple(SCORE_METRICS)), wide=True))
     return capture.get()
 
 
 def cells(results, metric="rmse"):
     """Texts of the row of a metric, a column a configuration."""
     comparison = compare(results)
-    markdown = comparison_markdown(comparison, [metric])
+    markdown = as_markdown(comparison_document(comparison, [metric]))
     row = next(line for line in markdown.splitlines() if line.startswith("| SlopeSlider"))
     return [cell.strip() for cell in row.strip("|").split("|")][4:-3]
 
@@ -135,7 +136,7 @@ def test_results_that_differ_in_their_seed_alone_are_one_cell():
     comparison = compare([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])])
     ((cell,),) = [one.cells for one in comparison.experiments]
     assert [result.seed for result in cell.results] == [0, 1, 2]
-    assert cell.spread(COMPARED_METRICS["rmse"], normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
+    assert cell.spread("rmse", normalized=True) == ScoreSpread(mean=2.0, std=1.0, count=3)
     assert cells([made(rmse=value, seed=seed) for seed, value in enumerate([1.0, 2.0, 3.0])]) == ["2.00 +- 1.00 (3)"]
 
 
@@ -260,7 +261,7 @@ def test_one_configuration_is_shown_beside_what_was_published():
 def test_nothing_to_compare():
     assert "no results to compare" in printed([])
     assert comparison_rows(compare([])) == []
-    assert comparison_json(compare([])) == []
+    assert as_rows(comparison_document(compare([]))) == []
 
 
 # --- grades and pairs ---
@@ -408,7 +409,7 @@ def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
     assert score.geometric_mean.value == pytest.approx(mean)
     # Over one experiment, a mean has the interval of the cell that shows the same score.
     (one,) = compare(ours).experiments
-    assert score.mean.interval_95 == one.cells[0].interval_95(COMPARED_METRICS[one.primary])
+    assert score.mean.interval_95 == one.cells[0].interval_95(one.primary)
     # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
     (alone, *_) = grade(compare(ours[1:2]), "trials").scores
     widths = [one.geometric_mean.interval_95[1] - one.geometric_mean.interval_95[0] for one in (score, alone)]
@@ -459,16 +460,16 @@ def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
     assert lines[place + 2].split()[0] == "RMSE"
 
 
-@pytest.mark.parametrize("metric", [name for name, one in COMPARED_METRICS.items() if one.normalized is not None])
+@pytest.mark.parametrize("metric", [name for name, one in SCORE_METRICS.items() if one.is_normalized])
 def test_each_normalized_metric_has_an_interval(metric):
-    known = COMPARED_METRICS[metric]
-    score = Score(grade="none", unit="mm", **{known.normalized: 0.5, known.raw: 9.0, known.interval: (0.25, 1.5)})
+    values = {f"{metric}_normalized": 0.5, f"{metric}_normalized_95": (0.25, 1.5)}
+    score = Score(grade="none", unit="mm", **values | {SCORE_METRICS[metric].score_field: 9.0})
     assert cells([made(score=score)], metric) == ["0.50 [0.25, 1.50]"]
 
 
 def test_json_has_pairs_and_grades(real):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC, HOLD))
-    record = by_kind(json.loads(json.dumps(comparison_json(comparison), allow_nan=False)))
+    record = by_kind(json.loads(json.dumps(as_rows(comparison_document(comparison)), allow_nan=False)))
     assert set(record) == {"experiment", "grade", "pair"}
     trials, law = record["pair"]
     assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
@@ -584,7 +585,7 @@ def test_json_has_one_object_an_experiment_and_metric():
 
 def test_markdown_tables_are_whole():
     results = [made(rmse=1.0, settings_given={"a_b": 1}), diverged(), made(FOAM), made(FOAM, backend="newton")]
-    lines = comparison_markdown(compare(results)).splitlines()
+    lines = as_markdown(comparison_document(compare(results))).splitlines()
     tables = [line for line in lines if line.startswith("|")]
     blocks = "\n".join(line if line.startswith("|") else "" for line in lines).split("\n\n")
     counts = [{row.count("|") for row in block.split("\n") if row} for block in blocks]
@@ -594,7 +595,7 @@ def test_markdown_tables_are_whole():
 
 
 def test_metrics_are_checked_and_kept_in_order():
-    assert check_metrics([]) == tuple(COMPARED_METRICS)
+    assert check_metrics([]) == tuple(SCORE_METRICS)
     assert check_metrics(["dtw", "rmse", "dtw"]) == ("dtw", "rmse")
     with pytest.raises(UnknownNameError, match="did you mean rmse"):
         check_metrics(["rsme"])

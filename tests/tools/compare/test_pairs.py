@@ -25,7 +25,7 @@ from slide_worlds import (
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.tools.compare.draws import ScoreDraws
+from gauge_envs.tools.compare.draws import ScoreDraws, repeats_interval
 from gauge_envs.tools.compare.grades import (
     GradedExperiment,
     PairComparison,
@@ -34,7 +34,6 @@ from gauge_envs.tools.compare.grades import (
     geometric_mean,
     interquartile_mean,
 )
-from gauge_envs.tools.compare.scores import repeats_interval
 
 FloatArray = NDArray[np.float64]
 

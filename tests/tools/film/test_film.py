@@ -424,7 +424,7 @@ def clip(tmp_path: Path) -> Callable[..., Path]:
 def test_a_recording_is_on_the_clock_of_the_simulation(
     clip: Callable[..., Path], rate_hz: float | None, start_s: float, time_s: float, index: int
 ) -> None:
-    from gauge_envs.tools.film.recording import RecordedPanel
+    from gauge_envs.tools.film.panel import RecordedPanel
 
     panel = RecordedPanel(clip(25.0), start_s=start_s, rate_hz=rate_hz, width=120, height=120)
     panel.picture(0.0)
@@ -437,7 +437,7 @@ def test_a_recording_is_on_the_clock_of_the_simulation(
 
 
 def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) -> None:
-    from gauge_envs.tools.film.recording import RecordedPanel
+    from gauge_envs.tools.film.panel import RecordedPanel
 
     with pytest.raises(GaugeError, match=r"its pictures are from 0 s to 1\.160 s; the start is at 3 s"):
         RecordedPanel(clip(25.0), start_s=3.0, rate_hz=None, width=120, height=120)
