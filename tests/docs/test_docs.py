@@ -169,7 +169,7 @@ def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
     unknown = []
     for words in mentioned(page):
         command, arguments = command_of(words)
-        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help"}
+        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help", "--json"}
         unknown += [
             (*words, word) for word in arguments if word.startswith("--") and word.partition("=")[0] not in known
         ]
