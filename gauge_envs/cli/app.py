@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import re
+from inspect import cleandoc
 from typing import Annotated, Any
 
 import typer
@@ -30,11 +31,13 @@ def load_command(name: str) -> Any:
     instrument, line = COMMANDS[name]
     if not instrument:
         return _Group(name=name, help=line, no_args_is_help=True)
+    function = load(instrument, name)
+    # Rich would keep the ends of lines within a paragraph.
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(function.__doc__ or ""))
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
     below = [f"gauge {other}: {COMMANDS[other][1]}" for other in _below(name)]
-    single.command(name, cls=_Command, epilog="\n\n".join(["See also", *below]) if below else None)(
-        load(instrument, name)
-    )
+    epilog = "\n\n".join(["See also", *below]) if below else None
+    single.command(name, cls=_Command, help=text, epilog=epilog)(function)
     return typer.main.get_command(single)
 
 
@@ -54,8 +57,7 @@ class _Command(typer.core.TyperCommand):
             args = ["--format=json" if word == "--json" else word for word in args]
         for option in (word.partition("=")[0] for word in args):
             if len(option) > 2 and option.startswith("--") and option not in known:
-                helps = " ".join(filter(None, [self.help, *(getattr(one, "help", "") for one in self.params)]))
-                check_spelling(str(self.name), option, details=re.findall(r"\b([a-z]\w*)=", helps))
+                check_spelling(str(self.name), option, details=re.findall(r"\b([a-z]\w*)=", self.help or ""))
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:

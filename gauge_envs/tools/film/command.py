@@ -23,15 +23,7 @@ COUNTS = dict.fromkeys(("width", "height", "columns", "strip"), int)
 def video_film(
     sources: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[DIR or FILE]... [NAME=VALUE]...",
-            help="Results; results/ by default. Details: speed=1, seconds of the experiment in one of the film; "
-            "fps=30; from_s=0 and to_s=, of the first and the last picture; hold_s=1 for the last frame; width=480 "
-            "and height=360 of a panel in pixels; columns=, panels in a row; strip=COUNT, so many times in a row "
-            "instead of a film; recording=FILE, a video of the real experiment as the first panel, "
-            "recording_start_s=0, its time at the start, and recording_rate_hz=, pictures that its camera took in a "
-            "second, if it is in slow motion.",
-        ),
+        typer.Argument(metavar="[DIR or FILE]... [NAME=VALUE]...", help="Results; results/ by default."),
     ] = None,
     out: Annotated[
         Path | None,
@@ -43,6 +35,12 @@ def video_film(
     use: arguments.Use = "",
 ) -> bool:
     """Film results of one experiment side by side, or write one for the Rerun viewer.
+
+    Details: speed=1, seconds of the experiment in one of the film; fps=30; from_s=0 and to_s=, times of the first and
+    the last picture; hold_s=1 for the last frame; width=480 and height=360 of a panel in pixels; columns=, panels in a
+    row, at most four by default; strip=COUNT, so many times in a row instead of a film; recording=FILE, a video of the
+    real experiment as the first panel; recording_start_s=0, its time at which the experiment starts; and
+    recording_rate_hz=, pictures that its camera took in a second, if it is in slow motion.
 
     Each panel has its reference, its tracked points and its score. The episodes are run again. A result without the
     same g(t), bit for bit, has no panel. Exit code 1 when a file was skipped or a result has no panel; 2 when none is

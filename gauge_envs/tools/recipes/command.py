@@ -25,11 +25,7 @@ def recipe(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[MATERIAL] [NAME=VALUE]...",
-            help="Measured pair or fabric, as wood-on-wood or satin; gauge list materials shows them. Numbers: "
-            "friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest; "
-            "stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=0.5, of "
-            "the body; timestep_s=0.002, of the engine.",
+            metavar="[MATERIAL] [NAME=VALUE]...", help="Pair or fabric, as satin; see gauge list materials."
         ),
     ] = None,
     engine: Annotated[
@@ -41,6 +37,10 @@ def recipe(
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Give contact settings of an engine for a measured behaviour, and what they reach.
+
+    Details: friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest;
+    stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=0.5, of the body;
+    timestep_s=0.002, of the engine.
 
     With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value

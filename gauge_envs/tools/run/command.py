@@ -24,10 +24,7 @@ def run(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[ID or pattern]... [NAME=VALUE]...",
-            help="Ids, patterns as 'SlopeSlider-*' or '*', or experiment files. Details: seed=0; repeats=1 from starts "
-            "that scatter as real ones do; jitter=1mm,0.5deg, the scatter of positions and angles; "
-            "marker_proxy=material for a marker on a deformable body, or node for its nearest node (paper).",
+            metavar="[ID]... [NAME=VALUE]...", help="Ids, patterns as 'SlopeSlider-*', or experiment files."
         ),
     ] = None,
     backends: arguments.Backends = None,
@@ -44,6 +41,10 @@ def run(
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score them against reality, and write a result file for each.
+
+    The pattern '*' is all. Details: seed=0; repeats=1, from starts that scatter as real ones do; jitter=1mm,0.5deg, the
+    scatter of positions and angles; marker_proxy=material for a marker on a deformable body, or node for its nearest
+    node (paper).
 
     With --limits, each experiment has a process of its own; engines of other packages always run in another process.
     Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of

@@ -35,13 +35,7 @@ DEFAULT_JOBS = 16
 def sweep(
     words: Annotated[
         list[str] | None,
-        typer.Argument(
-            metavar="[FILE] [KEY=VALUE]...",
-            help="Sweep file, TOML; and keys that replace those of the file: backends=mujoco,rapier; "
-            "variants='SlopeSlider-2-*', ids, patterns or experiment files; presets=, of every engine; "
-            "parameters=calibrated,effective, or one set of overrides; repeats=, episodes of each combination; seed=, "
-            "of the first repeat; jitter=1mm,0.5deg, scatter of positions and angles. Several values have commas.",
-        ),
+        typer.Argument(metavar="[FILE] [KEY=VALUE]...", help="Sweep file, TOML, and keys that replace those in it."),
     ] = None,
     out: Annotated[Path, typer.Option(help="Folder for the result files and the store.")] = Path("sweep"),
     changes: Annotated[
@@ -62,6 +56,10 @@ def sweep(
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run engines, settings and experiments in all combinations; continue an earlier run.
+
+    Keys: backends=mujoco,rapier; variants='SlopeSlider-2-*', ids, patterns or experiment files; presets=, of every
+    engine; parameters=calibrated,effective, or one set of overrides; repeats=, episodes of each combination; seed=, of
+    the first repeat; jitter=1mm,0.5deg, scatter of positions and angles. Several values have commas.
 
     Episodes whose results are in the folder do not run again. Without a sweep, the store of the folder, which may be
     one of gauge run, is brought up to date: sqlite3 DIR/sweep.sqlite 'SELECT id, score FROM results' reads it. Limits

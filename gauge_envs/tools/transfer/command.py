@@ -27,9 +27,7 @@ def transfer(
         list[str],
         typer.Argument(
             metavar="POLICY... [NAME=VALUE]...",
-            help="Stable-Baselines3 file (.zip), ONNX file (.onnx) or module:function; several are training seeds. "
-            "Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in "
-            "each world, within the start's uncertainty; seed=0 of the starts.",
+            help="Stable-Baselines3 (.zip), ONNX (.onnx) or module:function; several are training seeds.",
         ),
     ],
     task: Annotated[str, typer.Option("--id", metavar="ID", help="Control task, as GAUGE/Turntable-Limit-wood.")],
@@ -53,8 +51,8 @@ def transfer(
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
 
-    Worlds differ in their engine, its settings, and constants within their uncertainty. Exit code 1 when they keep less
-    than --fail-below states.
+    Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in each
+    world, within the start's uncertainty; seed=0 of the starts. Exit code 1 when they keep less than --fail-below states.
     """
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.figure import draw_transfer
@@ -122,20 +120,11 @@ def _picture_files(out: list[Path], *others: str) -> dict[str, Path]:
 def transfer_envelope(
     words: Annotated[
         list[str],
-        typer.Argument(
-            metavar="ID [NAME=VALUE]...",
-            help="Control task or experiment. Details: samples=256, number of points, a power of 2, and their seed=0; "
-            "batch=256, worlds that run at a time; width=2, half width of the ranges of --out in standard "
-            "uncertainties.",
-        ),
+        typer.Argument(metavar="ID [NAME=VALUE]...", help="Control task or experiment."),
     ],
     policy: Annotated[
         str,
-        typer.Option(
-            metavar="POLICY",
-            help="Policy of a control task, as in gauge transfer; or the law's, law:fraction=0.95,informed=false, with "
-            "its share of the limit, and whether it knows the constants of each world.",
-        ),
+        typer.Option(metavar="POLICY", help="Policy of a control task, as in gauge transfer; or that of its law."),
     ] = "law",
     normalization: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Statistics that VecNormalize saved beside the policy.")
@@ -151,7 +140,10 @@ def transfer_envelope(
 ) -> None:
     """Show what uncertain constants and starts do to a reward or a score.
 
-    With --out DIR it writes the same uncertainty as ranges of domain randomization.
+    Details: samples=256, number of points, a power of 2, and their seed=0; batch=256, worlds that run at a time;
+    width=2, half width of ranges in standard uncertainties. --out DIR writes these ranges, for domain randomization.
+    --policy law:fraction=0.95,informed=false states the law's share of the limit, and whether it knows the constants of
+    each world.
     """
     from gauge_envs.envs.control.tasks import control_tasks
     from gauge_envs.pages.figures import save_png

@@ -50,9 +50,7 @@ def video_score(
     words: Annotated[
         list[str],
         typer.Argument(
-            metavar="VIDEO... [NAME=VALUE]...",
-            help="Video files; or tracks, .csv with the columns frame, x, y and confidence. Details: fps=, frames per "
-            "second, instead of the rate that a video states; size=832x480, of the pictures of a track in pixels.",
+            metavar="VIDEO... [NAME=VALUE]...", help="Videos, or tracks: .csv with frame, x, y, confidence."
         ),
     ],
     task: Annotated[str, typer.Option("--id", metavar="ID", help="Task of the videos; see gauge list video-tasks.")],
@@ -67,7 +65,8 @@ def video_score(
 ) -> bool:
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
-    They have intervals. Exit code 1 when a video is graded invalid.
+    They have intervals. Details: fps=, frames per second, instead of the rate that a video states; size=832x480, of the
+    pictures of a track in pixels. Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
@@ -160,11 +159,7 @@ def video_report(
 def video_render(
     words: Annotated[
         list[str],
-        typer.Argument(
-            metavar="TASK [NAME=VALUE]...",
-            help="Task; see gauge list video-tasks. Details: fps=30, which divides 180; seconds=, time after the "
-            "release, by default the experiment, at most 8 s.",
-        ),
+        typer.Argument(metavar="TASK [NAME=VALUE]...", help="Task; see gauge list video-tasks."),
     ],
     out: Annotated[Path, typer.Option(help="Video to write, .mp4; its exact track goes beside it.")],
     backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",
@@ -173,7 +168,8 @@ def video_render(
 ) -> None:
     """Make a video of an engine with the view of the first frame of a task.
 
-    gauge video score judges it.
+    gauge video score judges it. Details: fps=30, which divides 180; seconds=, time after the release, by default that
+    of the experiment, at most 8 s.
     """
     from gauge_envs.tools.video.render import film
 

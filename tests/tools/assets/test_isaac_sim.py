@@ -551,7 +551,7 @@ def test_a_layer_of_another_command_is_refused(
     monkeypatch.setattr(sys, "argv", ["run_layer.py"])
     layer = assets_folder() / "usd" / "BouncingBall-rubber.usda"
     assert RUN_LAYER.main([str(layer), "--out", str(tmp_path / "out.csv")]) == 2
-    assert "not a layer of 'gauge assets isaac-sim'" in capsys.readouterr().err
+    assert "not a layer of 'gauge data isaac-sim'" in capsys.readouterr().err
     assert stub.times_s == []
 
 

@@ -763,7 +763,7 @@ def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     [
         (["nowhere"], "holds no result files"),
         ([], "holds no result files"),
-        (["--metric", "rsme"], "unknown metric 'rsme'; did you mean rmse"),
+        (["metric=rsme"], "unknown metric 'rsme'; did you mean rmse"),
         (["--json", "--format", "markdown"], "give one of them"),
     ],
 )
