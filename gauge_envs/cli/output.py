@@ -33,6 +33,9 @@ UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80."""
 
+LINE_INTERVAL_S = 5.0
+"""Time between two lines of progress where there is no terminal [s]."""
+
 EXIT_FAILED = 1
 """The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
 
@@ -110,16 +113,21 @@ class Progress:
     Args:
         noun: What is counted.
         total: Number of steps; None if it is not known.
+        done: Number of steps that were complete before.
         line_interval_s: Least time between two lines where there is no terminal [s]; None for no lines.
     """
 
-    def __init__(self, noun: str, total: int | None, *, line_interval_s: float | None = None) -> None:
-        self._console = stderr_console()
-        self._bar = progress_bar(self._console)
-        self._task = self._bar.add_task(noun, total=total)
-        self._total, self._done = total, 0
-        self._interval_s = None if self._console.is_terminal else line_interval_s
-        self._line_s = time.monotonic()
+    def __init__(self, noun: str, total: int | None, *, done: int = 0, line_interval_s: float | None = None) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        console = stderr_console()
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self._is_terminal = console.is_terminal
+        self._bar = Progress(*columns, console=console, transient=True, disable=not self._is_terminal)
+        self._task = self._bar.add_task(noun, total=total, completed=done)
+        self._total, self._first, self._done = total, done, done
+        self._interval_s = line_interval_s
+        self._start_s = self._line_s = time.monotonic()
 
     def __enter__(self) -> Self:
         self._bar.start()
@@ -135,24 +143,18 @@ class Progress:
         now_s = time.monotonic()
         if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
             self._line_s = now_s
-            self.line(f"{self._done}/{self._total} {text}")
+            left_s = ((self._total or 0) - self._done) * (now_s - self._start_s) / (self._done - self._first)
+            left = f", about {left_s / 60.0:.1f} min left" if self._interval_s else ""
+            self.line(f"{self._done}/{self._total} {text}{left}")
 
     def line(self, text: str) -> None:
         """Print a line where there is no terminal."""
-        if not self._console.is_terminal:
+        if not self._is_terminal:
             message(text)
 
     def show(self, text: object, done: int | None = None, total: int | None = None) -> None:
         """Show what is done at the moment, and how many steps of all."""
         self._bar.update(self._task, completed=done, total=total, description=plain_text(str(text)))
-
-
-def progress_bar(console: Console) -> Any:
-    """Return a progress bar, which only a terminal shows."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
 
 
 def echo(text: object, *, nl: bool = True) -> None:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, message, print_document, print_json_lines
+from gauge_envs.cli.output import LINE_INTERVAL_S, Format, Progress, message, print_document, print_json_lines
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.pages.text import counted
 
@@ -21,9 +21,6 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.tools.conformance import CheckResult
     from gauge_envs.tools.conformance.matrix import MatrixColumn
-
-LINE_INTERVAL_S = 5.0
-"""Least time between two lines of progress where there is no terminal [s]."""
 
 Limits = tuple[float, float | None]
 """Limits of a process: time of a check [s], and memory [GB]."""

@@ -18,7 +18,16 @@ from pydantic import NonNegativeInt, PositiveInt
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import Format, echo, message, note, print_document, print_json_lines, stderr_console
+from gauge_envs.cli.output import (
+    LINE_INTERVAL_S,
+    Format,
+    Progress,
+    echo,
+    message,
+    note,
+    print_document,
+    print_json_lines,
+)
 from gauge_envs.errors import ParameterError
 from gauge_envs.pages.text import counted
 
@@ -214,20 +223,23 @@ def _run(
     """Run what is left of a plan, print the outcomes, and return whether one is bad."""
     from gauge_envs.experiments.patterns import is_glob
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.progress import SweepProgress
     from gauge_envs.tools.sweep.session import SweepSession
     from gauge_envs.tools.sweep.words import outcome_table
 
     counts: Counter[tuple[str, Outcome]] = Counter()
     with SweepSession(plan, out, is_part=is_part, retry_failed=retry_failed, notify=note) as session:
         counts.update(session.earlier)
-        progress = SweepProgress(stderr_console(), total=plan.episode_count, done=session.earlier.total())
+        done = session.earlier.total()
+        progress = Progress("episodes", plan.episode_count, done=done, line_interval_s=LINE_INTERVAL_S)
         try:
             if session.tasks:
                 with progress, closing(session.run(lanes(len(session.tasks)))) as results:
                     for result in results:
                         counts[str(result.backend), result.outcome] += 1
-                        progress.advance(result)
+                        name = f"{result.id.removeprefix('GAUGE/')} on {result.backend}"
+                        if result.outcome is Outcome.FAILED:
+                            message(f"failed: {name}, seed {result.seed}: {result.error}")
+                        progress.advance(name)
                         if form is Format.JSON:
                             print_json_lines([result.to_dict(trajectory=False)])
         except KeyboardInterrupt:

@@ -51,8 +51,9 @@ def transfer(
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
 
-    Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in each
-    world, within the start's uncertainty; seed=0 of the starts. Exit code 1 when they keep less than --fail-below states.
+    Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in
+    each world, within the start's uncertainty; seed=0 of the starts. Exit code 1 when they keep less than --fail-below
+    states.
     """
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.figure import draw_transfer
