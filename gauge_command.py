@@ -6,8 +6,6 @@ that Python has not loaded already: a Ctrl-C that comes before the handler is in
 
 import os
 
-__all__ = ["main"]
-
 EXIT_INTERRUPTED = 130
 
 
@@ -18,7 +16,7 @@ def main() -> None:
 
         if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
             signal.signal(signal.SIGINT, _end)
-        from gauge_envs.cli import main as run_command
+        from gauge_envs.cli.app import main as run_command
     except KeyboardInterrupt:  # It came before the handler was there.
         _end()
     run_command()

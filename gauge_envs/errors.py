@@ -138,6 +138,14 @@ class VideoError(GaugeError, ValueError):
     """A video or a track cannot be scored; the message names the file and what is expected."""
 
 
+def nearest(name: str, known: Iterable[str]) -> str:
+    """Return a sentence that offers the known names nearest to an unknown one, or some of all."""
+    names = sorted(known)
+    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, names, n=3, cutoff=0.5)
+    more = f" and {len(names) - 12} more" if len(names) > 12 else ""
+    return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
+
+
 class UnknownNameError(GaugeError, LookupError):
     """A name is unknown; the message offers the nearest known ones.
 
@@ -148,11 +156,7 @@ class UnknownNameError(GaugeError, LookupError):
     """
 
     def __init__(self, kind: str, name: str, known: Iterable[str]) -> None:
-        names = sorted(known)
-        near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, names, n=3, cutoff=0.5)
-        more = f" and {len(names) - 12} more" if len(names) > 12 else ""
-        hint = f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
-        super().__init__(f"unknown {kind} {name!r}; {hint}")
+        super().__init__(f"unknown {kind} {name!r}; {nearest(name, known)}")
         self.name = name
 
 

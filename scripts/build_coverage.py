@@ -3,7 +3,7 @@
     python scripts/build_coverage.py            writes it
     python scripts/build_coverage.py --check    fails when it is not current
 
-The table leaves out imported trials, which differ between users: `gauge data status` reports those.
+The table leaves out imported trials, which differ between users: `gauge list references` reports those.
 """
 
 from __future__ import annotations

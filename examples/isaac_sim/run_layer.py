@@ -1,6 +1,6 @@
 """Simulate a layer of gauge-envs in Isaac Sim, and write the trajectory that `gauge score` reads.
 
-`gauge assets isaac-sim` writes the layer. This script runs in Isaac Sim's own Python, which does not need gauge-envs:
+`gauge data isaac-sim` writes the layer. This script runs in Isaac Sim's own Python, which does not need gauge-envs:
 
     ./python.sh run_layer.py TextileBending-satin.usda --out satin.csv
 
@@ -88,12 +88,12 @@ def read_plan(stage: Any) -> Plan:
     """Read what a layer states about its simulation.
 
     Raises:
-        LayerError: `gauge assets isaac-sim` did not write the layer.
+        LayerError: `gauge data isaac-sim` did not write the layer.
     """
     layer = stage.GetRootLayer()
     stated = layer.customLayerData.get("gauge", {}).get("isaac_sim")
     if stated is None:
-        raise LayerError(f"{layer.identifier}: not a layer of 'gauge assets isaac-sim'; write one with that command")
+        raise LayerError(f"{layer.identifier}: not a layer of 'gauge data isaac-sim'; write one with that command")
     plan = Plan(
         steps_per_second=int(stated["steps_per_second"]),
         frame_count=int(stated["frame_count"]),
@@ -341,7 +341,7 @@ def write_csv(path: Path, plan: Plan, values: FloatArray, record_hz: int) -> Non
 def main(arguments: Sequence[str]) -> int:
     """Simulate a layer and write its trajectory; return the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("layer", type=Path, help="layer of 'gauge assets isaac-sim'")
+    parser.add_argument("layer", type=Path, help="layer of 'gauge data isaac-sim'")
     parser.add_argument("--out", type=Path, help="CSV to write; by default beside the layer")
     parser.add_argument("--record-hz", type=int, choices=RECORD_HZ, default=FRAME_RATE_HZ, help="samples per second")
     parser.add_argument("--gui", action="store_true", help="show the window")

@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
+from gauge_envs.errors import ParameterError, UnknownNameError, first_fault, nearest
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 INTEGER_LIMIT = 2**31 - 1
@@ -65,8 +65,8 @@ def resolve_settings(
         settings = type(start).model_validate(start.model_dump() | values)
     except ValidationError as error:
         key, reason = first_fault(error, noun="setting")
-        known = ", ".join(type(start).model_fields)
-        raise ParameterError(f"{engine} setting {key!r} in preset {name!r}: {reason}; settings: {known}") from error
+        hint = f"; {nearest(key, type(start).model_fields)}" if reason == "unknown setting" else ""
+        raise ParameterError(f"{engine} setting {key!r} in preset {name!r}: {reason}{hint}") from error
     interval = settings.drive_interval_s
     steps = interval / settings.timestep_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:

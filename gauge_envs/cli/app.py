@@ -1,14 +1,16 @@
-"""The `gauge` command: the names of the commands, which are imported when one of them runs, and its exit codes."""
+"""The `gauge` command: its commands are imported when one of them runs, and errors end it with an exit code."""
 
 from __future__ import annotations
 
 import errno
-from importlib import import_module
-from typing import Any
+import re
+from inspect import cleandoc
+from typing import Annotated, Any
 
 import typer
 import typer.core
 
+from gauge_envs.cli.commands import COMMANDS, check_spelling, load
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -16,89 +18,91 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, plain_text, stderr_console
+from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, echo, message
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
-from gauge_envs.errors import GaugeError
-
-COMMANDS = {
-    "list": "catalog.command:list_",
-    "show": "catalog.command:show",
-    "run": "run.command:run",
-    "score": "run.command:score",
-    "plot": "compare.command:plot",
-    "compare": "compare.command:compare",
-    "diagnose": "diagnose.command:diagnose",
-    "report": "site.command:report",
-    "sanity": "sanity.command:sanity",
-    "materials": "recipes.fabric_command:materials",
-    "sweep": "sweep.command:sweep",
-    "query": "sweep.command:query",
-    "film": "film.command:film",
-    "recipe": "recipes.command:recipe",
-    "transfer": "transfer.command:transfer",
-    "envelope": "transfer.command:envelope",
-    "sanity probe": "sanity.probe_command:sanity_probe",
-    "sanity export": "sanity.export_command:sanity_export",
-    "sanity judge": "sanity.export_command:sanity_judge",
-    "backend": "conformance.command:backend_app",
-    "assets": "assets.command:assets_app",
-    "data": "dataset.command:data_app",
-    "video": "video.command:video_app",
-    "leaderboard": "leaderboard.command:leaderboard_app",
-    "export": "film.rerun_command:export_app",
-}
-"""Functions and groups of the instruments in `gauge_envs.tools`, as `module:name`."""
+from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
 
 
-def _print_error(text: str) -> None:
-    stderr_console().print(f"[red]error:[/] {plain_text(text)}", soft_wrap=True)
+def load_command(name: str) -> Any:
+    """Return a command, imported from its instrument, or a group."""
+    instrument, line = COMMANDS[name]
+    if not instrument:
+        return _Group(name=name, help=line, no_args_is_help=True)
+    function = load(instrument, name)
+    # Rich would keep the ends of lines within a paragraph.
+    text = re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(function.__doc__ or ""))
+    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
+    below = [f"gauge {other}: {COMMANDS[other][1]}" for other in _below(name)]
+    epilog = "\n\n".join(["See also", *below]) if below else None
+    single.command(name, cls=_Command, help=text, epilog=epilog)(function)
+    return typer.main.get_command(single)
+
+
+def _below(name: str) -> list[str]:
+    """Return the names of the commands that are listed under a name; empty for the command line itself."""
+    return [other for other in COMMANDS if other.rpartition(" ")[0] == name]
 
 
 class _Command(typer.core.TyperCommand):
-    """Command whose stdout holds its results only, whatever engines print, and which no engine can end."""
+    """Command whose function returns whether it failed. Its stdout holds its results only, whatever engines print."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        known = {option for one in self.params for option in (*one.opts, *one.secondary_opts)}
+        if "--format" in known and "--json" in args:
+            if any(word.startswith("--format") for word in args):
+                raise ParameterError("--json is --format json: give one of them")
+            args = ["--format=json" if word == "--json" else word for word in args]
+        for option in (word.partition("=")[0] for word in args):
+            if len(option) > 2 and option.startswith("--") and option not in known:
+                check_spelling(str(self.name), option, details=re.findall(r"\b([a-z]\w*)=", self.help or ""))
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         with reserved_stdout():
             try:
-                return super().invoke(ctx)
+                has_failed = super().invoke(ctx)
             except SystemExit as error:
-                _print_error(f"an engine or a library ended the command: SystemExit: {error}")
-                raise typer.Exit(EXIT_FAILED) from None
+                message(f"an engine or a library ended the command: SystemExit: {error}", "error")
+                has_failed = True
+        if has_failed:
+            raise typer.Exit(EXIT_FAILED)
 
 
-def _loaded(name: str) -> Any:
-    """Return the command or the group of a name, imported from its instrument."""
-    module, _, attribute = COMMANDS[name].partition(":")
-    found = getattr(import_module(f"gauge_envs.tools.{module}"), attribute)
-    if isinstance(found, typer.Typer):
-        for registered in found.registered_commands:
-            registered.cls = _Command
-        group = typer.main.get_command(found)
-        group.name = name
-        return group
-    single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    single.command(name, cls=_Command)(found)
-    return typer.main.get_command(single)
+class _Named(typer.core.TyperCommand):
+    """Name and line of a command, which is imported when it gets its arguments."""
+
+    def make_context(self, info_name: Any, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        return load_command(str(info_name)).make_context(info_name, args, parent=parent, **extra)
 
 
 class _Group(typer.core.TyperGroup):
-    """Group that prints errors of gauge-envs without a traceback; no other place catches them.
-
-    The name of a command may have two words, as `sanity probe` beside `sanity TARGET`.
-    """
+    """Commands by their names; the name of one may have two words, as `sanity probe` beside `sanity TARGET`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        return list(COMMANDS)
+        name = self.name if self.name in COMMANDS else ""
+        return [other.removeprefix(f"{name} ") for other in _below(name)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        return _loaded(cmd_name) if cmd_name in COMMANDS else None
+        full = self._full(cmd_name)
+        return _Named(name=cmd_name, help=COMMANDS[full][1]) if full in COMMANDS else None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
-        words = " ".join(args[:2])
-        return super().resolve_command(ctx, [words, *args[2:]] if words in COMMANDS else args)
+        for count in (2, 1):
+            name = self._full(" ".join(args[:count]))
+            if name in COMMANDS:
+                return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
+            check_spelling(name)
+        raise UnknownNameError("command", name, map(self._full, self.list_commands(ctx)))
+
+    def _full(self, name: str) -> str:
+        return f"{self.name} {name}" if self.name in COMMANDS else name
+
+
+class _Root(_Group):
+    """The command line, which prints errors of gauge-envs without a traceback; no other place catches them."""
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -117,18 +121,17 @@ def _exit_code(error: BaseException) -> int:
         report_interrupt()
         return EXIT_INTERRUPTED
     if isinstance(error, GaugeError):
-        _print_error(str(error))
+        message(str(error), "error")
     elif isinstance(error, OSError) and error.errno in UNWRITABLE:
-        _print_error(f"the output cannot be written: {error.strerror}")
+        message(f"the output cannot be written: {error.strerror}", "error")
     else:
         raise error
     return EXIT_USAGE
 
 
 app = typer.Typer(
-    cls=_Group,
+    cls=_Root,
     name="gauge",
-    help="Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark).",
     epilog="Exit codes: 0 done; 1 done, with a failure that the help of the command describes; 2 the request cannot be "
     "met; 130 interrupted.",
     no_args_is_help=True,
@@ -137,8 +140,20 @@ app = typer.Typer(
 )
 
 
+def _print_version(is_asked: bool) -> None:
+    if is_asked:
+        from importlib.metadata import version
+
+        echo(f"gauge-envs {version('gauge-envs')}")
+        raise typer.Exit
+
+
 @app.callback()
-def _root() -> None:
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
     """Measure how far a physics engine is from real motion-capture trials (GAUGE benchmark)."""
 
 

@@ -5,10 +5,11 @@ Libraries may turn the exception into another one, or drop it in a callback. So 
 
 from __future__ import annotations
 
+import _thread
 import os
 import signal
 import sys
-import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -28,6 +29,9 @@ class _State:
     """Whether a signal came in while a command ran."""
 
     is_reported = False
+
+    is_in_hook = False
+    """Whether a hook runs, which would drop an exception."""
 
 
 def handle_interrupts() -> None:
@@ -65,12 +69,27 @@ def _on_signal(number: int, frame: Any) -> None:
         report_interrupt()
         os._exit(EXIT_INTERRUPTED)
     _State.came = True
-    raise KeyboardInterrupt
+    if _State.is_in_hook:
+        _repeat_soon()
+    else:
+        raise KeyboardInterrupt
 
 
 def _on_unraisable(unraisable: Any) -> None:
     """Raise Ctrl-C again soon after a callback or a destructor dropped it."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
-        threading.Timer(REPEAT_AFTER_S, signal.raise_signal, (signal.SIGINT,)).start()
+        _State.is_in_hook = True
+        _repeat_soon()
+        _State.is_in_hook = False
     else:
         sys.__unraisablehook__(unraisable)
+
+
+def _repeat_soon() -> None:
+    """Send the signal again from another thread. A timer of `threading` would wait here until it has started."""
+
+    def repeat() -> None:
+        time.sleep(REPEAT_AFTER_S)
+        signal.raise_signal(signal.SIGINT)
+
+    _thread.start_new_thread(repeat, ())

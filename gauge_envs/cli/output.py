@@ -8,9 +8,13 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+import time
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from enum import StrEnum
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
 
 import typer
 from rich.console import Console, ConsoleOptions, ConsoleRenderable, RenderHook, RenderResult
@@ -19,13 +23,18 @@ from rich.segment import Segment
 
 from gauge_envs.cli.streams import result_stream
 from gauge_envs.files import printable
-from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows
+
+if TYPE_CHECKING:
+    from gauge_envs.pages.document import Shown
 
 UNSAFE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\ud800-\udfff]")
 """Control characters but tabs and ends of lines, and lone surrogates."""
 
 PIPE_WIDTH = 140
 """Width of tables where there is no terminal [characters]; rich would take 80."""
+
+LINE_INTERVAL_S = 5.0
+"""Time between two lines of progress where there is no terminal [s]."""
 
 EXIT_FAILED = 1
 """The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
@@ -86,12 +95,66 @@ def plain_text(text: str) -> str:
     return escape(text)
 
 
-def progress_bar(console: Console) -> Any:
-    """Return a progress bar, which only a terminal shows."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+def message(text: object, label: str = "") -> None:
+    """Print a sentence on stderr, behind a label such as `note`, which is yellow, or `error`, which is red."""
+    color = "red" if label in ("error", "stale") else "yellow"
+    start = f"[{color}]{label}:[/] " if label else ""
+    stderr_console().print(f"{start}{plain_text(str(text))}", soft_wrap=True)
 
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)
+
+def note(text: str) -> None:
+    """Print a note on stderr."""
+    message(text, "note")
+
+
+class Progress:
+    """Progress on stderr: a bar on a terminal. Elsewhere nothing, or lines.
+
+    Args:
+        noun: What is counted.
+        total: Number of steps; None if it is not known.
+        done: Number of steps that were complete before.
+        line_interval_s: Least time between two lines where there is no terminal [s]; None for no lines.
+    """
+
+    def __init__(self, noun: str, total: int | None, *, done: int = 0, line_interval_s: float | None = None) -> None:
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+        console = stderr_console()
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self._is_terminal = console.is_terminal
+        self._bar = Progress(*columns, console=console, transient=True, disable=not self._is_terminal)
+        self._task = self._bar.add_task(noun, total=total, completed=done)
+        self._total, self._first, self._done = total, done, done
+        self._interval_s = line_interval_s
+        self._start_s = self._line_s = time.monotonic()
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._bar.stop()
+
+    def advance(self, text: object = "") -> None:
+        """Count a step, and show its name."""
+        self._done += 1
+        self.show(text, self._done)
+        now_s = time.monotonic()
+        if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
+            self._line_s = now_s
+            left_s = ((self._total or 0) - self._done) * (now_s - self._start_s) / (self._done - self._first)
+            left = f", about {left_s / 60.0:.1f} min left" if self._interval_s else ""
+            self.line(f"{self._done}/{self._total} {text}{left}")
+
+    def line(self, text: str) -> None:
+        """Print a line where there is no terminal."""
+        if not self._is_terminal:
+            message(text)
+
+    def show(self, text: object, done: int | None = None, total: int | None = None) -> None:
+        """Show what is done at the moment, and how many steps of all."""
+        self._bar.update(self._task, completed=done, total=total, description=plain_text(str(text)))
 
 
 def echo(text: object, *, nl: bool = True) -> None:
@@ -106,29 +169,50 @@ def echo(text: object, *, nl: bool = True) -> None:
     typer.echo(UNSAFE.sub(lambda found: printable(found[0]), str(text)), file=result_stream(), nl=nl)
 
 
-def print_json_lines(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print one JSON object per line on stdout."""
-    for row in rows:
-        echo(json.dumps(row, allow_nan=False))
+class Format(StrEnum):
+    """Format of the results on stdout."""
+
+    TEXT = "text"
+    WIDE = "wide"
+    MARKDOWN = "markdown"
+    JSON = "json"
 
 
-def print_document(shown: Shown, *, json_lines: bool = False, markdown: bool = False, wide: bool = False) -> None:
-    """Print a document or a table on stdout: as JSON objects, as Markdown, or for a terminal.
+def print_document(
+    shown: Shown,
+    form: Format,
+    *,
+    files: Mapping[str, Path] | None = None,
+    writers: Mapping[str, Callable[[Path], object]] | None = None,
+) -> None:
+    """Print a document on stdout, and write it to files, whose paths go to stderr.
 
     Args:
         shown: What to print.
-        json_lines: Whether to print its rows, one JSON object a line.
-        markdown: Whether to print GitHub Markdown.
-        wide: Whether a terminal shows what is left out by default.
+        form: The format.
+        files: Files by suffix, of `arguments.by_suffix`; `.json` and `.md` are as on stdout.
+        writers: What writes the files of other suffixes, and returns their paths.
     """
-    if json_lines:
+    from gauge_envs.pages.document import Terminal, as_markdown, as_rows, save_file
+
+    if form is Format.JSON:
         print_json_lines(as_rows(shown))
-    elif markdown:
+    elif form is Format.MARKDOWN:
         echo(as_markdown(shown), nl=False)
     else:
-        stdout_console().print(Terminal(shown, wide))
+        stdout_console().print(Terminal(shown, form is Format.WIDE))
+    for suffix, file in (files or {}).items():
+        if suffix in (others := writers or {}):
+            message(others[suffix](file))
+        else:
+            message(save_file(file, json_text(as_rows(shown)) if suffix == ".json" else as_markdown(shown)))
 
 
-def counted(number: int, noun: str) -> str:
-    """Return a number with its noun: `1 check`, `2 checks`."""
-    return f"{number} {noun}{'' if number == 1 else 's'}"
+def print_json_lines(rows: Iterable[Mapping[str, Any]]) -> None:
+    """Print one JSON object per line on stdout."""
+    echo(json_text(rows), nl=False)
+
+
+def json_text(rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return rows as JSON, one object a line."""
+    return "".join(f"{json.dumps(row, allow_nan=False)}\n" for row in rows)

@@ -6,20 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from gauge_envs.cli.output import plain_text, stderr_console
+from gauge_envs.cli.output import message
 from gauge_envs.errors import GaugeError, ResultFileError
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
-def loaded_results(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[list[Result], int]:
-    """Return what `loaded_files` returns, without the files."""
-    results, skipped = loaded_files(sources, with_scene=with_scene)
-    return list(results.values()), skipped
-
-
-def loaded_files(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[dict[Path, Result], int]:
+def loaded_results(sources: Sequence[str] | None, *, with_scene: bool = False) -> tuple[dict[Path, Result], int]:
     """Return the results of files and folders by file, each file once, and the number of skipped files.
 
     Args:
@@ -29,7 +23,7 @@ def loaded_files(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[d
     from gauge_envs.runs.result_file import load_result
     from gauge_envs.runs.scene_record import recorded_experiment
 
-    files = dict.fromkeys(file.resolve() for source in sources or [Path("results")] for file in _result_files(source))
+    files = dict.fromkeys(file.resolve() for source in sources or ["results"] for file in _result_files(Path(source)))
     results: dict[Path, Result] = {}
     for file in files:
         try:
@@ -39,7 +33,7 @@ def loaded_files(sources: Sequence[Path] | None, *, with_scene: bool) -> tuple[d
             results[file] = result
         except GaugeError as error:
             place = "" if isinstance(error, ResultFileError) else f"{file}: "
-            stderr_console().print(f"[yellow]skipped:[/] {plain_text(f'{place}{error}')}", soft_wrap=True)
+            message(f"{place}{error}", "skipped")
     return results, len(files) - len(results)
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from gauge_envs.errors import ParameterError, TaskFileError, first_fault
+from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
 from gauge_envs.experiments.task_format import JointSpec, MarkersSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -53,8 +53,8 @@ def parameter_overrides(spec: TaskSpec, variant: Variant, parameters: Parameters
     if parameters == "calibrated":
         return parameters, {}
     if parameters not in spec.parameters:
-        known = ", ".join(["calibrated", *spec.parameters])
-        raise ParameterError(f"{variant.name} has no parameter set {parameters!r}; it has: {known}")
+        hint = nearest(parameters, ["calibrated", *spec.parameters])
+        raise ParameterError(f"{variant.name} has no parameter set {parameters!r}; {hint}")
     values = spec.parameters[parameters].values
     return parameters, {k: v[variant.material] if isinstance(v, dict) else v for k, v in values.items()}
 
@@ -109,9 +109,9 @@ class SceneBuilder:
             self._override_air(constant, value)
             return
         if name not in self.present:
-            known = ", ".join(self.present)
+            hint = nearest(name, self.present)
             raise ParameterError(
-                f"{self.variant.name}: override {key!r} names no body of the scene; bodies: {known}; {AIR!r} for cloth"
+                f"{self.variant.name}: override {key!r} names no body of the scene ({AIR!r} for cloth); {hint}"
             )
         try:
             if constant in Placement.model_fields:
@@ -121,15 +121,15 @@ class SceneBuilder:
                 self.constants[name] = self.constants[name] | {constant: value}
                 self.spec.constants_model(name).model_validate(self.constants[name])
             else:
-                known = ", ".join([*self.constants.get(name, {}), *Placement.model_fields])
-                raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; it has: {known}")
+                hint = nearest(constant, [*self.constants.get(name, {}), *Placement.model_fields])
+                raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
 
     def _override_air(self, field: str, value: Any) -> None:
         known = [one.name for one in fields(Air)]
         if field not in known:
-            raise ParameterError(f"{self.variant.name}: air has no constant {field!r}; it has: {', '.join(known)}")
+            raise ParameterError(f"{self.variant.name}: air has no constant {field!r}; {nearest(field, known)}")
         self.air[field] = value
 
     def _air(self) -> Air | None:

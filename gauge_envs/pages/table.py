@@ -53,8 +53,8 @@ class Column:
         format: Text of a value that is not None.
         unit: Unit of all values; it stands in brackets behind the title.
         is_number: Whether the texts are aligned on the right.
-        wide_only: Whether a terminal shows the column only with `--wide`.
-        narrow_only: Whether only a terminal without `--wide` shows the column.
+        wide_only: Whether a terminal shows the column only with `--format wide`.
+        narrow_only: Whether only a terminal without `--format wide` shows the column.
         place: Where the column stands in a terminal.
         style: Rich style of a value, which is the class of its cell on a page; None for plain text.
         html: Markup of a value on a page; None for its text.
@@ -112,8 +112,8 @@ class Table:
         rows: Mappings, sequences or objects that the columns read.
         title: Line above the table; empty for none.
         notes: Lines below the table.
-        wide_only: Whether a terminal shows the table only with `--wide`.
-        narrow_only: Whether only a terminal without `--wide` shows the table.
+        wide_only: Whether a terminal shows the table only with `--format wide`.
+        narrow_only: Whether only a terminal without `--format wide` shows the table.
         look: Classes of the table on a page.
     """
 

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import PchipInterpolator
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
 from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,6 +126,9 @@ class SampledProfile:
 
     @cached_property
     def _curve(self) -> PchipInterpolator:
+        # Lists of experiments need no curve, and the import takes a tenth of a second.
+        from scipy.interpolate import PchipInterpolator
+
         # Slopes of subnormal numbers have infinite inverses, from which the slope 0 follows.
         with np.errstate(over="ignore"):
             return PchipInterpolator(self.times_s, self.values)

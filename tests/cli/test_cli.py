@@ -1,14 +1,11 @@
 """The `gauge` command, run on real experiments: output, exit codes, and a clear message for each wrong request."""
 
 import json
-import subprocess
 import sys
 
 import pytest
 from interruption import interrupt_in_episode
-from rich.text import Text
 from slide import NAME, SLIDE, write_csv
-from typer.main import get_command
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -76,28 +73,8 @@ def test_show_states_grade_trials_and_driver(gauge):
 
 
 def test_backend_list(gauge):
-    assert "mujoco" in gauge("backend", "list").stdout
-    assert "mujoco" in [one["name"] for one in lines(gauge("backend", "list", "--json"))]
-
-
-def test_help_is_quick_and_imports_no_engine():
-    code = "import sys, gauge_envs.cli; print({'mujoco', 'matplotlib', 'rich.progress'} & set(sys.modules))"
-    assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "set()"
-
-
-def helps(command):
-    """Texts of the help of a command and of all below it."""
-    yield from (one.help for one in command.params if one.help)
-    yield command.help or ""
-    for name in command.list_commands(None) if hasattr(command, "list_commands") else ():
-        yield from helps(command.get_command(None, name))
-
-
-def test_help_loses_no_text():
-    """The help is Rich markup, in which `[mm]` is a tag and is not shown."""
-    shown = {text: Text.from_markup(text).plain for text in helps(get_command(app))}
-    assert len(shown) > 100
-    assert {text: plain for text, plain in shown.items() if text != plain} == {}
+    assert "mujoco" in gauge("list", "backends").stdout
+    assert "mujoco" in [one["name"] for one in lines(gauge("list", "backends", "--json"))]
 
 
 # --- run ---
@@ -113,13 +90,13 @@ def test_run_prints_scores_beside_the_published_ones(gauge, tmp_path):
 
 
 def test_run_prints_all_columns_with_wide(gauge):
-    plain, wide = gauge("run", NAME).stdout, gauge("run", NAME, "--wide").stdout
+    plain, wide = gauge("run", NAME).stdout, gauge("run", NAME, "--format", "wide").stdout
     assert "shift" in wide.splitlines()[0].split() and "shift" not in plain.splitlines()[0].split()
     assert "+0.007 s" in wide and "+0.007 s" not in plain
 
 
 def test_run_json_has_one_object_a_line_and_nothing_else_on_stdout(gauge):
-    result = gauge("run", NAME, "SlopeSlider-1-wood", "--json", "--seed", 3, "--set", "iterations=50")
+    result = gauge("run", NAME, "SlopeSlider-1-wood", "--json", "seed=3", "--set", "iterations=50")
     assert result.exit_code == 0
     first, second = lines(result)
     for values in (first, second):
@@ -194,14 +171,14 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["run"], "give ids, patterns or --all"),
+        (["run"], "give ids, or patterns as '*'"),
         (["run", "SlopeSlider-2-gold"], "did you mean SlopeSlider-2-wood"),
         (["run", "SlopSlider-2-woo*"], "did you mean SlopeSlider-2-wood"),
         (["run", "GAUGE/SlopeSlider-9-wood"], "unknown experiment"),
         (["show", "SlopeSlider"], "unknown experiment"),
         (["list", "X*"], "unknown experiment"),
         (["run", NAME, "--backend", "mujoko"], "unknown backend 'mujoko'; did you mean mujoco"),
-        (["run", NAME, "--parameters", "nonsense"], "has no parameter set 'nonsense'; it has: calibrated"),
+        (["run", NAME, "--parameters", "nonsense"], "has no parameter set 'nonsense'; known: calibrated"),
         (["run", NAME, "--parameters", "cube.friction=-1"], "greater than or equal to 0"),
         (["run", NAME, "--parameters", "cube.friction"], "has no parameter set"),
         (["run", NAME, "--parameters", "cube.colour=1"], "has no constant 'colour'"),
@@ -209,7 +186,7 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
         (["run", NAME, "--set", "timestep_s"], "expected NAME=VALUE"),
         (["run", NAME, "--set", "nope=1"], "MuJoCo setting 'nope'"),
         (["run", NAME, "--out", "/proc/nowhere"], "results cannot be written there"),
-        (["run", NAME, "--seed", "-1"], "seed"),
+        (["run", NAME, "seed=-1"], "seed: Input should be greater than or equal to 0"),
         (["score", "no.csv", "--id", NAME], "cannot be read"),
         (["score", "no.csv"], "states no id"),
         (["score", "no.csv", "--id", "Nothing-2"], "unknown experiment"),

@@ -28,17 +28,18 @@ def no_check(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("no_check")
-@pytest.mark.parametrize("option", ["--out", "--report"])
-def test_a_matrix_has_its_place_before_its_checks_run(option: str, tmp_path: Path) -> None:
-    pipe, file = tmp_path / "pipe", tmp_path / "file"
+@pytest.mark.parametrize("suffix", [".json", ".html"])
+def test_a_matrix_has_its_place_before_its_checks_run(suffix: str, tmp_path: Path) -> None:
+    folder, pipe, file = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}", tmp_path / "file"
+    folder.mkdir()
     os.mkfifo(pipe)
     file.touch()
     for place, reason in (
-        (tmp_path, "cannot be written: Is a directory"),
+        (folder, "cannot be written: Is a directory"),
         (pipe, "cannot be written: it is not a regular file"),
-        (file / "matrix", "cannot be written"),
+        (file / f"matrix{suffix}", "cannot be written"),
     ):
-        result = gauge("backend", "check", "mujoco", "--all", "--only", "free-fall", option, place)
+        result = gauge("backend", "check", "mujoco:*", "--only", "free-fall", "--out", place)
         assert result.exit_code == 2, result.output
         assert reason in result.stderr
 
@@ -46,15 +47,15 @@ def test_a_matrix_has_its_place_before_its_checks_run(option: str, tmp_path: Pat
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        (["--sigmas", "inf"], "sigmas are numbers above 0, at most 10"),
-        (["--sigmas", "1e300"], "sigmas are numbers above 0, at most 10"),
-        (["--sigmas", "nan"], "sigmas are numbers above 0, at most 10"),
-        (["--sigmas", "1,1"], "two worlds have the name 'mujoco, "),
+        (["sigmas=inf"], "sigmas are numbers above 0, at most 10"),
+        (["sigmas=1e300"], "sigmas are numbers above 0, at most 10"),
+        (["sigmas=nan"], "sigmas are numbers above 0, at most 10"),
+        (["sigmas=1,1"], "two worlds have the name 'mujoco, "),
         (["--to", "mujoco:"], "two worlds have the name 'mujoco, "),
     ],
 )
 def test_worlds_of_a_transfer_are_checked_before_they_run(options: list[str], reason: str) -> None:
-    common = ["numpy:mean", "--trust", "--task", "Pendulum-Limit-metal", "--to", "mujoco", "--starts", "1"]
+    common = ["numpy:mean", "--trust", "--id", "Pendulum-Limit-metal", "--to", "mujoco", "starts=1"]
     result = gauge("transfer", *common, *options)
     assert result.exit_code == 2 and reason in result.stderr, result.output
 
@@ -67,5 +68,5 @@ def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFix
 
 @pytest.mark.parametrize("fraction", ["inf", "nan", "-1"])
 def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
-    result = gauge("envelope", "Pendulum-Limit-metal", "--samples", "2", "--fraction", fraction)
+    result = gauge("transfer", "envelope", "Pendulum-Limit-metal", "samples=2", "--policy", f"law:fraction={fraction}")
     assert result.exit_code == 2 and isinstance(result.exception, SystemExit)

@@ -6,16 +6,15 @@ import errno
 import json
 import os
 import re
-import shlex
 import signal
 import subprocess
 import sys
 import textwrap
-import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from forks import Case, run_forks
 from hostile import install
 from places import ROOT
 from typer.testing import CliRunner
@@ -25,7 +24,37 @@ from gauge_envs.errors import ResultFileError
 from gauge_envs.runs import batch
 
 NAME = "SlopeSlider-2-wood"
-COMMAND = [sys.executable, "-c", "from gauge_command import main; main()"]
+CLOSED = ("stdin", "stdout", "stderr", "stdin stdout stderr")
+
+DROPPED = {
+    "an error of a library": (
+        "try:\n    os.kill(os.getpid(), signal.SIGINT)\nexcept KeyboardInterrupt:\n    raise ImportError('no module')\n"
+    ),
+    "a destructor": (
+        "class Held:\n"
+        "    def __del__(self):\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "        for _ in range(10**6): pass\n"
+        "held = Held()\n"
+        "del held\n"
+        "for _ in range(10**6): pass\n"
+    ),
+}
+"""What a library does with Ctrl-C."""
+
+LISTED = """
+import os, signal
+from gauge_envs.tools.catalog import listing
+
+
+def rows(*_, **__):
+{}
+
+
+listing.list_rows = rows
+"""
+"""A list of experiments in which a library gets Ctrl-C."""
+
 FRAME_OF_THE_COMMAND = r'File ".*gauge_(command\.py|envs/)'
 
 
@@ -37,39 +66,75 @@ def interrupts_reach_children() -> Iterator[None]:
     signal.signal(signal.SIGINT, before)
 
 
-@pytest.fixture
-def environment(tmp_path: Path) -> dict[str, str]:
-    """Environment of a process in which hostile backends are installed, and in which output is buffered."""
-    site = tmp_path / "site"
-    site.mkdir()
-    install(site, "talking", "crash", "supports-crash")
+Outcomes = dict[str, subprocess.CompletedProcess[str]]
+
+
+def environment(*folders: Path) -> dict[str, str]:
+    """Environment of a process that imports from folders, and whose output is buffered."""
     kept = {name: value for name, value in os.environ.items() if name != "PYTHONUNBUFFERED"}
-    return {**kept, "PYTHONPATH": os.pathsep.join([str(site), str(ROOT)])}
+    return {**kept, "PYTHONPATH": os.pathsep.join(map(str, [*folders, ROOT]))}
 
 
-@pytest.mark.parametrize("arguments", [["run", NAME, "--backend", "talking"], ["list", NAME], ["show", NAME]])
-def test_what_engines_print_never_reaches_json(
-    environment: dict[str, str], tmp_path: Path, arguments: list[str]
-) -> None:
-    done = subprocess.run(
-        [*COMMAND, *arguments, "--json"], env=environment, cwd=tmp_path, capture_output=True, text=True
-    )
+@pytest.fixture(scope="module")
+def with_hostile(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
+    """Outcomes of commands where a hostile backend is installed, which answers in a process of its own."""
+    crash = ["run", "SlopeSlider-2-*", "--backend", "crash", "--backend", "mujoco", "--json"]
+    cases = {
+        "talking": {
+            "run": Case(["run", NAME, "--backend", "talking", "--json"]),
+            "list": Case(["list", NAME, "--json"]),
+            "show": Case(["show", NAME, "--json"]),
+        },
+        "crash": {"crash": Case(crash)},
+    }
+    found: Outcomes = {}
+    for name, some in cases.items():
+        folder = tmp_path_factory.mktemp(name)
+        site = folder / "site"
+        site.mkdir()
+        install(site, name)
+        found |= run_forks(some, folder, environment(site))
+    return found
+
+
+@pytest.fixture(scope="module")
+def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
+    """Outcomes of commands with streams of their own, and of commands that get Ctrl-C."""
+    full = {"stdout": "/dev/full"}
+    cases = {
+        "full: fabrics": Case(["recipe", "fabrics", "--json"], streams=full),
+        "full: list": Case(["list"], streams=full),
+        "full: run": Case(["run", NAME, "--json"], streams=full),
+        "pipe": Case(["list", "--json"], streams={"stdout": "broken pipe"}),
+        **{
+            f"closed: {names}": Case(["list", NAME, "--json"], streams=dict.fromkeys(names.split(), "closed"))
+            for names in CLOSED
+        },
+        **{
+            f"Ctrl-C: {name}": Case(["list"], before=LISTED.format(textwrap.indent(body, " ")))
+            for name, body in DROPPED.items()
+        },
+    }
+    return run_forks(cases, tmp_path_factory.mktemp("streams"), environment())
+
+
+@pytest.mark.parametrize("command", ["run", "list", "show"])
+def test_what_engines_print_never_reaches_json(with_hostile: Outcomes, command: str) -> None:
+    done = with_hostile[command]
     (row,) = map(json.loads, done.stdout.splitlines())
     assert row["id"] == f"GAUGE/{NAME}"
     assert "a line of the engine" in done.stderr
     assert "a line of C code" in done.stderr
 
 
-def test_a_run_goes_on_after_an_engine_that_crashes(environment: dict[str, str], tmp_path: Path) -> None:
-    arguments = ["run", "SlopeSlider-2-*", "--backend", "crash", "--backend", "mujoco", "--json"]
-    done = subprocess.run([*COMMAND, *arguments], env=environment, cwd=tmp_path, capture_output=True, text=True)
+def test_a_run_goes_on_after_an_engine_that_crashes(with_hostile: Outcomes) -> None:
+    done = with_hostile["crash"]
     rows = [json.loads(line) for line in done.stdout.splitlines()]
     assert [row["outcome"] for row in rows].count("finished") == 5
     (failed,) = [row for row in rows if row["outcome"] == "failed"]
     assert (failed["id"], failed["backend"]) == ("GAUGE/SlopeSlider-2-plastic", "crash")
     assert "segmentation fault" in failed["error"]
     assert done.returncode == 1
-    assert len(list((tmp_path / "results").iterdir())) == 5
 
 
 def test_progress_has_a_line_for_each_episode_without_a_terminal(
@@ -83,29 +148,17 @@ def test_progress_has_a_line_for_each_episode_without_a_terminal(
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs /dev/full")
-@pytest.mark.parametrize("arguments", [["materials", "--json"], ["list"], ["run", NAME, "--json"]])
-def test_a_full_device_is_an_error_without_a_traceback(tmp_path: Path, arguments: list[str]) -> None:
-    with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [*COMMAND, *arguments],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
+@pytest.mark.parametrize("command", ["fabrics", "list", "run"])
+def test_a_full_device_is_an_error_without_a_traceback(outcomes: Outcomes, command: str) -> None:
+    done = outcomes[f"full: {command}"]
     assert done.returncode == 2
     assert "error: the output cannot be written: No space left on device" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_a_closed_pipe_ends_the_command_quietly(tmp_path: Path) -> None:
-    line = f"{sys.executable} -c 'from gauge_envs.cli import main; main()' list --json | head -1"
-    done = subprocess.run(
-        line, shell=True, capture_output=True, text=True, cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}
-    )
-    assert json.loads(done.stdout)["id"]
-    assert "Traceback" not in done.stderr
+def test_a_closed_pipe_ends_the_command_quietly(outcomes: Outcomes) -> None:
+    assert "Traceback" not in outcomes["pipe"].stderr
+    assert outcomes["pipe"].returncode == 1
 
 
 def test_a_full_disk_shows_what_is_done_and_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,72 +213,68 @@ def test_ctrl_c_in_the_imports_of_the_command_is_quiet(tmp_path: Path) -> None:
     assert done.stderr == "interrupted\n"
 
 
-def interrupted_after(seconds: float, folder: Path) -> subprocess.CompletedProcess[str]:
-    """Outcome of a command that gets SIGINT some time after its start."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    with subprocess.Popen(
-        [*COMMAND, "list"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=folder, env=environment
-    ) as process:
-        time.sleep(seconds)
-        process.send_signal(signal.SIGINT)
-        stdout, stderr = process.communicate(timeout=60)
-    return subprocess.CompletedProcess(process.args, process.returncode, stdout, stderr)
+MOMENTS = """
+import json, os, signal, sys, tempfile
+moments = []
+
+
+def interrupt_a_fork(*_):
+    # The fork is the command at this moment, and the only one that gets the signal.
+    with tempfile.TemporaryFile() as stderr:
+        pid = os.fork()
+        if not pid:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+            os.dup2(stderr.fileno(), 2)
+            os.dup2(os.open(os.devnull, os.O_RDWR), 1)
+            os.kill(os.getpid(), signal.SIGINT)
+            return
+        code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        stderr.seek(0)
+        moments.append([code, stderr.read().decode()])
+
+
+command = os.getpid()
+signal.signal(signal.SIGPROF, interrupt_a_fork)
+signal.setitimer(signal.ITIMER_PROF, 0.01, 0.09)
+from gauge_command import main
+
+sys.argv = ["gauge", "list"]
+try:
+    main()
+finally:
+    signal.setitimer(signal.ITIMER_PROF, 0.0)
+    if os.getpid() == command:
+        sys.stderr.write(json.dumps(moments))
+"""
+"""A command of which a fork gets Ctrl-C every tenth of a second of processor time."""
 
 
 def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
     """Until the first line of the command runs, Python itself handles the signal."""
-    outcomes = [interrupted_after(milliseconds / 1e3, tmp_path) for milliseconds in range(5, 605, 25)]
-    assert [done.stderr for done in outcomes if re.search(FRAME_OF_THE_COMMAND, done.stderr)] == []
-    ended = [done for done in outcomes if done.returncode == 130]
-    assert len(ended) >= 5
-    assert all(done.stderr == "interrupted\n" for done in ended)
-
-
-def test_ctrl_c_counts_where_a_library_drops_it(tmp_path: Path) -> None:
-    """A library turns it into an error of its own, and a destructor ignores it."""
-    turned = (
-        "try:\n    os.kill(os.getpid(), signal.SIGINT)\nexcept KeyboardInterrupt:\n    raise ImportError('no module')\n"
-    )
-    dropped = (
-        "class Held:\n"
-        "    def __del__(self):\n"
-        "        os.kill(os.getpid(), signal.SIGINT)\n"
-        "        for _ in range(10**6): pass\n"
-        "held = Held()\n"
-        "del held\n"
-        "for _ in range(10**6): pass\n"
-    )
-    for body in (turned, dropped):
-        code = (
-            "import os, signal\n"
-            "from gauge_envs.tools.catalog import listing\n"
-            "from gauge_envs.cli.app import main\n"
-            "def rows(*_, **__):\n"
-            f"{textwrap.indent(body, '    ')}"
-            "listing.list_rows = rows\n"
-            "import sys\n"
-            "sys.argv = ['gauge', 'list']\n"
-            "main()\n"
-        )
-        done = subprocess.run(
-            [sys.executable, "-c", code],
-            capture_output=True,
-            text=True,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        assert (done.returncode, done.stderr) == (130, "interrupted\n"), body
-
-
-@pytest.mark.parametrize("closed", ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"])
-def test_a_command_runs_without_its_streams(closed: str, tmp_path: Path) -> None:
-    command = " ".join([shlex.join([*COMMAND, "list", NAME, "--json"]), closed])
     done = subprocess.run(
-        ["sh", "-c", command],
-        env={**os.environ, "PYTHONPATH": str(ROOT)},
-        cwd=tmp_path,
+        [sys.executable, "-W", "ignore", "-c", MOMENTS],
         capture_output=True,
         text=True,
+        cwd=tmp_path,
+        env=environment(),
+        timeout=300,
     )
+    assert done.returncode == 0 and "75 ids" in done.stdout
+    moments = json.loads(done.stderr)
+    assert [stderr for _, stderr in moments if re.search(FRAME_OF_THE_COMMAND, stderr)] == []
+    ended = [stderr for code, stderr in moments if code == 130]
+    assert len(ended) >= 7
+    assert set(ended) == {"interrupted\n"}
+
+
+@pytest.mark.parametrize("how", DROPPED)
+def test_ctrl_c_counts_where_a_library_drops_it(outcomes: Outcomes, how: str) -> None:
+    done = outcomes[f"Ctrl-C: {how}"]
+    assert (done.returncode, done.stderr) == (130, "interrupted\n")
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+def test_a_command_runs_without_its_streams(closed: str, outcomes: Outcomes) -> None:
+    done = outcomes[f"closed: {closed}"]
     assert done.returncode == 0 and "Traceback" not in done.stderr
-    assert (NAME in done.stdout) == (" >&-" not in f" {closed}")
+    assert (NAME in done.stdout) == ("stdout" not in closed)

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 from places import ROOT
 
-from gauge_envs.cli.app import app
+from gauge_envs.cli.app import load_command
+from gauge_envs.cli.commands import COMMANDS
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
@@ -36,6 +36,7 @@ COMPILED_ONLY = {"sanity.md", "sanity_stacks.md"}
 
 README_WORDS = 900
 NOTE_WORDS = 600
+COMMANDS_WORDS = 1600
 
 
 def name_of(page: Path) -> str:
@@ -179,47 +180,55 @@ def commands(page: Path) -> list[list[str]]:
     return [shlex.split(line, comments=True)[1:] for line in lines]
 
 
-def leaves(command: Any, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], Any]]:
-    """Commands of the command line by their words, without groups."""
-    if not hasattr(command, "commands"):
-        yield path, command
-        return
-    for name in command.list_commands(None):
-        yield from leaves(command.get_command(None, name), (*path, name))
+def mentioned(page: Path) -> list[list[str]]:
+    """Commands with arguments in the text and the tables of a page."""
+    text = re.sub(r"^```.*?^```$", "", page.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return [shlex.split(found)[1:] for found in re.findall(r"`(gauge [a-z][^`\n]*)`", text)]
 
 
-LEAVES = dict(leaves(typer.main.get_command(app)))
+def command_of(words: list[str]) -> tuple[Any, list[str]]:
+    """The command of words, and its arguments."""
+    name = next(name for name in (" ".join(words[:2]), words[0]) if name in COMMANDS)
+    return load_command(name), words[len(name.split()) :]
+
+
+def parse(words: list[str]) -> None:
+    """Raise where an option is unknown or misses its value, or an argument is too many or missing."""
+    command, arguments = command_of(words)
+    command.make_context(command.name, arguments)
 
 
 @pytest.mark.parametrize("page", [p for p in PAGES if commands(p)], ids=name_of)
 def test_commands_have_the_options_that_are_shown(page: Path) -> None:
     for words in commands(page):
-        # Either a command of a group, or one whose name has two words.
-        candidates = (tuple(words[:2]), (" ".join(words[:2]),), tuple(words[:1]))
-        path = next(path for path in candidates if path in LEAVES)
-        arguments = words[len(" ".join(path).split()) :]
-        # Raises where an option is unknown, misses its value, or an argument is too many or missing.
-        LEAVES[path].make_context(path[-1], arguments)
+        parse(words)
 
 
-def options(command: Any) -> set[str]:
-    """Options of a command; `--help` is common to all."""
-    names = {name for one in command.params for name in (*one.opts, *one.secondary_opts) if name.startswith("--")}
-    return names - {"--help"}
+@pytest.mark.parametrize("page", [p for p in PAGES if mentioned(p)], ids=name_of)
+def test_sentences_name_commands_and_options_that_exist(page: Path) -> None:
+    unknown = []
+    for words in mentioned(page):
+        command, arguments = command_of(words)
+        known = {option for one in command.params for option in (*one.opts, *one.secondary_opts)} | {"--help", "--json"}
+        unknown += [
+            (*words, word) for word in arguments if word.startswith("--") and word.partition("=")[0] not in known
+        ]
+    assert unknown == []
 
 
-@pytest.mark.parametrize("path", LEAVES, ids=" ".join)
-def test_the_page_of_commands_lists_every_command_and_option(path: tuple[str, ...]) -> None:
-    text = (DOCS / "commands.md").read_text(encoding="utf-8")
-    section = re.search(rf"^## gauge {' '.join(path)}$(.*?)(?=^## |\Z)", text, flags=re.MULTILINE | re.DOTALL)
-    assert section is not None
-    shown = set(re.findall(r"`(--[\w-]+)", "\n".join(re.findall(r"^\| .* \|$", section[1], flags=re.MULTILINE))))
-    assert shown == options(LEAVES[path])
+def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
+    page = DOCS / "commands.md"
+    rows = re.findall(
+        r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$", page.read_text(encoding="utf-8"), flags=re.MULTILINE
+    )
+    assert [name for name, _ in rows] == [name for name, (instrument, _) in COMMANDS.items() if instrument]
+    for name, example in rows:
+        assert example.startswith(name)
+        parse(shlex.split(example))
 
 
-def test_no_command_is_described_that_does_not_exist() -> None:
-    titles = re.findall(r"^## gauge (.*)$", (DOCS / "commands.md").read_text(encoding="utf-8"), flags=re.MULTILINE)
-    assert set(titles) == {" ".join(path) for path in LEAVES}
+def test_the_page_of_commands_is_short() -> None:
+    assert len((DOCS / "commands.md").read_text(encoding="utf-8").split()) <= COMMANDS_WORDS
 
 
 # --- public names ----------------------------------------------------------------------------------------------------

@@ -71,12 +71,12 @@ COMMANDS = (
     ("list",),
     ("show", "SlopeSlider-3-metal"),
     ("show", "FoamTwisting-hard"),
-    ("materials",),
-    ("recipe", "--list-materials"),
-    ("backend", "list"),
+    ("recipe", "fabrics"),
+    ("list", "materials"),
+    ("list", "backends"),
     ("backend", "check", "mujoco", "--only", "slide*"),
-    ("assets", "list"),
-    ("data", "status"),
+    ("list", "scenes"),
+    ("list", "references"),
     ("run", IDS[0], "--out", "new"),
     ("compare",),
     ("diagnose",),
@@ -94,20 +94,22 @@ def test_a_table_fits_the_terminal_and_breaks_no_word(gauge: Print, command: tup
 
 
 WIDE = tuple(
-    command for command in COMMANDS if command[0] not in ("show", "assets", "recipe") and command != ("backend", "list")
+    command for command in COMMANDS if command[0] != "show" and command[1:] not in (("backends",), ("scenes",))
 )
 
 
 @pytest.mark.parametrize("command", WIDE, ids=" ".join)
 def test_wide_shows_all_columns_at_any_width(gauge: Print, command: tuple[str, ...]) -> None:
-    text = gauge(80, *command, "--wide")
+    text = gauge(80, *command, "--format", "wide")
     assert max(map(len, text.splitlines())) <= 80
-    assert words(gauge(UNLIMITED, *command, "--wide")) <= words(text)
+    assert words(gauge(UNLIMITED, *command, "--format", "wide")) <= words(text)
 
 
 def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
     assert {line.split()[0] for line in gauge(80, "list").splitlines()} >= {variant.id for variant in variants()}
-    assert {line.split()[0] for line in gauge(80, "data", "status").splitlines()} >= {one.name for one in variants()}
+    assert {line.split()[0] for line in gauge(80, "list", "references").splitlines()} >= {
+        one.name for one in variants()
+    }
     for command in ("compare", "diagnose"):
         assert {line.split()[0] for line in gauge(80, command).splitlines() if line} >= set(IDS)
 

@@ -327,7 +327,7 @@ def test_show_and_score_name_what_is_withheld(tmp_path: Path) -> None:
     file.write_text("\n".join(["504.278,408.961,180.622"] * 10), encoding="utf-8")
     arguments = ["score", str(file), "--id", "SlopeContact-wood", "--json"]
     plain = json.loads(CliRunner().invoke(app, arguments).stdout)["score"]
-    asked = json.loads(CliRunner().invoke(app, [*arguments, "--use-withheld"]).stdout)["score"]
+    asked = json.loads(CliRunner().invoke(app, [*arguments, "--use", "withheld"]).stdout)["score"]
     assert (plain["grade"], plain["withheld"]) == ("law", None)
     still = band_of("SlopeContact-wood").mean[:7, 0] - band_of("SlopeContact-wood").mean[0, 0]
     assert asked["rmse"] == pytest.approx(math.sqrt(np.square(still).mean()), rel=1e-3)

@@ -20,7 +20,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result
 
 KILL_COUNT = 100
-COMMAND = ["run", "SlopeSlider-*", "BouncingBall-rubber", "--repeats", "2", "--resume", "--json", "--out"]
+COMMAND = ["run", "SlopeSlider-*", "BouncingBall-rubber", "repeats=2", "--resume", "--json", "--out"]
 
 
 def run(folder: Path) -> None:

@@ -83,11 +83,12 @@ def test_a_loaded_result_of_a_single_trial_keeps_its_file_name(content: dict[str
 def test_a_result_whose_scene_cannot_be_built_is_skipped(content: dict[str, Any], tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps(content | {"parameters": {"ghost.friction": 1.0}}))
     (tmp_path / "b.json").write_text(json.dumps(content))
-    for command in ("plot", "compare", "diagnose"):
-        result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(tmp_path), "--out", str(tmp_path / "out")])
+    for kind in ("experiments", "compare", "diagnose"):
+        arguments = ["plot", str(tmp_path), "--kind", kind, "--out", str(tmp_path / kind)]
+        result = CliRunner(env={"COLUMNS": "400"}).invoke(app, arguments)
         assert result.exit_code == 1
         assert "a.json: SlopeSlider-2-wood: override 'ghost.friction' names no body" in result.stderr
-        assert list((tmp_path / "out").glob("*.png"))
+        assert list((tmp_path / kind).glob("*.png"))
 
 
 def test_the_id_of_an_experiment_file_leads_to_no_other_folder(content: dict[str, Any], tmp_path: Path) -> None:
@@ -110,7 +111,7 @@ def hostile(content: dict[str, Any], tmp_path: Path) -> Path:
 
 
 def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
-    result = CliRunner().invoke(app, ["compare", str(hostile), "--markdown"])
+    result = CliRunner().invoke(app, ["compare", str(hostile), "--format", "markdown"])
     assert result.exit_code == 0
     assert not [line for line in result.stdout.splitlines() if line.startswith("#")]
     assert not re.search(r"(?<!\\)(!\[|\]\()", result.stdout) and "\x1b" not in result.stdout
@@ -122,7 +123,7 @@ def test_markdown_gets_no_heading_picture_or_code(hostile: Path) -> None:
 
 @pytest.mark.parametrize("command", ["compare", "diagnose"])
 def test_a_terminal_gets_no_escapes_of_a_file(command: str, hostile: Path) -> None:
-    result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(hostile), "--wide"])
+    result = CliRunner(env={"COLUMNS": "400"}).invoke(app, [command, str(hostile), "--format", "wide"])
     assert result.exit_code == 0
     assert "\x1b" not in result.stdout and r"\x1b[2J" in result.stdout and ":smile:" in result.stdout
 
@@ -137,7 +138,7 @@ def test_styles_of_a_terminal_stay(monkeypatch: pytest.MonkeyPatch, capsys: pyte
 
 
 def test_a_dollar_sign_starts_no_formula(hostile: Path, tmp_path: Path) -> None:
-    for arguments in (["plot", str(hostile)], ["compare", str(hostile)], ["diagnose", str(hostile)]):
-        result = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / arguments[0])])
+    for kind in ("experiments", "compare", "diagnose"):
+        result = CliRunner().invoke(app, ["plot", str(hostile), "--kind", kind, "--out", str(tmp_path / kind)])
         assert result.exit_code == 0, result.exception
-        assert list((tmp_path / arguments[0]).glob("*.png"))
+        assert list((tmp_path / kind).glob("*.png"))

@@ -356,7 +356,7 @@ def test_helpers_name_what_is_not_positive():
 
 
 def test_command_prints_json():
-    result = CliRunner().invoke(app, ["materials", "--json"])
+    result = CliRunner().invoke(app, ["recipe", "fabrics", "--json"])
     assert result.exit_code == 0
     (line,) = result.stdout.splitlines()
     values = json.loads(line)
@@ -368,7 +368,7 @@ def test_command_prints_json():
 
 
 def test_command_prints_a_table_with_fallbacks_marked():
-    text = CliRunner(env={"COLUMNS": "140"}).invoke(app, ["materials"]).stdout
+    text = CliRunner(env={"COLUMNS": "140"}).invoke(app, ["recipe", "fabrics"]).stdout
     rows = {line.split()[0]: line.split()[2:] for line in text.splitlines() if line.startswith("  ")}
     assert [cell.endswith("*") for cell in rows["poissons_ratio"]] == [name != "uniform" for name in NAMES]
     assert [cell.endswith("*") for cell in rows["tri_ke"]] == [name != "uniform" for name in NAMES]

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from functools import cache
 from math import pi
 
-from scipy.optimize import brentq
-
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.impact_speed import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import Contact, ContactMode, Scene
@@ -118,6 +116,9 @@ def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
         return least
     if _mean_rebound(greatest, steps, weight) >= restitution:
         return greatest
+    # `gauge list` asks also where Genesis is absent, and the import takes a tenth of a second.
+    from scipy.optimize import brentq
+
     return float(brentq(lambda ratio: _mean_rebound(ratio, steps, weight) - restitution, least, greatest, xtol=1e-10))
 
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Scene
@@ -118,6 +117,9 @@ def products(pairs: Mapping[Pair, float], noun: str) -> dict[str, float]:
     # Each logarithm has a bound on its size as a second unknown, and the sum of the bounds is least.
     count = len(active)
     one = sparse.identity(count)
+    # Few scenes need a solver, and the import takes a tenth of a second.
+    from scipy.optimize import linprog
+
     result = linprog(
         np.repeat([0.0, 1.0], count),
         A_ub=sparse.vstack([_sums(zero, active), sparse.bmat([[one, -one], [-one, -one]])]),

@@ -57,6 +57,8 @@ def _unsupported_joints(scene: Scene) -> Iterator[str]:
 def _unsupported_hinges(scene: Scene) -> Iterator[str]:
     """Yield what this backend does not build of bodies that hinges join."""
     joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    if not joined:
+        return
     for name, found in surfaces(scene).items():
         if name in joined and len(found) > 1:
             yield f"{name!r} is on a hinge and has {len(found)} kinds of contact, of which this backend builds one"

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import lsq_linear
 
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Scene
@@ -75,6 +74,8 @@ def _solved(names: list[str], sums: Mapping[Pair, float], *, lowest: float) -> d
     targets = np.array(list(sums.values()))
     least = np.linalg.lstsq(rows, targets, rcond=None)[0]
     if least.min() < lowest:
+        from scipy.optimize import lsq_linear
+
         least = lsq_linear(rows, targets, bounds=(lowest, np.inf), method="bvls", tol=1e-14).x
     return dict(zip(names, least.tolist(), strict=True))
 

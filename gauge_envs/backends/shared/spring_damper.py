@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-from scipy.optimize import brentq
-
 LARGEST_DAMPING_RATIO = 1e3
 """Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
 
@@ -33,4 +31,7 @@ def damping_ratio_of(restitution: float) -> float:
         return 0.0
     if restitution <= spring_damper_restitution(LARGEST_DAMPING_RATIO):
         return LARGEST_DAMPING_RATIO
+    # Most scenes need no root, and the import takes a tenth of a second.
+    from scipy.optimize import brentq
+
     return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))

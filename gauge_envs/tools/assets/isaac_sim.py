@@ -73,7 +73,7 @@ def isaac_sim_stage(experiment: TaskExperiment) -> Usd.Stage:
     scene = experiment.scene
     if (reason := unsupported_reason(scene)) is not None:
         raise ParameterError(
-            f"{experiment.id}: {reason}. Choose an experiment without it, or another engine: gauge backend list"
+            f"{experiment.id}: {reason}. Choose an experiment without it, or another engine: gauge list backends"
         )
     if scene.air is not None:
         raise ParameterError(f"{experiment.id}: Isaac Sim applies no air to cloth: export it without the air")

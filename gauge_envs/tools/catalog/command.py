@@ -2,76 +2,75 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import AssetOption, DriversOption, Json, ReferenceOption, Wide
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    plain_text,
-    print_document,
-    stderr_console,
-    stdout_console,
-)
-from gauge_envs.experiments.patterns import matching_variants
-from gauge_envs.references.imported import DataSource
+from gauge_envs.cli import arguments
+from gauge_envs.cli.commands import LISTINGS, load
+from gauge_envs.cli.output import Format, message, note, print_document
 
 
 def list_(
-    pattern: Annotated[str, typer.Argument(help="Id or pattern such as 'SlopeSlider-*'.")] = "*",
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[KIND] [PATTERN]...", help=f"experiments by default, {', '.join(LISTINGS)}; ids, patterns."
+        ),
+    ] = None,
     scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """List experiments with their observable, the grade of their reference, and the engines that can run them.
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """List experiments; or backends, checks, phenomena, materials, scenes, ...
 
-    Exit code 1 when a wrong task file was skipped.
+    Experiments have their observable, the grade of their reference, and the engines that can run them. The pattern '*'
+    lists also phenomena of deformable bodies. Exit code 1 when a wrong task file was skipped.
     """
+    from gauge_envs.pages.document import Document
+
+    kind, *patterns = words if words and words[0] in ("experiments", *LISTINGS) else ["experiments", *(words or ())]
+    if kind == "experiments":
+        return _list_experiments(patterns, scored, form)
+    print_document(Document(parts=load(LISTINGS[kind], f"list {kind}")(patterns)), form)
+    return False
+
+
+def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
+    """Print the experiments of patterns, and return whether a task file was skipped."""
+    from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.task_files import task_file_faults
+    from gauge_envs.experiments.variants import beyond_variants
+    from gauge_envs.pages.document import Document, Paragraph
+    from gauge_envs.pages.text import counted
     from gauge_envs.references.bands import BandGrade
     from gauge_envs.tools.catalog.listing import list_rows
-    from gauge_envs.tools.catalog.words import list_table
+    from gauge_envs.tools.catalog.words import control_summary, list_table
 
-    stderr = stderr_console()
     faults = task_file_faults()
     for fault in faults.values():
-        stderr.print(f"[yellow]skipped:[/] {plain_text(str(fault))}", soft_wrap=True)
-    found = list_rows(
-        [variant for variant in matching_variants(pattern) if variant.family not in faults],
-        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
-    )
+        message(fault, "skipped")
+    variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
+    found = list_rows([one for one in variants if one.family not in faults], notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
-    print_document(list_table(rows), json_lines=json_lines, wide=wide)
-    if not json_lines:
-        _print_counts(rows, with_control=pattern == "*" and not scored)
-    if faults:
-        raise typer.Exit(EXIT_FAILED)
-
-
-def _print_counts(rows: list[dict[str, Any]], *, with_control: bool) -> None:
-    from gauge_envs.experiments.variants import beyond_variants
-    from gauge_envs.tools.catalog.words import control_summary
-
     families = len({row["family"] for row in rows})
-    console = stdout_console()
-    if with_control:
-        console.print(control_summary())
-        console.print(f"Beyond the benchmark: {', '.join(variant.id for variant in beyond_variants())}")
-    console.print(f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}")
+    lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]
+    if patterns in ([], ["*"]) and not scored:
+        beyond = ", ".join(variant.id for variant in beyond_variants())
+        lines = [control_summary(), f"Beyond the benchmark: {beyond}", *lines]
+    print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
+    return bool(faults)
 
 
 def show(
     name: Annotated[str, typer.Argument(metavar="ID", help="Id, with or without GAUGE/; or an experiment file.")],
-    asset: AssetOption = None,
-    drivers: DriversOption = DataSource.BUNDLED,
-    reference: ReferenceOption = DataSource.BUNDLED,
-    json_lines: Json = False,
+    asset: arguments.Asset = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show one experiment: scene, constants and their sources, reference, published scores.
+    """Show one experiment or control task: scene, constants, reference, published scores.
 
-    For a control task: law, limit and reward.
+    Constants have their sources. For a control task: law, limit and reward.
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
@@ -81,6 +80,6 @@ def show(
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
         document = control_document(control_description(find_control_task(name)))
     else:
-        experiment = resolve_experiment(name, drivers=drivers, reference=reference, asset=asset)
+        experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
         document = experiment_document(description(experiment))
-    print_document(document, json_lines=json_lines)
+    print_document(document, form)

@@ -153,7 +153,7 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
     elif reference["normalized_by_baseline"] is False:
         facts["normalized"] = "no: the published baseline is of another span of the motion"
     if reference["withheld"] is not None:
-        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use-withheld scores on it"
+        facts["withheld"] = f"{reference['withheld']}; use_withheld=True or gauge score --use withheld scores on it"
     return facts
 
 

@@ -3,90 +3,100 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, check_one_format
-from gauge_envs.cli.output import EXIT_FAILED, echo, plain_text, print_document, stderr_console
+from gauge_envs.cli import arguments
+from gauge_envs.cli.commands import DRAWINGS, load
+from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
-
-if TYPE_CHECKING:
-    from gauge_envs.runs.result import Result
+from gauge_envs.errors import ParameterError, UnknownNameError
 
 
-def plot(
-    sources: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
-    ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
-    pareto: Annotated[
-        bool,
-        typer.Option(
-            "--pareto",
-            help="Error over cost instead, of runs with several steps: pareto.png, pareto.md and pareto.json.",
-        ),
-    ] = False,
-) -> None:
-    """Plot results over the real band, one PNG per experiment. Exit code 1 when a damaged file was skipped."""
-    from gauge_envs.tools.compare.experiment_figure import save_figures
+def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEXT) -> bool:
+    """Compare engines, parameters and settings: scores with intervals, ranks and pairs.
 
-    results, skipped = loaded_results(sources, with_scene=True)
-    for path in _save_pareto(results, out) if pareto else save_figures(results, out):
-        echo(path)
-    if skipped:
-        raise typer.Exit(EXIT_FAILED)
-
-
-def _save_pareto(results: Sequence[Result], folder: Path) -> Iterator[Path]:
-    """Write error over cost as a picture, in Markdown and in JSON; yield each path."""
-    from gauge_envs.pages.document import as_markdown, as_rows, save_file
-    from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
-
-    found = tradeoff(results)
-    for note in found.notes:
-        stderr_console().print(f"[yellow]note:[/] {plain_text(note)}", soft_wrap=True)
-    document = pareto_document(found)
-    yield save_png(draw_pareto(found), folder / "pareto.png")
-    yield save_file(folder / "pareto.md", as_markdown(document))
-    yield save_file(folder / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
-
-
-def compare(
-    sources: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
-    ] = None,
-    json_lines: Json = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Draw pictures into this folder.")] = None,
-    metrics: Annotated[
-        list[str] | None,
-        typer.Option("--metric", help="Repeatable: rmse, dtw, rmse_aligned, lsd, mte, pd, el; all by default."),
-    ] = None,
-    wide: Wide = False,
-) -> None:
-    """Compare engines, parameters and settings: scores with intervals, ranks and pairs within each grade of reference.
-
-    Without a reference, distances between engines are shown. Results that differ in their seed alone are repeats,
-    shown as mean and scatter. Exit code 1 when a damaged file was skipped.
+    Ranks are within each grade of reference. Without a reference, distances between engines are shown. Results that
+    differ in their seed alone are repeats, shown as mean and scatter. metric=rmse,dtw after the results shows these
+    metrics alone. Exit code 1 when a damaged file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
     from gauge_envs.tools.compare.words import check_metrics, comparison_document
 
-    check_one_format(json_lines, markdown)
-    chosen = check_metrics(metrics or [])
-    results, skipped = loaded_results(sources, with_scene=out is not None)
-    comparison = compare_results(results)
-    print_document(comparison_document(comparison, chosen), json_lines=json_lines, markdown=markdown, wide=wide)
-    if out is not None:
-        from gauge_envs.tools.compare.overview_figure import save_comparison
+    files, names = _split_metrics(sources)
+    results, skipped = loaded_results(files)
+    print_document(comparison_document(compare_results(list(results.values())), check_metrics(names)), form)
+    return bool(skipped)
 
-        for path in save_comparison(results, out, metric=metrics[0] if metrics else None):
-            stderr_console().print(plain_text(str(path)), soft_wrap=True)
-    if skipped:
-        raise typer.Exit(EXIT_FAILED)
+
+def plot(
+    sources: arguments.Sources = None,
+    kind: Annotated[str, typer.Option(help=f"{', '.join(DRAWINGS)}, which is the error over cost.")] = "experiments",
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
+    name: Annotated[str | None, typer.Option("--id", metavar="ID", help="With diagnose: of trajectory files.")] = None,
+    use: arguments.Use = "",
+) -> bool:
+    """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
+
+    Details after the results: metric=rmse for compare; order=release,offset,rate and measured_only=true for diagnose.
+    Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
+    """
+    if kind not in DRAWINGS:
+        raise UnknownNameError("kind of picture", kind, DRAWINGS)
+    options: dict[str, Any] = {key: value for key, value in {"name": name, "use": use}.items() if value}
+    if options and kind != "diagnose":
+        raise ParameterError("--id and --use go with --kind diagnose: leave them out")
+    files, skipped = load(DRAWINGS[kind], f"draw {kind}")(sources, out, **options)
+    for file in files:
+        echo(file)
+    return bool(skipped)
+
+
+def draw_experiments(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
+    """Draw a picture of each experiment, over its real band."""
+    from gauge_envs.tools.compare.experiment_figure import save_figures
+
+    results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
+    return save_figures(list(results.values()), out), skipped
+
+
+def draw_compare(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
+    """Draw a picture of each experiment, and one of all."""
+    from gauge_envs.tools.compare.overview_figure import save_comparison
+
+    files, names = _split_metrics(sources)
+    results, skipped = loaded_results(files, with_scene=True)
+    return save_comparison(list(results.values()), out, metric=next(iter(names), None)), skipped
+
+
+def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterator[Path], int]:
+    """Write error over cost as a picture, in Markdown and in JSON."""
+    results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
+
+    def written() -> Iterator[Path]:
+        from gauge_envs.pages.document import as_markdown, as_rows, save_file
+        from gauge_envs.pages.figures import save_png
+        from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
+
+        found = tradeoff(results.values())
+        for text in found.notes:
+            note(text)
+        document = pareto_document(found)
+        yield save_png(draw_pareto(found), out / "pareto.png")
+        yield save_file(out / "pareto.md", as_markdown(document))
+        yield save_file(out / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
+
+    return written(), skipped
+
+
+def _split_metrics(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
+    """Return files, and the metrics that the detail `metric` names."""
+    from gauge_envs.tools.compare.words import check_metrics
+
+    files, details = arguments.split_details(words, metric=arguments.split_list)
+    names = details.get("metric", [])
+    check_metrics(names)
+    return files, names

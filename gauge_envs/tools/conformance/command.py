@@ -1,206 +1,214 @@
-"""`gauge backend`."""
+"""`gauge backend check`, and the lists of engines and checks."""
 
 from __future__ import annotations
 
-import time
-from contextlib import ExitStack
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from datetime import UTC, datetime
+from itertools import groupby
 from pathlib import Path
+from shlex import join
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, parsed_settings
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    plain_text,
-    print_document,
-    print_json_lines,
-    progress_bar,
-    stderr_console,
-)
-from gauge_envs.errors import ParameterError
-from gauge_envs.tools.conformance.matrix_command import MatrixOutput, check_matrix
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import LINE_INTERVAL_S, Format, Progress, message, print_document, print_json_lines
+from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from rich.console import Console
-
+    from gauge_envs.pages.table import Table
     from gauge_envs.tools.conformance import CheckResult
+    from gauge_envs.tools.conformance.matrix import MatrixColumn
+
+Limits = tuple[float, float | None]
+"""Limits of a process: time of a check [s], and memory [GB]."""
 
 
-backend_app = typer.Typer(help="Installed physics engines.", no_args_is_help=True)
-
-
-@backend_app.command("list")
-def backend_list(json_lines: Json = False) -> None:
-    """List installed backends and the versions of their engines."""
+def list_backends(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the installed engines and their versions."""
     from gauge_envs.tools.conformance.words import backends_table
 
-    print_document(backends_table(), json_lines=json_lines)
+    return arguments.matching([backends_table()], patterns, kind="backend")
 
 
-@backend_app.command("check")
+def list_checks(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of the checks with their scenes and laws."""
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.words import checks_table
+
+    return [checks_table(checks(patterns))]
+
+
 def backend_check(
     names: Annotated[
-        list[str] | None, typer.Argument(metavar="NAME...", help="Engines; one column of the table each.")
-    ] = None,
-    only: Annotated[list[str] | None, typer.Option("--only", help="Id or pattern of checks; repeatable.")] = None,
-    changes: Annotated[
-        list[str] | None, typer.Option("--set", help="Numerical setting of the engines, as timestep_s=0.0005.")
-    ] = None,
-    describe: Annotated[
-        bool, typer.Option("--list", help="List the checks with their scenes and laws, and run none.")
-    ] = False,
-    isolate: Annotated[
-        bool,
-        typer.Option("--isolate", help="Run the checks in another process; engines of other packages always do."),
-    ] = False,
-    time_limit_s: Annotated[
-        float | None, typer.Option(help="Time limit of a check in another process in s, 600 by default.")
-    ] = None,
-    memory_limit_gb: Annotated[
-        float | None, typer.Option(help="Limit of the resident memory of that process in GB, on Linux.")
-    ] = None,
-    every: Annotated[
-        bool,
-        typer.Option(
-            "--all",
-            help="Every solver and preset that the backends declare, of all installed ones if none is named; one check "
-            "per phenomenon without --only. Needs --report, --out, --markdown or --json.",
-        ),
-    ] = False,
-    configurations: Annotated[
         list[str] | None,
-        typer.Option("--configuration", metavar="NAME", help="With --all, only this solver or preset; repeatable."),
-    ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(metavar="PAGE", help="One HTML page: checks in rows, engines in columns, with all commands."),
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="File for the columns of the page, which --from reads.")
-    ] = None,
-    files: Annotated[
-        list[Path] | None,
-        typer.Option(
-            "--from",
-            metavar="FILE",
-            help="Columns that --out wrote, which are not measured again; repeatable.",
+        typer.Argument(
+            metavar="NAME...",
+            help="Engines, one column of the table each. ENGINE:CONFIGURATION is one of the solvers and presets that "
+            "an engine declares, as mujoco:PGS; patterns as 'mujoco:*' and '*:*' are all. A .json file of --out has "
+            "columns that are not measured again.",
         ),
     ] = None,
-    json_lines: Json = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
-    wide: Wide = False,
-) -> None:
-    """Check engines against closed forms in small scenes, with a diagnosis of each failure.
+    only: arguments.Only = None,
+    changes: arguments.Settings = None,
+    limits: arguments.Limits = "",
+    out: Annotated[
+        list[Path] | None, typer.Option(help="Page with all commands (.html), or columns (.json); repeatable.")
+    ] = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Check engines against closed forms, with a diagnosis of each failure.
 
-    Exit code 1 when a check failed or raised an error. A declined check is no failure. An engine that crashes, exits or
-    hangs in another process costs one check. A limit implies --isolate, and so do --all, --report and --out.
+    gauge list checks shows the checks; for configurations, one per phenomenon runs without --only. Exit code 1 when a
+    check failed or raised an error. A declined check is no failure. Engines of other packages run in another process,
+    all engines do with --limits, --out or a configuration: one that crashes, exits or hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
     from gauge_envs.tools.conformance.matrix import CANONICAL
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
-    from gauge_envs.tools.conformance.words import checks_table, findings_document
 
-    patterns = only or []
-    if describe:
-        print_document(checks_table(checks(patterns)), json_lines=json_lines, wide=wide)
-        return
-    if not names and not every and not files:
-        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco, or use --list or --all")
-    if misplaced := [name for name in names or [] if name in {one.id for one in checks()}]:
+    if not names:
+        raise ParameterError("no backend is given: name one, as in gauge backend check mujoco; see gauge list backends")
+    files = [Path(name) for name in names if name.endswith(".json")]
+    engines = list(dict.fromkeys(name for name in names if not name.endswith(".json")))
+    if misplaced := sorted({one.id for one in checks()}.intersection(engines)):
         raise ParameterError(f"{misplaced[0]!r} is a check and no backend: repeat the option, as --only {misplaced[0]}")
-    if configurations and not every:
-        raise ParameterError("--configuration chooses among those of --all: add --all")
-    limit_s = CHECK_LIMIT_S if time_limit_s is None else time_limit_s
-    if every or files or report is not None or out is not None:
-        output = MatrixOutput(report=report, file=out, json_lines=json_lines, markdown=markdown)
-        output.check()
-        check_matrix(
-            names or [],
-            every=every,
-            configurations=configurations or [],
-            files=files or [],
-            settings=parsed_settings(changes or []),
-            only=patterns or (CANONICAL if every else []),
-            limits=(limit_s, memory_limit_gb),
-            output=output,
-        )
-        return
-    findings = _findings(
-        list(dict.fromkeys(names or [])),
-        patterns,
-        parsed_settings(changes or []),
-        isolate=isolate or time_limit_s is not None or memory_limit_gb is not None,
-        limits=(limit_s, memory_limit_gb),
-        json_lines=json_lines,
+    patterns = [part for text in only or () for part in text.split(",")]
+    settings = arguments.parsed_settings(changes)
+    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
+    bounds = (CHECK_LIMIT_S if time_s is None else time_s, memory_gb)
+    has_configurations = any(":" in name for name in engines)
+    if not (has_configurations or files or out):
+        return _check(engines, patterns, settings, isolate, bounds, form)
+    places = _checked_places(arguments.by_suffix(out, ".html", ".json"))
+    return _matrix(
+        engines, files, settings, patterns or (CANONICAL if has_configurations else []), bounds, places, form
     )
-    if not json_lines:
-        print_document(findings_document(findings), markdown=markdown, wide=wide)
-    bad = sum(finding.is_bad for finding in findings)
-    stderr_console().print(f"{counted(len(findings), 'check')}, {bad} failed")
-    if bad:
-        raise typer.Exit(EXIT_FAILED)
 
 
-def _findings(
-    engines: list[str],
-    patterns: list[str],
+def _check(
+    engines: Sequence[str],
+    only: Sequence[str],
     settings: Mapping[str, Any] | None,
-    *,
     isolate: bool,
-    limits: tuple[float, float | None],
-    json_lines: bool,
-) -> list[CheckResult]:
-    """Run checks on engines and return the results, with a bar or lines of progress."""
-    from gauge_envs.backends import backend_names
+    limits: Limits,
+    form: Format,
+) -> bool:
+    """Run checks on engines, print the results, and return whether one is bad."""
     from gauge_envs.backends.registry import is_bundled
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks, run_checks
+    from gauge_envs.tools.conformance.words import findings_document
 
     findings: list[CheckResult] = []
-    stderr = stderr_console()
-    total = len(checks(patterns)) * len(engines)
-    lines = _ProgressLines(stderr, total)
-    apart = {name for name in backend_names() if isolate or not is_bundled(name)}
-    with ExitStack() as stack:
-        progress = stack.enter_context(progress_bar(stderr))
-        worker = stack.enter_context(Worker(*limits))
-        bar = progress.add_task("checks", total=total)
+    total = len(checks(only)) * len(engines)
+    with Progress("checks", total, line_interval_s=LINE_INTERVAL_S) as progress, Worker(*limits) as worker:
+        # Settings and patterns of all engines are checked before the first one runs.
         runs = [
-            run_checks(name, settings=settings, only=patterns, worker=worker if name in apart else None)
+            run_checks(name, settings=settings, only=only, worker=worker if isolate or not is_bundled(name) else None)
             for name in engines
         ]
-        for run in runs:
-            for finding in run:
-                findings.append(finding)
-                progress.update(bar, advance=1, description=f"{finding.backend}: {finding.check}")
-                lines.update(len(findings), f"{finding.backend}: {finding.check}")
-                if json_lines:
-                    print_json_lines([finding.to_dict()])
-    return findings
+        for finding in (finding for run in runs for finding in run):
+            findings.append(finding)
+            progress.advance(f"{finding.backend}: {finding.check}")
+            if form is Format.JSON:
+                print_json_lines([finding.to_dict()])
+    if form is not Format.JSON:
+        print_document(findings_document(findings), form)
+    bad = sum(finding.is_bad for finding in findings)
+    message(f"{counted(len(findings), 'check')}, {bad} failed")
+    return bad > 0
 
 
-class _ProgressLines:
-    """Lines that report progress where there is no terminal, at most one every few seconds.
+def _checked_places(files: Mapping[str, Path]) -> Mapping[str, Path]:
+    """Return files that can be written, before checks run that may take hours."""
+    from gauge_envs.files import check_replaceable
+    from gauge_envs.runs.batch import check_writable
+
+    for file in files.values():
+        try:
+            check_replaceable(file)
+        except OSError as error:
+            raise ResultFileError(f"{file}: cannot be written: {error.strerror}") from error
+        check_writable(file.parent)
+    return files
+
+
+def _matrix(
+    names: Sequence[str],
+    files: Sequence[Path],
+    settings: Mapping[str, Any] | None,
+    only: Sequence[str],
+    limits: Limits,
+    places: Mapping[str, Path],
+    form: Format,
+) -> bool:
+    """Run checks on engines and configurations, print and write the matrix, and return whether a result is bad.
 
     Args:
-        console: The console of messages.
-        total: Number of checks.
+        names: Engines and configurations that run, each engine in a process of its own.
+        files: Files with further columns.
+        settings: Settings for every column that runs.
+        only: Ids or patterns of checks; none are those of the files.
+        limits: Limits of a process.
+        places: Files by suffix: the page, and the columns.
+        form: Format on stdout.
     """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.matrix import matrix_columns
+    from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
+    from gauge_envs.tools.conformance.page import conformance_page
+    from gauge_envs.tools.conformance.words import matrix_document
 
-    INTERVAL_S = 5.0
+    new: list[MatrixColumn] = []
+    if names:
+        with Worker(*limits) as importer:
+            new = matrix_columns(names, settings, worker=importer)
+    # Before anything runs, so that a wrong file costs no time.
+    columns = with_columns(new, files)
+    for column in _measured(new, only, limits, form):
+        if ".json" in places and column is not new[-1]:
+            # After each column, so that a run that is stopped leaves the columns that ended.
+            write_columns([one for one in columns if one.made], places[".json"])
+    found = {name for column in columns for name in (*column.findings, *column.refused)}
+    chosen = [check for check in checks(only) if new or only or check.id in found]
+    if ".json" in places:
+        message(write_columns(columns, places[".json"]))
+    if ".html" in places:
+        page = conformance_page(columns, chosen, command=join(["gauge", *sys.argv[1:]]), when=datetime.now(UTC))
+        message(save_file(places[".html"], page))
+    if form is not Format.JSON:
+        print_document(matrix_document(columns, chosen), form)
+    bad = sum(finding.is_bad for column in new for finding in column.findings.values())
+    if new:
+        message(f"{counted(sum(len(column.findings) for column in new), 'check')}, {bad} failed")
+    else:
+        message(f"{counted(len(columns), 'column')} of files; no check ran")
+    return bad > 0
 
-    def __init__(self, console: Console, total: int) -> None:
-        self._console, self._total = console, total
-        self._last_s = time.monotonic()
 
-    def update(self, done: int, text: str) -> None:
-        """Print a line if there is no terminal and the last line is old."""
-        now_s = time.monotonic()
-        if self._console.is_terminal or now_s - self._last_s < self.INTERVAL_S:
-            return
-        self._last_s = now_s
-        self._console.print(plain_text(f"{done} of {counted(self._total, 'check')} done, {text}"), soft_wrap=True)
+def _measured(
+    columns: Sequence[MatrixColumn], only: Sequence[str], limits: Limits, form: Format
+) -> Iterator[MatrixColumn]:
+    """Run the checks of columns, and yield each column as it ends."""
+    from gauge_envs.runs.isolation import Worker
+    from gauge_envs.tools.conformance import checks
+    from gauge_envs.tools.conformance.matrix import run_column
+
+    with Progress("checks", len(checks(only)) * len(columns)) as progress:
+        for _, group in groupby(columns, key=lambda column: column.backend):
+            # Configurations of one engine share a process, which imports it once; two engines share none.
+            with Worker(*limits) as worker:
+                for column in group:
+                    for finding in run_column(column, only, worker):
+                        progress.advance(f"{column.title}: {finding.check}")
+                        if form is Format.JSON:
+                            print_json_lines([finding.to_dict() | {"configuration": column.name}])
+                    bad = sum(finding.is_bad for finding in column.findings.values())
+                    ran = f"{counted(len(column.findings), 'check')}, {bad} failed"
+                    progress.line(f"{column.title}: {column.reason or ran}")
+                    yield column

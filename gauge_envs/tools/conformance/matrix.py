@@ -6,6 +6,7 @@ import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from fnmatch import fnmatchcase
 from typing import Any
 
 from gauge_envs.backends import backend, backend_names
@@ -133,48 +134,49 @@ class MatrixColumn:
 
 
 def matrix_columns(
-    names: Sequence[str],
-    settings: Mapping[str, Any] | None = None,
-    *,
-    every: bool,
-    configurations: Sequence[str] = (),
-    worker: Worker | None = None,
+    names: Sequence[str], settings: Mapping[str, Any] | None = None, *, worker: Worker | None = None
 ) -> list[MatrixColumn]:
     """Return the columns of a matrix, without running a check.
 
     Args:
-        names: Engines; with none, all that are installed.
+        names: Engines or patterns, as `mujoco` for its default; with a colon, configurations that the engine declares,
+            as `mujoco:PGS` or `*:*`.
         settings: Settings for every column, beside those of its configuration.
-        every: Whether each engine has a column for each configuration that it declares, beside its default.
-        configurations: Names of the configurations that are kept; all with none.
         worker: Another process that imports the engines; None for this one.
 
     Returns:
         The columns. An engine that cannot be imported has one column, with the reason.
     """
     known = backend_names()
+    columns: dict[tuple[str, str], MatrixColumn] = {}
     for name in names:
-        if name not in known:
-            raise UnknownNameError("backend", name, known)
-    columns = []
-    for name in dict.fromkeys(names or known):
-        every_settings: dict[str, dict[str, Any]] = {"default": {}}
-        reason = ""
-        if every:
-            try:
-                declared = _declared(name) if worker is None else worker.call(_declared, name)
-                every_settings |= declared
-            except GaugeError as error:
-                reason = str(error)
-        columns += [
-            MatrixColumn(backend=name, name=key, settings={**(settings or {}), **values}, reason=reason)
-            for key, values in every_settings.items()
-        ]
-    existing = {column.name for column in columns}
-    for wanted in configurations:
-        if wanted not in existing:
-            raise UnknownNameError("configuration", wanted, existing)
-    return [column for column in columns if column.name in configurations or not configurations]
+        pattern, has_configuration, wanted = name.partition(":")
+        engines = [engine for engine in known if fnmatchcase(engine, pattern)]
+        if not engines:
+            raise UnknownNameError("backend", pattern, known)
+        found = [column for engine in engines for column in _columns(engine, bool(has_configuration), worker)]
+        chosen = [column for column in found if not wanted or fnmatchcase(column.name, wanted)]
+        if not chosen:
+            raise UnknownNameError("configuration", wanted, {column.name for column in found})
+        for column in chosen:
+            column.settings = {**(settings or {}), **column.settings}
+            columns.setdefault((column.backend, column.name), column)
+    return list(columns.values())
+
+
+def _columns(engine: str, has_configurations: bool, worker: Worker | None) -> list[MatrixColumn]:
+    """Return the default of an engine, and its configurations if they are asked for."""
+    configurations: dict[str, dict[str, Any]] = {"default": {}}
+    reason = ""
+    if has_configurations:
+        try:
+            configurations |= _declared(engine) if worker is None else worker.call(_declared, engine)
+        except GaugeError as error:
+            reason = str(error)
+    return [
+        MatrixColumn(backend=engine, name=name, settings=settings, reason=reason)
+        for name, settings in configurations.items()
+    ]
 
 
 def _declared(name: str) -> dict[str, dict[str, Any]]:

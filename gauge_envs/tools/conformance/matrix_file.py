@@ -113,11 +113,11 @@ def read_columns(path: Path) -> list[MatrixColumn]:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"]) or "the document"
         raise ResultFileError(
-            f"{path}: {place}: {first['msg']}; write it with gauge backend check NAME --all --out FILE"
+            f"{path}: {place}: {first['msg']}; write it with gauge backend check 'NAME:*' --out FILE"
         ) from None
     except ValueError as error:
         raise ResultFileError(
-            f"{path}: is no JSON document ({error}); write it with gauge backend check NAME --all --out FILE"
+            f"{path}: is no JSON document ({error}); write it with gauge backend check 'NAME:*' --out FILE"
         ) from None
     if found.kind != KIND:
         raise ResultFileError(f"{path}: its kind is {found.kind!r}, expected {KIND!r}")

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, WithheldOption
-from gauge_envs.cli.output import EXIT_FAILED, plain_text, print_document, stderr_console
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, message, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError
 
@@ -18,57 +19,60 @@ if TYPE_CHECKING:
 
 
 def diagnose(
-    sources: Annotated[
-        list[Path] | None,
-        typer.Argument(metavar="[DIR or FILE]...", help="Result files, or folders of them; results/ by default."),
-    ] = None,
-    name: Annotated[
-        str | None, typer.Option("--id", help="Experiment of trajectory files, as for gauge score.")
-    ] = None,
-    order: Annotated[
-        str, typer.Option(help="Parts in the order in which they are added to the fit.")
-    ] = "release,offset,rate",
-    measured_only: Annotated[bool, typer.Option("--measured-only", help="Leave out extrapolated frames.")] = False,
-    use_withheld: WithheldOption = False,
-    out: Annotated[Path | None, typer.Option(help="Draw a picture into this folder.")] = None,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """Split the error of episodes: release time, constant offset, rate or scale of the motion, and the rest.
+    sources: arguments.Sources = None,
+    name: Annotated[str | None, typer.Option("--id", metavar="ID", help="Experiment of trajectory files.")] = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Split the error of episodes: release time, constant offset, rate of the motion, rest.
 
-    Results without a reference, or that did not run to their end, are reported and left out. Exit code 2 when no
-    result is left, 1 when a damaged file was skipped.
+    Details after the results: order=release,offset,rate, in which the parts are added to the fit; measured_only=true,
+    to leave out extrapolated frames. Results without a reference, or that did not run to their end, are reported and
+    left out. Exit code 2 when no result is left, 1 when a damaged file was skipped.
     """
-    from gauge_envs.runs.score_file import score_file
-    from gauge_envs.tools.diagnose.error_budget import DiagnosisError, stage_order
-    from gauge_envs.tools.diagnose.error_budget import diagnose as diagnose_result
     from gauge_envs.tools.diagnose.words import diagnosis_document
 
-    stages = stage_order(part.strip() for part in order.split(","))
+    pairs, skipped = _diagnoses(sources, name, use)
+    print_document(diagnosis_document(pairs), form)
+    return bool(skipped)
+
+
+def draw_diagnose(
+    sources: Sequence[str] | None, out: Path, name: str | None = None, use: str = ""
+) -> tuple[Sequence[Path], int]:
+    """Draw the parts of the error of all results."""
+    from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.diagnose.figure import draw_diagnoses
+
+    pairs, skipped = _diagnoses(sources, name, use)
+    return [save_png(draw_diagnoses(pairs), out / "diagnosis.png")], skipped
+
+
+def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tuple[list[tuple[Result, Diagnosis]], int]:
+    """Return results with their diagnoses, and the number of skipped files; report what is left out."""
+    from gauge_envs.runs.score_file import score_file
+    from gauge_envs.tools.diagnose.error_budget import DiagnosisError, diagnose, stage_order
+
+    files, details = arguments.split_details(sources, order=arguments.split_list, measured_only=bool)
+    if "order" in details:
+        details["order"] = stage_order(map(str.strip, details["order"]))
+    used = arguments.parsed_use(use, "use_withheld")
     if name is None:
-        results, skipped = loaded_results(sources, with_scene=True)
+        loaded, skipped = loaded_results(files, with_scene=True)
+        results = list(loaded.values())
+    elif not files:
+        raise ParameterError("--id needs trajectory files: give one or more")
     else:
-        if not sources:
-            raise ParameterError("--id needs trajectory files: give one or more")
-        results, skipped = [score_file(file, variant=name, use_withheld=use_withheld)[0] for file in sources], 0
+        results, skipped = [score_file(Path(file), variant=name, **used)[0] for file in files], 0
     pairs: list[tuple[Result, Diagnosis]] = []
-    reasons: list[str] = []
+    reasons: dict[str, None] = {}
     for result in results:
         try:
-            diagnosis = diagnose_result(result, order=stages, measured_only=measured_only, use_withheld=use_withheld)
-            pairs.append((result, diagnosis))
+            pairs.append((result, diagnose(result, **details, **used)))
         except DiagnosisError as error:
-            reasons.append(str(error))
+            reasons[str(error)] = None
     if results and not pairs:
-        raise DiagnosisError("; ".join(dict.fromkeys(reasons)))
-    for reason in dict.fromkeys(reasons):
-        stderr_console().print(f"[yellow]left out:[/] {plain_text(reason)}", soft_wrap=True)
-    print_document(diagnosis_document(pairs), json_lines=json_lines, wide=wide)
-    if out is not None:
-        from gauge_envs.pages.figures import save_png
-        from gauge_envs.tools.diagnose.figure import draw_diagnoses
-
-        picture = save_png(draw_diagnoses(pairs), out / "diagnosis.png")
-        stderr_console().print(plain_text(str(picture)), soft_wrap=True)
-    if skipped:
-        raise typer.Exit(EXIT_FAILED)
+        raise DiagnosisError("; ".join(reasons))
+    for reason in reasons:
+        message(reason, "left out")
+    return pairs, skipped

@@ -132,7 +132,7 @@ def diagnose_trajectory(
         found = load_band(experiment.name)
         if found is not None and found.withheld is not None:
             raise DiagnosisError(
-                f"{experiment.id}: its band is withheld: {found.withheld}; use_withheld=True or --use-withheld splits "
+                f"{experiment.id}: its band is withheld: {found.withheld}; use_withheld=True or --use withheld splits "
                 "the error to it"
             )
         raise DiagnosisError(

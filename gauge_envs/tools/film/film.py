@@ -130,7 +130,7 @@ def results_of_one_experiment(results: Mapping[Path, Result], name: str | None =
     """
     ids = sorted({short_id(result.id) for result in results.values()})
     if name is None and len(ids) > 1:
-        raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose one with --id")
+        raise ResultFileError(f"the results are of {len(ids)} experiments: {', '.join(ids)}; choose by --only")
     if name is None and not ids:
         raise ResultFileError("no result is left to film; gauge run writes them")
     wanted = ids[0] if name is None else short_id(name)

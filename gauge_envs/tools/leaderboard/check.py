@@ -230,7 +230,7 @@ def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
     if result.outcome not in (Outcome.FINISHED, Outcome.DIVERGED):
         yield "outcome", f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out"
     if result.score.withheld is not None:
-        yield "score.withheld", "the reference is withheld: run without --use-withheld"
+        yield "score.withheld", "the reference is withheld: run without --use withheld"
     version = result.versions.get(stated.package)
     if version != stated.version:
         yield f"versions.{stated.package}", f"is {version!r}, expected {stated.version!r}, as {STATEMENT_FILE} states"

@@ -1,99 +1,70 @@
-"""Commands for a leaderboard of submitted results."""
+"""`gauge leaderboard check` and `gauge leaderboard table`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, check_one_format
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    plain_text,
-    print_document,
-    progress_bar,
-    stderr_console,
-)
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, message, print_document
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
 
-
-FolderArgument = Annotated[
-    Path, typer.Argument(metavar="[DIR]", help="Folder of the leaderboard, or of one submission.")
-]
-
-leaderboard_app = typer.Typer(help="Results that vendors of engines submit, as files.", no_args_is_help=True)
+FolderArgument = Annotated[Path, typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission.")]
 
 
-@leaderboard_app.command("check")
 def leaderboard_check(
     folder: FolderArgument = Path("leaderboard"),
     rerun: Annotated[int, typer.Option(min=0, help="Run this many episodes of each submission again.")] = 0,
-    salt: Annotated[
-        str, typer.Option(help="Text unknown to the submitter, which enters the choice of these episodes.")
-    ] = "",
-    json_lines: Json = False,
-) -> None:
-    """Check submissions: layout, versions, task hashes, trajectories, and scores computed anew from these.
+    salt: Annotated[str, typer.Option(help="Text unknown to the submitter, for the choice of these episodes.")] = "",
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Check submissions: layout, versions, task hashes, trajectories and scores.
 
-    Exit code 1 when anything is wrong.
+    Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
+    from gauge_envs.pages.text import counted
     from gauge_envs.tools.leaderboard.words import check_document
 
-    check = _checked(folder, rerun=rerun, salt=salt)
-    print_document(check_document(check), json_lines=json_lines)
-    stderr_console().print(
-        f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}"
-    )
-    if not check.ok:
-        raise typer.Exit(EXIT_FAILED)
+    check = _checked(folder, rerun, salt)
+    print_document(check_document(check), form)
+    message(f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}")
+    return not check.ok
 
 
-@leaderboard_app.command("table")
 def leaderboard_table(
     folder: FolderArgument = Path("leaderboard"),
-    json_lines: Json = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Tables as GitHub Markdown.")] = False,
-    out: Annotated[
-        Path | None, typer.Option(help="Write leaderboard.json and leaderboard.md into this folder.")
-    ] = None,
-    wide: Wide = False,
-) -> None:
-    """Print the table of all submissions without faults: scores with intervals, ranks and pairs within each grade.
+    out: Annotated[Path | None, typer.Option(help="Folder for leaderboard.json and leaderboard.md.")] = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Print scores of all submissions without faults: intervals, ranks and pairs.
 
-    Exit code 1 when a submission has faults, and is therefore left out.
+    Ranks and pairs are within each grade of reference. Exit code 1 when a submission has faults, and is therefore left
+    out.
     """
-    import json
-
     from gauge_envs.pages.document import as_markdown, as_rows, save_file
     from gauge_envs.tools.leaderboard.layout import GENERATED
     from gauge_envs.tools.leaderboard.words import leaderboard_document
 
-    check_one_format(json_lines, markdown)
     check = _checked(folder)
     document = leaderboard_document(check)
     if out is not None:
         texts = (json.dumps(as_rows(document), allow_nan=False, indent=1) + "\n", as_markdown(document))
         for name, text in zip(GENERATED, texts, strict=True):
-            stderr_console().print(plain_text(str(save_file(out / name, text))), soft_wrap=True)
-    if json_lines or markdown or out is None:
-        print_document(document, json_lines=json_lines, markdown=markdown, wide=wide)
+            message(save_file(out / name, text))
+    if out is None or form is not Format.TEXT:
+        print_document(document, form)
     for fault in check.all_faults:
-        stderr_console().print(f"[yellow]left out:[/] {plain_text(str(fault))}", soft_wrap=True)
-    if not check.ok:
-        raise typer.Exit(EXIT_FAILED)
+        message(fault, "left out")
+    return not check.ok
 
 
-def _checked(folder: Path, *, rerun: int = 0, salt: str = "") -> LeaderboardCheck:
+def _checked(folder: Path, rerun: int = 0, salt: str = "") -> LeaderboardCheck:
     from gauge_envs.tools.leaderboard import check_leaderboard
 
-    with progress_bar(stderr_console()) as progress:
-        bar = progress.add_task("files", total=None)
-
-        def advance(text: str) -> None:
-            progress.update(bar, advance=1, description=plain_text(text))
-
-        return check_leaderboard(folder, rerun_count=rerun, salt=salt, advance=advance)
+    with Progress("files", None) as progress:
+        return check_leaderboard(folder, rerun_count=rerun, salt=salt, advance=progress.advance)

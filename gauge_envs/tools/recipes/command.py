@@ -1,137 +1,127 @@
-"""Command that turns measured behaviour into contact settings of an engine, and back."""
+"""`gauge recipe`: contact settings of an engine from measured behaviour, and back."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json
-from gauge_envs.cli.output import EXIT_FAILED, echo, print_document
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, echo, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
+    from gauge_envs.pages.document import Shown
+    from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
+BEHAVIOUR = ("friction", "restitution", "penetration_m", "stiffness_n_per_m", "damping_n_s_per_m")
 
-T = TypeVar("T")
+NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
 
 
 def recipe(
+    words: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[MATERIAL] [NAME=VALUE]...", help="Pair or fabric, as satin; see gauge list materials."
+        ),
+    ] = None,
     engine: Annotated[
-        str | None,
-        typer.Option(metavar="NAME", help="mujoco, mujoco_warp, newton, physx, pybullet, rapier, drake or genesis."),
+        str | None, typer.Option("--backend", help="Engine; also mujoco_warp, and isaac for a fabric.")
     ] = None,
-    friction: Annotated[float | None, typer.Option(help="Coefficient of friction, 0.01 to 2.")] = None,
-    restitution: Annotated[float | None, typer.Option(help="Rebound over impact speed, 0 to 1.")] = None,
-    penetration: Annotated[float | None, typer.Option(help="Largest depth at rest in m.")] = None,
-    stiffness: Annotated[float | None, typer.Option(help="Weight over depth at rest [N/m].")] = None,
-    damping: Annotated[float | None, typer.Option(help="Damping beside the stiffness [N s/m].")] = None,
-    mass: Annotated[float | None, typer.Option(help="Mass of the body in kg.")] = None,
-    timestep: Annotated[float | None, typer.Option(help="Time step of the engine in s.")] = None,
     explain: Annotated[
-        str | None,
-        typer.Option(metavar="TEXT", help="Contact settings of the engine, as 'solref=0.02 1': report what they give."),
+        str | None, typer.Option(metavar="TEXT", help="Settings, as 'solref=0.02 1': report what they give.")
     ] = None,
-    material: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Measured pair or fabric, as wood-on-wood or satin.")
-    ] = None,
-    list_materials: Annotated[bool, typer.Option("--list-materials", help="List the pairs and fabrics.")] = False,
-    json_lines: Json = False,
-) -> None:
-    """Give contact settings of an engine for a measured behaviour, and the values that they reach in simulation.
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Give contact settings of an engine for a measured behaviour, and what they reach.
+
+    Details: friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest;
+    stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=0.5, of the body;
+    timestep_s=0.002, of the engine.
 
     With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
     that the engine cannot reach is no failure: the nearest one is given, with the reason.
     """
-    behaviour = (friction, restitution, penetration, stiffness, damping)
-    if list_materials:
-        _list_materials(json_lines)
-    elif explain is not None:
-        _refuse("--explain states the contact itself and goes with --mass and --timestep", *behaviour, material)
-        _explain(_given(engine, "engine", "mujoco"), explain, mass, timestep, json_lines)
-    elif material is not None and material in _fabrics():
-        _refuse("a fabric goes with --engine, --timestep and --json", *behaviour, mass)
-        _print_fabric(material, _given(engine, "engine", "newton"), timestep, json_lines)
-    else:
-        _print_recipe(_given(engine, "engine", "mujoco"), behaviour, mass, timestep, material, json_lines)
+    names, numbers = arguments.split_details(words, **dict.fromkeys(NUMBERS, float))
+    if len(names) > 1:
+        raise ParameterError(f"{' and '.join(names)}: expected one pair of materials or one fabric")
+    backend = _given(engine, "--backend", "--backend mujoco")
+    material = names[0] if names else None
+    behaviour = [name for name in BEHAVIOUR if name in numbers]
+    if explain is not None:
+        if names or behaviour:
+            raise ParameterError(
+                "--explain states the contact itself and goes with mass_kg and timestep_s: leave the others out"
+            )
+        return _explain(backend, explain, numbers, form)
+    if material in _fabrics():
+        if behaviour or "mass_kg" in numbers:
+            raise ParameterError("a fabric goes with timestep_s alone: leave the others out")
+        return _print_fabric(str(material), backend, numbers.get("timestep_s"), form)
+    return _print_recipe(backend, material, numbers, form)
 
 
-def _print_snippet(snippet: str) -> None:
-    """Print a snippet as it is: a terminal's width must not wrap or cut what is to be pasted."""
-    echo(f"\npaste\n{snippet}", nl=False)
+def _given(value: Any, name: str, example: str) -> Any:
+    """Return a value that the request needs."""
+    if value is None:
+        raise ParameterError(f"{name} is missing: add it, as {example}")
+    return value
 
 
-def _refuse(text: str, *values: object) -> None:
-    """Raise an error if an option is given that does not go with another one."""
-    if any(value is not None for value in values):
-        raise ParameterError(f"{text}: leave the other options out")
+def _print(document: Shown, snippet: str, form: Format) -> None:
+    """Print a result, and a snippet as it is: a terminal's width must not wrap or cut what is to be pasted."""
+    print_document(document, form)
+    if form is not Format.JSON:
+        echo(f"\npaste\n{snippet}", nl=False)
 
 
-def _print_recipe(
-    engine: str,
-    behaviour: tuple[float | None, ...],
-    mass: float | None,
-    timestep: float | None,
-    material: str | None,
-    json_lines: bool,
-) -> None:
+def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], form: Format) -> bool:
     from gauge_envs.tools.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
     from gauge_envs.tools.recipes.materials import find_material
     from gauge_envs.tools.recipes.words import recipe_document
 
     settings = engine_settings(engine)
-    friction, restitution, penetration, stiffness, damping = behaviour
     pair = None if material is None else find_material(material, also=_fabrics())
     if pair is not None:
-        mass = pair.mass_kg if mass is None else mass
-        friction = pair.friction if friction is None else friction
-        if restitution is None and damping is None:
-            restitution = pair.restitution
-    if all(value is None for value in (friction, restitution, penetration, stiffness)):
-        raise ParameterError("nothing is asked: add --friction 0.4, --restitution 0.6, --penetration or --stiffness")
-    aim = Aim(
-        friction=FREE_FRICTION if friction is None else friction,
-        is_friction_asked=friction is not None,
-        restitution=restitution,
-        penetration_m=penetration,
-        stiffness_n_per_m=stiffness,
-        damping_n_s_per_m=damping,
-        mass_kg=_given(mass, "mass", "0.5"),
-        timestep_s=_given(timestep, "timestep", "0.002"),
-    )
+        measured = {"mass_kg": pair.mass_kg, "friction": pair.friction, "restitution": pair.restitution}
+        if "damping_n_s_per_m" in numbers:
+            del measured["restitution"]
+        numbers = {name: value for name, value in measured.items() if value is not None} | numbers
+    if not any(name in numbers for name in BEHAVIOUR[:4]):
+        raise ParameterError("nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m")
+    _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=0.5")
+    _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
+    aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
     found = find_recipe(settings, aim)
-    print_document(recipe_document(found, pair), json_lines=json_lines)
-    if not json_lines:
-        _print_snippet(found.settings.snippet(aim.mass_kg))
-    if found.found is None:
-        raise typer.Exit(EXIT_FAILED)
+    _print(recipe_document(found, pair), found.settings.snippet(aim.mass_kg), form)
+    return found.found is None
 
 
-def _explain(engine: str, text: str, mass: float | None, timestep: float | None, json_lines: bool) -> None:
+def _explain(engine: str, text: str, numbers: Mapping[str, float], form: Format) -> bool:
     from gauge_envs.tools.recipes import engine_settings
     from gauge_envs.tools.recipes.explain import explain, parsed_contact
     from gauge_envs.tools.recipes.words import meaning_document
 
-    step_s = _given(timestep, "timestep", "0.002")
+    step_s = _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
     if not step_s > 0.0:
-        raise ParameterError(f"timestep {step_s:g} s: expected a positive number")
-    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), _given(mass, "mass", "2"))
-    print_document(meaning_document(meaning), json_lines=json_lines)
-    if not json_lines:
-        _print_snippet(meaning.settings.snippet(meaning.mass_kg))
-    if meaning.found is None:
-        raise typer.Exit(EXIT_FAILED)
+        raise ParameterError(f"timestep_s {step_s:g}: expected a positive number")
+    mass_kg = _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=2")
+    meaning = explain(parsed_contact(engine_settings(engine), text, step_s), mass_kg)
+    _print(meaning_document(meaning), meaning.settings.snippet(meaning.mass_kg), form)
+    return meaning.found is None
 
 
-def _list_materials(json_lines: bool) -> None:
-    from gauge_envs.tools.recipes.materials import material_pairs
-    from gauge_envs.tools.recipes.words import fabric_table, material_table
+def _print_fabric(name: str, engine: str, timestep_s: float | None, form: Format) -> bool:
+    from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
+    from gauge_envs.tools.recipes.words import fabric_document
 
-    print_document(material_table(material_pairs()), json_lines=json_lines)
-    print_document(fabric_table(_fabrics()), json_lines=json_lines)
+    found = fabric_recipe(name, _fabrics()[name], engine, timestep_s)
+    _print(fabric_document(found), fabric_snippet(found.mapped), form)
+    return bool(found.faults and found.versions)
 
 
 def _fabrics() -> Mapping[str, Fabric]:
@@ -140,20 +130,20 @@ def _fabrics() -> Mapping[str, Fabric]:
     return fabrics()
 
 
-def _print_fabric(name: str, engine: str, timestep: float | None, json_lines: bool) -> None:
-    from gauge_envs.tools.recipes.fabrics import fabric_recipe, fabric_snippet
-    from gauge_envs.tools.recipes.words import fabric_document
+def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
+    """Show the six fabrics in every engine's constants, and what is lost.
 
-    found = fabric_recipe(name, _fabrics()[name], engine, timestep)
-    print_document(fabric_document(found), json_lines=json_lines)
-    if not json_lines:
-        _print_snippet(fabric_snippet(found.mapped))
-    if found.faults and found.versions:
-        raise typer.Exit(EXIT_FAILED)
+    Each has the stiffness that its constants give.
+    """
+    from gauge_envs.tools.recipes.words import constants_document
+
+    print_document(constants_document(_fabrics()), form)
 
 
-def _given(value: T | None, name: str, example: str) -> T:
-    """Return the value of an option that the request needs."""
-    if value is None:
-        raise ParameterError(f"--{name} is missing: add it, as --{name} {example}")
-    return value
+def list_materials(patterns: Sequence[str]) -> list[Table]:
+    """Return the tables of the measured pairs and fabrics."""
+    from gauge_envs.tools.recipes.materials import material_pairs
+    from gauge_envs.tools.recipes.words import fabric_table, material_table
+
+    tables = [material_table(material_pairs()), fabric_table(_fabrics())]
+    return arguments.matching(tables, patterns, kind="material")

@@ -9,7 +9,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from gauge_envs.errors import ParameterError, first_fault
+from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.aim import FRICTION_RANGE, MASS_RANGE_KG, TIMESTEP_RANGE_S
@@ -116,13 +116,14 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
             f"{engine.engine} contact {text!r}: expected settings as name=values; settings: {', '.join(known)}"
         )
     if "timestep_s" in found:
-        raise ParameterError("the time step is an option of its own: --timestep 0.002")
+        raise ParameterError("the time step stands beside the settings: timestep_s=0.002")
     try:
         return engine.model_validate({**found, "timestep_s": timestep_s})
     except ValidationError as error:
         key, reason = first_fault(error, noun="setting")
         where = f"{key!r}: " if key else ""
-        raise ParameterError(f"{engine.engine} contact: {where}{reason}; settings: {', '.join(known)}") from None
+        hint = nearest(key, known) if reason == "unknown setting" else f"settings: {', '.join(known)}"
+        raise ParameterError(f"{engine.engine} contact: {where}{reason}; {hint}") from None
 
 
 def _values(text: str) -> Any:

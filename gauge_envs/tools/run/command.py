@@ -1,234 +1,151 @@
-"""Commands that run and score."""
+"""`gauge run` and `gauge score`."""
 
 from __future__ import annotations
 
-import math
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from pydantic import NonNegativeInt, PositiveInt
 
-from gauge_envs.cli.arguments import (
-    AssetOption,
-    DriversOption,
-    Json,
-    ParametersOption,
-    ReferenceOption,
-    Wide,
-    WithheldOption,
-    parsed_parameters,
-    parsed_settings,
-)
+from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    counted,
-    plain_text,
-    print_document,
-    print_json_lines,
-    progress_bar,
-    stderr_console,
-    stdout_console,
-)
+from gauge_envs.cli.output import Format, Progress, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiments.patterns import is_glob, matching_subjects
-from gauge_envs.references.imported import DataSource
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
     from gauge_envs.runs.result import Result
 
 
 def run(
-    ids: Annotated[
+    words: Annotated[
         list[str] | None,
-        typer.Argument(metavar="[ID or pattern]...", help="Ids or patterns, as 'SlopeSlider-*'; or experiment files."),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="All experiments that the engine can run.")] = False,
-    backends: Annotated[
-        list[str] | None, typer.Option("--backend", help="Engine; repeatable; mujoco by default.")
-    ] = None,
-    parameters: ParametersOption = None,
-    asset: AssetOption = None,
-    drivers: DriversOption = DataSource.BUNDLED,
-    reference: ReferenceOption = DataSource.BUNDLED,
-    use_withheld: WithheldOption = False,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", help="Numerical setting of the engine, as timestep_s=0.0005; repeatable."),
-    ] = None,
-    seed: Annotated[int, typer.Option(min=0)] = 0,
-    marker_proxy: Annotated[
-        str,
-        typer.Option(
-            help="What represents a marker on a deformable body: its material point, or the nearest node (paper)."
+        typer.Argument(
+            metavar="[ID]... [NAME=VALUE]...", help="Ids, patterns as 'SlopeSlider-*', or experiment files."
         ),
-    ] = "material",
-    repeats: Annotated[
-        int, typer.Option(min=1, help="Runs of each experiment, from starts that scatter as real ones do.")
-    ] = 1,
-    jitter_mm: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start positions in mm; 1.0 with --repeats.")
     ] = None,
-    jitter_deg: Annotated[
-        float | None, typer.Option(min=0.0, help="Standard deviation of start angles in degrees; 0.5 with --repeats.")
-    ] = None,
+    backends: arguments.Backends = None,
+    parameters: arguments.Parameters = None,
+    asset: arguments.Asset = None,
+    use: arguments.Use = "",
+    changes: arguments.Settings = None,
     uncertainty: Annotated[
-        bool,
-        typer.Option("--uncertainty", help="Measure the sensitivities of this run, by about 20 further runs."),
+        bool, typer.Option("--uncertainty", help="Measure sensitivities of this run, by about 20 further runs.")
     ] = False,
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
-    resume: Annotated[bool, typer.Option(help="Keep results that exist already.")] = False,
-    isolate: Annotated[
-        bool,
-        typer.Option(
-            "--isolate",
-            help="Each experiment in a process of its own; engines of other packages always run in another process.",
-        ),
-    ] = False,
-    time_limit_s: Annotated[
-        float, typer.Option(help="Time limit of an experiment, with its repeats, in another process in s.")
-    ] = 3600.0,
-    memory_limit_gb: Annotated[
-        float | None,
-        typer.Option(help="Limit of the resident memory of that process in GB, on Linux; implies --isolate."),
-    ] = None,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
+    resume: Annotated[bool, typer.Option("--resume", help="Keep results that exist already.")] = False,
+    limits: arguments.Limits = "",
+    form: arguments.Form = Format.TEXT,
+) -> bool:
     """Run experiments, score them against reality, and write a result file for each.
 
+    The pattern '*' is all. Details: seed=0; repeats=1, from starts that scatter as real ones do; jitter=1mm,0.5deg, the
+    scatter of positions and angles; marker_proxy=material for a marker on a deformable body, or node for its nearest
+    node (paper).
+
+    With --limits, each experiment has a process of its own; engines of other packages always run in another process.
     Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of
-    a pattern or of --all may be declined.
+    a pattern may be declined.
     """
+    from gauge_envs.experiments.patterns import is_glob, matching_subjects
     from gauge_envs.pages.document import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
+    from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Outcome
+    from gauge_envs.scene.jitter import Jitter
     from gauge_envs.tools.run.words import summary_document
 
-    if not ids and not every:
-        raise ParameterError("nothing to run: give ids, patterns or --all; gauge list shows them")
-    patterns = ["*"] if every else ids or []
-    chosen = list(dict.fromkeys(subject for pattern in patterns for subject in matching_subjects(pattern)))
-    named = dict.fromkeys(
-        subject for pattern in ids or [] if not is_glob(pattern) for subject in matching_subjects(pattern)
+    patterns, details = arguments.split_details(
+        words, seed=NonNegativeInt, repeats=PositiveInt, jitter=arguments.parsed_jitter, marker_proxy=str
     )
-    engines = list(dict.fromkeys(backends or ["mujoco"]))
-    values, settings = parsed_parameters(parameters) or "calibrated", parsed_settings(changes or [])
+    if not patterns:
+        raise ParameterError("nothing to run: give ids, or patterns as '*'; gauge list shows them")
+    if "jitter" in details:
+        details["jitter"] = Jitter(**details["jitter"])
+    subjects = {pattern: matching_subjects(pattern) for pattern in patterns}
     requests = [
         RunRequest(
             subject,
             backend=engine,
-            parameters=values,
-            settings=settings,
-            marker_proxy=marker_proxy,
-            drivers=drivers,
-            reference=reference,
-            use_withheld=use_withheld,
+            parameters=arguments.parsed_parameters(parameters) or "calibrated",
+            settings=arguments.parsed_settings(changes),
             asset=asset,
-            seed=seed,
-            repeats=repeats,
-            jitter=_jitter(jitter_mm, jitter_deg),
             uncertainty=uncertainty,
+            **arguments.parsed_use(use, "drivers", "reference", "use_withheld"),
+            **details,
         )
-        for engine in engines
-        for subject in chosen
+        for engine in dict.fromkeys(backends or ["mujoco"])
+        for subject in dict.fromkeys(subject for found in subjects.values() for subject in found)
     ]
-    isolation = isolate or memory_limit_gb is not None or None
-    check_requests(requests, isolate=isolation)
+    isolate, time_s, memory_gb = arguments.parsed_limits(limits)
+    check_requests(requests, isolate=isolate or None)
+    named = {subject for pattern, found in subjects.items() if not is_glob(pattern) for subject in found}
     by_name = {request.calibrated_experiment().id for request in requests if request.variant in named}
-
-    stderr = stderr_console()
     results: list[Result] = []
     episodes = run_many(
         requests,
         out=out,
         resume=resume,
-        isolate=isolation,
-        time_limit_s=time_limit_s,
-        memory_limit_gb=memory_limit_gb,
-        notify=lambda text: stderr.print(f"[yellow]note:[/] {plain_text(text)}", soft_wrap=True),
+        isolate=isolate or None,
+        time_limit_s=TIME_LIMIT_S if time_s is None else time_s,
+        memory_limit_gb=memory_gb,
+        notify=note,
     )
-    total = len(requests) * repeats
     try:
-        with progress_bar(stderr) as progress:
-            bar = progress.add_task("episodes", total=total)
+        with Progress("episodes", sum(request.repeats for request in requests), line_interval_s=0.0) as progress:
             for result in episodes:
                 results.append(result)
-                progress.update(bar, advance=1, description=result.id.removeprefix("GAUGE/"))
-                if not stderr.is_terminal:
-                    stderr.print(plain_text(_progress_line(result, len(results), total)), soft_wrap=True)
-                if json_lines:
+                progress.advance(f"{result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}")
+                if form is Format.JSON:
                     print_json_lines([result.to_dict(trajectory=False)])
     except KeyboardInterrupt:
         kept = sum(result.error is None for result in results)
-        stderr.print(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
+        message(f"interrupted: {counted(kept, 'result')} kept in {out}; --resume continues from there")
         raise typer.Exit(EXIT_INTERRUPTED) from None
     except ResultFileError:
-        stderr.print(Terminal(summary_document(results, budget=uncertainty), wide))
-        stderr.print(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
+        stderr_console().print(Terminal(summary_document(results, budget=uncertainty), form is Format.WIDE))
+        message(f"stopped: {_totals(results, out)}; --resume continues from there when the cause is gone")
         raise
-    (stderr if json_lines else stdout_console()).print(Terminal(summary_document(results, budget=uncertainty), wide))
-    stderr.print(_totals(results, out))
+    document = summary_document(results, budget=uncertainty)
+    if form is Format.JSON:
+        stderr_console().print(Terminal(document))
+    else:
+        print_document(document, form)
+    message(_totals(results, out))
     bad = (Outcome.FAILED, Outcome.DIVERGED)
-    if any(r.outcome in bad or (r.outcome is Outcome.DECLINED and r.id in by_name) for r in results):
-        raise typer.Exit(EXIT_FAILED)
+    return any(one.outcome in bad or (one.outcome is Outcome.DECLINED and one.id in by_name) for one in results)
 
 
 def score(
     file: Annotated[Path, typer.Argument(help="CSV, NPZ or JSON; also a result file.")],
     name: Annotated[
-        str | None, typer.Option("--id", help="Experiment, or experiment file; not needed if a JSON file states it.")
+        str | None, typer.Option("--id", metavar="ID", help="Experiment, if the file does not state it.")
     ] = None,
-    parameters: ParametersOption = None,
-    reference: ReferenceOption = DataSource.BUNDLED,
-    use_withheld: WithheldOption = False,
-    json_lines: Json = False,
-    wide: Wide = False,
+    parameters: arguments.Parameters = None,
+    use: arguments.Use = "",
+    form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Score a trajectory from your own simulator: g(t) in the observable's unit (mm for positions), no engine needed.
+    """Score a trajectory from your own simulator; no engine is needed.
 
-    Columns are the coordinates that `gauge show ID` lists. Without a `time_s` column, rows are 30 Hz frames.
+    It is g(t) in the observable's unit, mm for positions. Columns are the coordinates that `gauge show ID` lists.
+    Without a `time_s` column, rows are 30 Hz frames. The id may be an experiment file.
     """
+    from dataclasses import replace
+
     from gauge_envs.runs.score_file import score_file
     from gauge_envs.tools.run.words import summary_document
 
-    result, interpolated = score_file(
-        file,
-        variant=name,
-        parameters=parsed_parameters(parameters),
-        reference=reference,
-        use_withheld=use_withheld,
-    )
+    used = arguments.parsed_use(use, "reference", "use_withheld")
+    result, interpolated = score_file(file, variant=name, parameters=arguments.parsed_parameters(parameters), **used)
     if interpolated:
-        stderr_console().print(
-            f"[yellow]note:[/] {counted(interpolated, 'frame')} between samples: interpolated linearly"
-        )
-    if json_lines:
-        print_json_lines([result.to_dict(trajectory=False)])
-    else:
-        print_document(summary_document([result]), wide=wide)
+        note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
+    print_document(replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]), form)
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:
-    counts: dict[str, int] = {}
-    for result in results:
-        counts[result.outcome.value] = counts.get(result.outcome.value, 0) + 1
+    counts = Counter(result.outcome.value for result in results)
     return f"{', '.join(f'{number} {outcome}' for outcome, number in counts.items())}; results in {out}"
-
-
-def _progress_line(result: Result, number: int, total: int) -> str:
-    return f"{number}/{total} {result.id.removeprefix('GAUGE/')} on {result.backend}: {result.outcome.value}"
-
-
-def _jitter(position_mm: float | None, angle_deg: float | None) -> Jitter | None:
-    if position_mm is None and angle_deg is None:
-        return None
-    given: dict[str, float] = {}
-    if position_mm is not None:
-        given["position_m"] = 1e-3 * position_mm
-    if angle_deg is not None:
-        given["angle_rad"] = math.radians(angle_deg)
-    return Jitter(**given)

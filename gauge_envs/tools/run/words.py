@@ -41,7 +41,7 @@ DEFORMATION_NOTE = (
 
 BUDGET_NOTE = (
     "u: standard uncertainty of the score that is shown first, normalized. Type A is from observations, B from other "
-    "knowledge (GUM). Share: of the variance. --wide shows the sources."
+    "knowledge (GUM). Share: of the variance. --format wide shows the sources."
 )
 
 TONES = {Outcome.DIVERGED: Tone.ERROR, Outcome.FAILED: Tone.ERROR, Outcome.DECLINED: Tone.WARNING}
@@ -85,8 +85,8 @@ def _score_table(results: Sequence[Result]) -> Table:
         notes=(
             "",
             NORMALIZED_NOTE,
-            "%: real trials that are closer to their mean. Aligned: after the best time shift. --wide shows more "
-            "columns.",
+            "%: real trials that are closer to their mean. Aligned: after the best time shift. --format wide shows "
+            "more columns.",
             *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
         ),
     )

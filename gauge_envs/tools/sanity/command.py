@@ -1,27 +1,22 @@
-"""`gauge sanity`."""
+"""`gauge sanity`, and the commands that carry its scenes and settings to other machines."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from enum import StrEnum
+from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from gauge_envs.cli.arguments import Json, Wide, check_one_format
-from gauge_envs.cli.output import (
-    EXIT_FAILED,
-    plain_text,
-    print_document,
-    progress_bar,
-    stderr_console,
-)
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, echo, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from gauge_envs.tools.sanity import PhenomenonResult, Report, Verdict
+    from gauge_envs.pages.table import Table
+    from gauge_envs.tools.sanity import Report
 
 
 class OtherEngine(StrEnum):
@@ -38,6 +33,17 @@ class FailOn(StrEnum):
     NEVER = "never"
 
 
+FailOnOption = Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")]
+
+BaselineOption = Annotated[
+    Path | None, typer.Option(metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only.")
+]
+
+OutOption = Annotated[
+    list[Path] | None, typer.Option("--out", help="Page (.html), table (.md) or rows (.json); repeatable.")
+]
+
+
 def sanity(
     target: Annotated[
         str | None,
@@ -50,147 +56,189 @@ def sanity(
     ] = None,
     pair: Annotated[
         str | None,
-        typer.Option(
-            metavar="GEOM1,GEOM2",
-            help="Two geoms whose contact constants are used; by default all on the ground.",
-        ),
+        typer.Option(metavar="GEOM1,GEOM2", help="Geoms whose contact counts; all on the ground by default."),
     ] = None,
     against: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TARGET", help="Target where the policy runs: report what changes from the first target to it."
-        ),
+        str | None, typer.Option(metavar="TARGET", help="Where the policy runs: report what changes to this target.")
     ] = None,
-    only: Annotated[
-        list[str] | None,
-        typer.Option("--only", help="Ids or patterns of phenomena, as 'creep-*,gravity'; repeatable."),
-    ] = None,
-    every: Annotated[bool, typer.Option("--all", help="Also check deformable bodies, which takes longer.")] = False,
-    describe: Annotated[
-        bool, typer.Option("--list", help="List ids, titles and kinds of the phenomena, and measure none.")
-    ] = False,
-    fail_on: Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")] = (
-        FailOn.NEVER
-    ),
-    baseline: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="JSON output of an earlier run; exit code 1 on regressions only."),
-    ] = None,
-    time_limit_s: Annotated[
-        float | None,
-        typer.Option(
-            "--time-limit-s", min=0.0, help="Start no simulation after this time in s; other rows are declined."
-        ),
-    ] = None,
-    on_engine: Annotated[
+    only: arguments.Only = None,
+    fail_on: FailOnOption = FailOn.NEVER,
+    baseline: BaselineOption = None,
+    limits: Annotated[
+        str, typer.Option(metavar="TIME", help="Start no simulation after this time, as 60s; decline other rows.")
+    ] = "",
+    backend: Annotated[
         OtherEngine | None,
-        typer.Option(help="Run flagged rows of a MuJoCo model again on mujoco_warp: a minute more, longer at first."),
+        typer.Option(help="Run flagged rows of a MuJoCo model again, which takes a minute."),
     ] = None,
-    html: Annotated[Path | None, typer.Option(metavar="FILE", help="File for an HTML page with pictures.")] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The table as GitHub Markdown.")] = False,
-    json_lines: Json = False,
-    wide: Wide = False,
-) -> None:
-    """Report which physics a training configuration gets wrong, and the change that corrects most of it.
+    out: OutOption = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Report which physics a training configuration gets wrong, and what corrects it.
 
     Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
-    with real trials and laws. Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from
-    --baseline, or when nothing could be measured.
+    with real trials and laws; gauge list phenomena shows them. Deformable bodies, which take longer, are checked where
+    a pattern of --only is '*' or names them alone. Exit code 1 for a phenomenon as bad as --fail-on states, for a
+    regression from --baseline, or when nothing could be measured.
     """
-    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.sanity import check, configuration
-    from gauge_envs.tools.sanity.baseline import read_baseline
-    from gauge_envs.tools.sanity.page import check_can_draw, sanity_page
     from gauge_envs.tools.sanity.selection import selection
     from gauge_envs.tools.sanity.target import compiled_model
-    from gauge_envs.tools.sanity.words import phenomena_table
 
-    check_one_format(json_lines, markdown)
-    patterns = only or []
-    if describe:
-        print_document(phenomena_table(include_deformables=every, only=patterns), json_lines=json_lines, wide=wide)
-        return
     if target is None:
-        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5, or use --list")
+        raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
+    _, time_limit_s, memory_gb = arguments.parsed_limits(limits)
+    if limits and (time_limit_s is None or memory_gb is not None):
+        raise ParameterError(f"--limits {limits!r}: expected a time alone, as 60s")
+    common: dict[str, Any] = {"only": only or [], "include_deformables": _with_deformables(only or [])}
     if against is not None:
-        if html is not None or baseline is not None or pair is not None:
-            raise ParameterError("--against goes with none of --html, --baseline and --pair: leave them out")
-        _compare(target, against, patterns, every, time_limit_s, fail_on, json_lines, markdown, wide)
-        return
-    if html is not None:
-        check_can_draw()
-    before = None if baseline is None else read_baseline(baseline)
-    checked = configuration(target, pair=_geom_pair(pair))
-    with progress_bar(stderr_console()) as progress:
-        bar = progress.add_task("phenomena", total=len(selection(patterns, include_deformables=every)))
-
-        def notify(row: PhenomenonResult) -> None:
-            progress.update(bar, advance=1, description=row.phenomenon)
-
-        report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
-        if on_engine is not None:
+        if baseline is not None or pair is not None:
+            raise ParameterError("--against goes with neither --baseline nor --pair: leave them out")
+        files = arguments.by_suffix(out, ".md", ".json")
+        return _compare(target, against, common | {"time_limit_s": time_limit_s}, fail_on, files, form)
+    is_bad, files = _judged_by(fail_on, baseline), _checked_files(out)
+    geoms = None if pair is None else tuple(map(str.strip, pair.split(",")))
+    if geoms is not None and (len(geoms) != 2 or not all(geoms)):
+        raise ParameterError(f"--pair {pair!r}: expected the names of two geoms, as floor,foot")
+    checked = configuration(target, pair=geoms)
+    with Progress("phenomena", len(selection(**common))) as progress:
+        report = check(
+            checked, notify=lambda row: progress.advance(row.phenomenon), time_limit_s=time_limit_s, **common
+        )
+        if backend is not None:
             from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
 
-            progress.update(bar, description=on_engine.value)
+            progress.show(backend.value)
             report = with_mujoco_warp(report, model=compiled_model(target))
-    print_report(report, json_lines, markdown, wide)
-    if html is not None:
-        stderr_console().print(plain_text(str(save_file(html, sanity_page(report)))), soft_wrap=True)
-    if has_failed(report, fail_on, before):
-        raise typer.Exit(EXIT_FAILED)
+    _print_report(report, form, files)
+    return is_bad(report)
 
 
-def print_report(report: Report, json_lines: bool, markdown: bool, wide: bool) -> None:
-    """Print a sanity check as JSON lines, as Markdown, or for a terminal."""
+def _with_deformables(patterns: Sequence[str]) -> bool:
+    """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
+    from gauge_envs.tools.sanity.selection import selection
+
+    each = (pattern.strip() for text in patterns for pattern in text.split(","))
+    return any(pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection()) for pattern in each)
+
+
+def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
+    """Return the files of `--out`; a page needs what draws its pictures."""
+    from gauge_envs.tools.sanity.page import check_can_draw
+
+    files = arguments.by_suffix(out, ".html", ".md", ".json")
+    if ".html" in files:
+        check_can_draw()
+    return files
+
+
+def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.sanity.page import sanity_page
     from gauge_envs.tools.sanity.words import sanity_document
 
-    print_document(sanity_document(report), json_lines=json_lines, markdown=markdown, wide=wide)
+    writers = {".html": lambda file: save_file(file, sanity_page(report))}
+    print_document(sanity_document(report), form, files=files, writers=writers)
+
+
+def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
+    """Return what decides whether a check fails, and prints regressions from a baseline."""
+    from gauge_envs.tools.sanity import Verdict
+    from gauge_envs.tools.sanity.baseline import read_baseline, regressions
+
+    before = None if baseline is None else read_baseline(baseline)
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+
+    def is_bad(report: Report) -> bool:
+        if report.worst is Verdict.DECLINED and any(row.applies for row in report.rows):
+            return True
+        if before is None:
+            return report.worst in bad[fail_on]
+        worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
+        for row in worse:
+            was = before.get(row.phenomenon, Verdict.DECLINED)
+            message(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}")
+        return bool(worse)
+
+    return is_bad
 
 
 def _compare(
-    trained: str,
-    deployed: str,
-    patterns: list[str],
-    every: bool,
-    time_limit_s: float | None,
-    fail_on: FailOn,
-    json_lines: bool,
-    markdown: bool,
-    wide: bool,
-) -> None:
-    """Print what changes between two targets; exit code 1 for a change as large as --fail-on states."""
+    trained: str, deployed: str, options: dict[str, Any], fail_on: FailOn, files: Mapping[str, Path], form: Format
+) -> bool:
+    """Print what changes between two targets, and return whether a change is as large as --fail-on states."""
     from gauge_envs.tools.sanity.against import Change, compare
     from gauge_envs.tools.sanity.words import against_document
 
-    comparison = compare(trained, deployed, only=patterns, include_deformables=every, time_limit_s=time_limit_s)
-    print_document(against_document(comparison), json_lines=json_lines, markdown=markdown, wide=wide)
+    comparison = compare(trained, deployed, **options)
+    print_document(against_document(comparison), form, files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
-    if any(row.change in bad[fail_on] for row in comparison.rows):
-        raise typer.Exit(EXIT_FAILED)
+    return any(row.change in bad[fail_on] for row in comparison.rows)
 
 
-def has_failed(report: Report, fail_on: FailOn, before: Mapping[str, Verdict] | None) -> bool:
-    """Return whether a sanity check ends with an error, and print regressions from a baseline."""
-    from gauge_envs.tools.sanity import Verdict
-    from gauge_envs.tools.sanity.baseline import regressions
+def list_phenomena(patterns: Sequence[str]) -> list[Table]:
+    """Return the table of phenomena, those of deformable bodies only for patterns that choose them."""
+    from gauge_envs.tools.sanity.words import phenomena_table
 
-    applicable = [row for row in report.rows if row.applies]
-    if applicable and report.worst is Verdict.DECLINED:
-        return True
-    if before is None:
-        bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
-        return report.worst in bad[fail_on]
-    worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
-    for row in worse:
-        was = before.get(row.phenomenon, Verdict.DECLINED)
-        stderr_console().print(plain_text(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}"))
-    return bool(worse)
+    return [phenomena_table(include_deformables=_with_deformables(patterns), only=patterns)]
 
 
-def _geom_pair(text: str | None) -> tuple[str, str] | None:
-    if text is None:
-        return None
-    names = [name.strip() for name in text.split(",")]
-    if len(names) != 2 or not all(names):
-        raise ParameterError(f"--pair {text!r}: expected the names of two geoms, as floor,foot")
-    return names[0], names[1]
+def sanity_probe(
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="File to write, as gauge_probe.py.")] = None,
+) -> None:
+    """Print a Python file that saves the settings of a training environment.
+
+    Copy it to the training environment, where gauge-envs need not be installed, and run it there: python gauge_probe.py
+    TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
+    """
+    from gauge_envs.pages.document import save_file
+    from gauge_envs.tools.sanity.probe import program_text
+
+    if out is None:
+        echo(program_text(), nl=False)
+    else:
+        message(save_file(out, program_text()))
+
+
+def sanity_export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder, or one of an earlier export.")],
+    only: arguments.Only = None,
+    form: arguments.Form = Format.TEXT,
+) -> None:
+    """Write the scenes of a sanity check for any simulator.
+
+    They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run them in your simulator, as README.md in the
+    folder explains, and judge them with gauge sanity judge DIR.
+    """
+    from gauge_envs.pages.document import Document, Paragraph
+    from gauge_envs.pages.text import counted
+    from gauge_envs.tools.sanity.export import export
+    from gauge_envs.tools.sanity.export_manifest import scenes
+
+    written = export(folder, only=only or [])
+    text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"
+    print_document(Document(parts=[Paragraph(text)], rows=[{"file": str(path)} for path in written]), form)
+    if form is not Format.JSON:
+        message(f"next: read {folder / 'README.md'}")
+
+
+def sanity_judge(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sanity export, with your motion.")],
+    label: Annotated[str, typer.Option(metavar="NAME", help="Name of your simulator for the report.")] = "",
+    only: arguments.Only = None,
+    fail_on: FailOnOption = FailOn.NEVER,
+    baseline: BaselineOption = None,
+    out: OutOption = None,
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Report which physics a simulator gets wrong, from its motion in exported scenes.
+
+    Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
+    measured. A scene without a motion file is declined.
+    """
+    from gauge_envs.tools.sanity.judge import judge
+
+    files, is_bad = _checked_files(out), _judged_by(fail_on, baseline)
+    report = judge(folder, only=only or [], engine=label)
+    _print_report(report, form, files)
+    return is_bad(report)

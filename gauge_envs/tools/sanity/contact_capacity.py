@@ -127,7 +127,7 @@ def contact_capacity(
     if model.nhfield:
         return ContactCapacity(
             limits=limits,
-            reason="engines find different numbers of contacts on a height field; --on-engine mujoco_warp counts",
+            reason="engines find different numbers of contacts on a height field; --backend mujoco_warp counts",
         )
     return ContactCapacity(limits=limits, need=contact_need(model))
 

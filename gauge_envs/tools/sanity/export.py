@@ -60,7 +60,7 @@ def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
     """
     chosen = scenes(only)
     if not chosen:
-        raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge sanity --list")
+        raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge list phenomena")
     _check_folder(folder)
     written = []
     try:

@@ -29,10 +29,11 @@ ADVISORY_NOTE = "does not count for --fail-on: the target does not state what th
 STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
 
 LEGEND = (
-    "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge sanity "
-    "--list, --wide and --html name the source). Preset: this package's preset for the scene. This: the checked "
-    "configuration; after the verdict, its difference from reality. Below a row: the responsible setting, found by "
-    "resetting each setting to the engine's documented default and to this package's preset, and measuring again."
+    "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
+    "phenomena, --format wide and pages name the source). Preset: this package's preset for the scene. This: the "
+    "checked configuration; after the verdict, its difference from reality. Below a row: the responsible setting, "
+    "found by resetting each setting to the engine's documented default and to this package's preset, and measuring "
+    "again."
 )
 
 

@@ -41,17 +41,14 @@ def run_command(results: Sequence[Result]) -> str | None:
     for assignment in _assignments(first.settings_given):
         words += ["--set", assignment]
     if first.marker_proxy != MarkerProxy.MATERIAL:
-        words += ["--marker-proxy", first.marker_proxy]
-    words += [
-        word
-        for key, option in (("drivers", "--drivers"), ("reference", "--reference"))
-        if first.dataset.get(key) == DataSource.IMPORTED
-        for word in (option, DataSource.IMPORTED.value)
-    ]
+        words.append(f"marker_proxy={first.marker_proxy}")
+    used = [f"imported-{key}" for key in ("drivers", "reference") if first.dataset.get(key) == DataSource.IMPORTED]
+    if first.score.withheld is not None:
+        used.append("withheld")
+    if used:
+        words += ["--use", ",".join(used)]
     if first.asset and kind != AssetKind.EXPERIMENT:
         words += ["--asset", first.asset["file"]]
-    if first.score.withheld is not None:
-        words.append("--use-withheld")
     return shlex.join([*words, *_start_words(results)])
 
 
@@ -63,17 +60,17 @@ def _assignments(values: Mapping[str, Any]) -> list[str]:
 
 
 def _start_words(results: Sequence[Result]) -> list[str]:
-    """Return the options of seed, repeats and jitter."""
+    """Return the words for seed, repeats and jitter."""
     seeds = sorted(result.seed or 0 for result in results)
-    words = ["--seed", str(seeds[0])] if seeds[0] else []
+    words = [f"seed={seeds[0]}"] if seeds[0] else []
     # Repeats have consecutive seeds; the range holds also those that are missing here.
     count = seeds[-1] - seeds[0] + 1
-    words += ["--repeats", str(count)] if count > 1 else []
+    words += [f"repeats={count}"] if count > 1 else []
     jitter = results[0].jitter
     if "position_m" in jitter:
         position_m, angle_rad = jitter["position_m"], jitter["angle_rad"]
-        words += ["--jitter-mm", _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)]
-        words += ["--jitter-deg", _exact(angle_rad, math.degrees(angle_rad), math.radians)]
+        millimetres = _exact(position_m, position_m / 1e-3, lambda mm: 1e-3 * mm)
+        words.append(f"jitter={millimetres}mm,{_exact(angle_rad, math.degrees(angle_rad), math.radians)}deg")
     return words
 
 

@@ -22,7 +22,7 @@ class SweepSession:
         plan: The plan.
         path: The folder; created if it does not exist.
         is_part: Whether the plan is a part of a sweep whose other parts may run at the same time. Parts write result
-            files alone; the store gets its rows when the whole sweep or a query opens the folder.
+            files alone; the store gets its rows when the whole sweep opens the folder.
         retry_failed: Whether episodes that failed run again.
         notify: Receives a sentence for a damaged store and for each damaged file, which is moved aside.
 

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.errors import ResultFileError
 from gauge_envs.files import write_whole
 
 SCRIPT = '''"""Submit a sweep to Slurm as one job array: python {name}
@@ -65,8 +65,6 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
         workers: Worker processes of a job.
         log_folder: Folder for what the jobs print.
     """
-    if jobs < 1:
-        raise ParameterError(f"--jobs {jobs}: expected 1 or more")
     command = [sys.executable, "-c", "from gauge_command import main; main()", "sweep", *arguments]
     return SCRIPT.format(
         name=name,

@@ -1,18 +1,12 @@
-"""Tables of sweeps: the plan, the outcomes and the answers to queries."""
+"""Tables of sweeps: the plan and the outcomes."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any
 
-from gauge_envs.errors import ParameterError
-from gauge_envs.files import printable
 from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import value_text
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.estimate import Cost, EarlierCosts
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
@@ -101,43 +95,3 @@ def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
     ]
     columns = (Column("backend", "engine"), *(Column(one.value, one.value, str, is_number=True) for one in Outcome))
     return Table(columns=columns, rows=rows)
-
-
-def query_document(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Document:
-    """Return the answer to a query; bytes are written in hexadecimal digits."""
-    numbers = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
-    shown = (
-        Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
-        for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
-    )
-    return Document(parts=(Table(columns=tuple(shown), rows=rows),), rows=_records(columns, rows))
-
-
-def _records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Iterator[dict[str, Any]]:
-    if len({*columns}) < len(columns):
-        twice = next(name for name, count in Counter(columns).items() if count > 1)
-        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
-    for row in rows:
-        yield {name: _plain(value) for name, value in zip(columns, row, strict=True)}
-
-
-def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return the answer to a query as CSV with a header.
-
-    Bytes are written in hexadecimal digits, and control characters as escapes: a file of a stranger may hold some,
-    which a terminal would execute.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(map(_csv_value, columns))
-    writer.writerows(map(_csv_value, row) for row in rows)
-    return text.getvalue()
-
-
-def _plain(value: Any) -> Any:
-    return value.hex() if isinstance(value, bytes) else value
-
-
-def _csv_value(value: Any) -> Any:
-    value = _plain(value)
-    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value

@@ -112,22 +112,22 @@ def test_building_where_nothing_can_be_written_is_an_error(folder: Path) -> None
 
 def test_command_builds_and_checks(folder: Path) -> None:
     out = folder / "again"
-    assert CliRunner().invoke(app, ["assets", "build", "--out", str(out)]).stdout.startswith("2 files")
-    assert CliRunner().invoke(app, ["assets", "build", "--check", "--out", str(out)]).exit_code == 0
+    assert CliRunner().invoke(app, ["data", "scenes", "--out", str(out)]).stdout.startswith("2 files")
+    assert CliRunner().invoke(app, ["data", "scenes", "--check", "--out", str(out)]).exit_code == 0
     (out / "usd/b.usda").write_text("edited")
-    stale = CliRunner().invoke(app, ["assets", "build", "--check", "--out", str(out)])
+    stale = CliRunner().invoke(app, ["data", "scenes", "--check", "--out", str(out)])
     assert stale.exit_code == 1
     assert "b.usda" in stale.output.replace("\n", "")
     assert (out / "usd/b.usda").read_text() == "edited"
 
 
 def test_command_lists_what_each_file_shows() -> None:
-    rows = [json.loads(line) for line in CliRunner().invoke(app, ["assets", "list", "--json"]).stdout.splitlines()]
+    rows = [json.loads(line) for line in CliRunner().invoke(app, ["list", "scenes", "--json"]).stdout.splitlines()]
     shown = {row["file"]: row["of"] for row in rows}
     assert shown["usd/Funnel-satin.usda"] == "GAUGE/Funnel-satin"
     assert "WallBreaking/brick" in shown["obj/box-20x40x15mm.obj"]
     assert "brick-1" not in shown["obj/box-20x40x15mm.obj"]
-    assert "sphere-60mm" in CliRunner().invoke(app, ["assets", "list"]).stdout
+    assert "sphere-60mm" in CliRunner().invoke(app, ["list", "scenes"]).stdout
 
 
 # --- USD: what was written is the scene ------------------------------------------------------------------------------

@@ -326,7 +326,7 @@ def test_a_folder_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
 
 
 def test_command_writes_what_it_can_and_names_the_rest(tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["assets", "isaac-sim", "R*-r*", "--out", str(tmp_path)])
+    result = CliRunner().invoke(app, ["data", "isaac-sim", "R*-r*", "--out", str(tmp_path)])
     assert result.exit_code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["RotatingBall-rayon.usda"]
     assert result.stdout.strip().endswith("RotatingBall-rayon.usda")
@@ -335,7 +335,7 @@ def test_command_writes_what_it_can_and_names_the_rest(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("pattern", ["StickStack-soft", "StickStack-*"])
 def test_command_fails_where_nothing_can_be_written(pattern: str, tmp_path: Path) -> None:
-    result = CliRunner().invoke(app, ["assets", "isaac-sim", pattern, "--out", str(tmp_path)])
+    result = CliRunner().invoke(app, ["data", "isaac-sim", pattern, "--out", str(tmp_path)])
     assert result.exit_code != 0
     assert isinstance(result.exception, ParameterError) or "rod" in result.output
     assert list(tmp_path.iterdir()) == []
@@ -551,7 +551,7 @@ def test_a_layer_of_another_command_is_refused(
     monkeypatch.setattr(sys, "argv", ["run_layer.py"])
     layer = assets_folder() / "usd" / "BouncingBall-rubber.usda"
     assert RUN_LAYER.main([str(layer), "--out", str(tmp_path / "out.csv")]) == 2
-    assert "not a layer of 'gauge assets isaac-sim'" in capsys.readouterr().err
+    assert "not a layer of 'gauge data isaac-sim'" in capsys.readouterr().err
     assert stub.times_s == []
 
 

@@ -712,10 +712,11 @@ def write(folder, *results):
 def test_two_settings_of_a_real_engine(gauge, tmp_path):
     fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
     write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-2-wood")), replace(fine, backend="newton", seed=4))
-    result = gauge("compare", "--out", "plots")
+    assert gauge("plot", "--kind", "compare").exit_code == 0
+    result = gauge("compare")
     assert result.exit_code == 0
     assert "Pairs in each experiment" not in result.stdout
-    assert "Pairs in each experiment" in gauge("compare", "--wide").stdout
+    assert "Pairs in each experiment" in gauge("compare", "--format", "wide").stdout
     for text in ("timestep_s", "0.41", "Isaac Sim", "Ranking", "Pairs within each grade", "wall s/sim s"):
         assert text in result.stdout
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
@@ -723,7 +724,7 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
         "Turntable-2-wood.png",
         "overview.png",
     ]
-    record = by_kind(map(json.loads, gauge("compare", "--json", "--metric", "rmse").stdout.splitlines()))
+    record = by_kind(map(json.loads, gauge("compare", "--json", "metric=rmse").stdout.splitlines()))
     rows = record["experiment"]
     assert {"first", "second", "grade", "ids", "difference", "difference_95", "distinguishable"} <= set(
         record["pair"][0]
@@ -740,7 +741,7 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
 def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
     (tmp_path / "results" / "cut.json").write_text("{")
-    result = gauge("compare", "--markdown")
+    result = gauge("compare", "--format", "markdown")
     assert result.exit_code == 1
     assert "cut.json: not a result file" in result.stderr
     assert result.stdout.startswith("**Scores")
@@ -752,9 +753,7 @@ def test_a_damaged_file_is_skipped_with_a_note_and_exit_code_1(gauge, tmp_path):
 
 def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     write(tmp_path, made(rmse=0.41))
-    first, *_ = map(
-        json.loads, gauge("compare", "results", "results", "--json", "--metric", "rmse").stdout.splitlines()
-    )
+    first, *_ = map(json.loads, gauge("compare", "results", "results", "--json", "metric=rmse").stdout.splitlines())
     assert first["configurations"][0]["normalized"]["count"] == 1
     assert not any("the latest of each counts" in note for note in first["notes"])
 
@@ -764,8 +763,8 @@ def test_a_file_that_is_given_twice_counts_once(gauge, tmp_path):
     [
         (["nowhere"], "holds no result files"),
         ([], "holds no result files"),
-        (["--metric", "rsme"], "unknown metric 'rsme'; did you mean rmse"),
-        (["--json", "--markdown"], "exclude each other"),
+        (["metric=rsme"], "unknown metric 'rsme'; did you mean rmse"),
+        (["--json", "--format", "markdown"], "give one of them"),
     ],
 )
 def test_wrong_requests_get_a_message_and_exit_code_2(gauge, arguments, message):

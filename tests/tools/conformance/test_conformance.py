@@ -760,7 +760,7 @@ def test_command_writes_json_lines(gauge: Callable[..., Any]) -> None:
 
 
 def test_command_writes_markdown(gauge: Callable[..., Any]) -> None:
-    result = gauge("mujoco", "--markdown", "--only", "free-fall")
+    result = gauge("mujoco", "--format", "markdown", "--only", "free-fall")
     assert result.exit_code == 0
     assert result.stdout.splitlines()[0] == "| check | law | expected | mujoco |"
     assert result.stdout.splitlines()[2].startswith("| free fall (free-fall) | a = g | 9.807 +- 0.0098 m/s^2 |")
@@ -773,17 +773,17 @@ def test_command_refuses_unknown_names(gauge: Callable[..., Any], arguments: tup
     assert "unknown" in result.stderr
 
 
-def test_command_lists_checks_with_their_scenes(gauge: Callable[..., Any]) -> None:
-    result = gauge("--list", "--only", "rest-*")
+def test_checks_are_listed_with_their_scenes() -> None:
+    result = CliRunner(env={"COLUMNS": "160"}).invoke(app, ["list", "checks", "rest-*"])
     assert result.exit_code == 0
     assert "rest-lying-cylinder" in result.stdout
     assert "fixed plane, box, sphere, cylinder" in " ".join(result.stdout.split())
-    rows = [json.loads(line) for line in gauge("--list", "--json").stdout.splitlines()]
+    rows = [json.loads(line) for line in CliRunner().invoke(app, ["list", "checks", "--json"]).stdout.splitlines()]
     assert [row["id"] for row in rows] == [check.id for check in checks()]
     assert all(row["scene"] and row["measures"] and row["law"] for row in rows)
 
 
-def test_command_needs_a_backend_or_the_list(gauge: Callable[..., Any]) -> None:
+def test_command_needs_a_backend(gauge: Callable[..., Any]) -> None:
     result = gauge("--only", "free-fall")
     assert result.exit_code == 2
     assert "gauge backend check mujoco" in result.stderr
@@ -792,10 +792,10 @@ def test_command_needs_a_backend_or_the_list(gauge: Callable[..., Any]) -> None:
 def test_command_reports_progress_without_a_terminal(
     gauge: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("gauge_envs.tools.conformance.command._ProgressLines.INTERVAL_S", 0.0)
+    monkeypatch.setattr("gauge_envs.tools.conformance.command.LINE_INTERVAL_S", 0.0)
     result = gauge("mujoco", "--only", "free-fall", "--only", "hold")
-    assert "1 of 2 checks done, mujoco: free-fall" in result.stderr
-    assert "2 of 2 checks done, mujoco: hold" in result.stderr
+    assert "1/2 mujoco: free-fall" in result.stderr
+    assert "2/2 mujoco: hold" in result.stderr
 
 
 def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:

@@ -23,25 +23,26 @@ def test_canonical_checks_exist_and_are_named_once() -> None:
 
 
 def test_mujoco_has_a_column_for_each_solver() -> None:
-    columns = matrix_columns(["mujoco"], every=True)
+    columns = matrix_columns(["mujoco:*"])
     assert [column.name for column in columns] == ["default", "PGS", "CG", "out_of_box"]
-    assert [column.name for column in matrix_columns(["mujoco"], every=False)] == ["default"]
+    assert [column.name for column in matrix_columns(["mujoco"])] == ["default"]
 
 
 def test_a_configuration_is_chosen_by_its_name() -> None:
-    columns = matrix_columns(["mujoco"], every=True, configurations=["out_of_box", "PGS"])
+    columns = matrix_columns(["mujoco:PGS", "mujoco:out_*", "mujoco:PGS"])
     assert [column.name for column in columns] == ["PGS", "out_of_box"]
-    with pytest.raises(UnknownNameError, match="out_of_bocks"):
-        matrix_columns(["mujoco"], every=True, configurations=["out_of_bocks"])
+    assert "out_of_box" in [column.name for column in matrix_columns(["*:*"])]
+    with pytest.raises(UnknownNameError, match=r"configuration 'out_of_bocks'; did you mean out_of_box"):
+        matrix_columns(["mujoco:out_of_bocks"])
 
 
 def test_an_unknown_engine_is_an_error() -> None:
     with pytest.raises(UnknownNameError):
-        matrix_columns(["mujokko"], every=True)
+        matrix_columns(["mujokko:*"])
 
 
 def test_the_command_of_a_cell_measures_the_same() -> None:
-    column = next(one for one in matrix_columns(["mujoco"], every=True) if one.name == "out_of_box")
+    column = next(one for one in matrix_columns(["mujoco:*"]) if one.name == "out_of_box")
     (finding,) = run_column(column, ["free-fall"], None)
     words = shlex.split(column.command("free-fall"))
     result = CliRunner().invoke(app, [*words[1:], "--json"])
@@ -68,7 +69,7 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
     page = tmp_path / "page.html"
     only = [word for name in ("free-fall", "slide-plane") for word in ("--only", name)]
     names = ["contact-crash", "at-import", "mujoco"]
-    result = CliRunner().invoke(app, ["backend", "check", *names, "--report", str(page), "--json", *only])
+    result = CliRunner().invoke(app, ["backend", "check", *names, "--out", str(page), "--json", *only])
     rows = [json.loads(line) for line in result.stdout.splitlines()]
     assert [(row["backend"], row["check"], row["status"]) for row in rows] == [
         ("contact-crash", "free-fall", Status.PASS),
@@ -86,10 +87,10 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
 @pytest.mark.parametrize(
     "options",
     [
-        ["--all"],
-        ["mujoco", "--all", "--markdown", "--json"],
-        ["--from", "x.json"],
-        ["mujoco", "--configuration", "PGS"],
+        ["*:*"],
+        ["x.json"],
+        ["mujoco:PGS"],
+        ["mujoco", "--out", "page.txt"],
         [],
     ],
 )

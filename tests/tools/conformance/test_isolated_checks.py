@@ -41,7 +41,7 @@ def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
 )
 def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], name: str, cause: str) -> None:
     installed(name)
-    rows, result = checked(name, "--time-limit-s", "10")
+    rows, result = checked(name, "--limits", "10s")
     assert [(row["check"], row["status"]) for row in rows] == list(zip(ONLY, ("pass", "error", "pass"), strict=True))
     assert rows[1]["diagnosis"] == cause
     assert result.exit_code == 1
@@ -50,14 +50,14 @@ def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], nam
 
 def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
     installed("contact-greedy")
-    rows, _ = checked("contact-greedy", "--memory-limit-gb", "0.8", "--time-limit-s", "60")
+    rows, _ = checked("contact-greedy", "--limits", "60s,0.8GB")
     assert [row["status"] for row in rows] == ["pass", "error", "pass"]
     assert rows[1]["diagnosis"] == "the engine exceeded the memory limit of 0.8 GB and was stopped"
 
 
 def test_checks_measure_the_same_bits_in_another_process() -> None:
     here = [row["measured"] for row in checked("mujoco")[0]]
-    there = [row["measured"] for row in checked("mujoco", "--isolate")[0]]
+    there = [row["measured"] for row in checked("mujoco", "--limits", "isolate")[0]]
     assert here == there
 
 
@@ -84,7 +84,7 @@ def test_settings_that_json_does_not_have_are_a_finding(installed: Callable[...,
 
 
 def test_a_limit_must_be_positive() -> None:
-    for option in ("--time-limit-s", "--memory-limit-gb"):
-        rows, result = checked("mujoco", option, "0")
+    for limit in ("0s", "0GB"):
+        rows, result = checked("mujoco", "--limits", limit)
         assert (rows, result.exit_code) == ([], 2)
         assert "expected a positive number" in result.stderr

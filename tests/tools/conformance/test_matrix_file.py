@@ -121,8 +121,8 @@ def test_pages_are_made_of_files_without_a_run(column: MatrixColumn, tmp_path: P
     other.fingerprints = dict(column.fingerprints)
     second, page = write_columns([other], tmp_path / "second.json"), tmp_path / "page.html"
     both = tmp_path / "both.json"
-    words = ["backend", "check", "--from", str(first), "--from", str(second)]
-    result = CliRunner().invoke(app, [*words, "--report", str(page), "--out", str(both), "--markdown"])
+    words = ["backend", "check", str(first), str(second)]
+    result = CliRunner().invoke(app, [*words, "--out", str(page), "--out", str(both), "--format", "markdown"])
     assert result.exit_code == 0, result.output
     assert "| mujoco | PGS | solver = PGS | 2 of 2 |" in result.stdout
     assert "mine" in page.read_text(encoding="utf-8")

@@ -327,14 +327,14 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> No
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 0
     assert "1.00" in result.stdout or "1 (0.456) mm" in result.stdout
-    assert "gauge run ID --drivers imported --reference imported" in result.stderr.replace("\n", " ")
+    assert "gauge run ID --use imported" in result.stderr.replace("\n", " ")
     assert (band_grade(name), band_grade(name, DataSource.IMPORTED)) == (BandGrade.NONE, BandGrade.TRIALS)
     row = json.loads(gauge("list", name, "--json").stdout)
     assert (row["grade"], row["imported"]) == ("none", True)
     assert "trials imported" in gauge("list", name).stdout
     bundled = json.loads(gauge("show", name, "--json").stdout)["reference"]
     assert (bundled["grade"], bundled["imported"], bundled["is_import_available"]) == ("none", False, True)
-    options = ("--drivers", "imported", "--reference", "imported")
+    options = ("--use", "imported")
     shown = json.loads(gauge("show", name, "--json", *options).stdout)
     assert shown["reference"]["imported"] and shown["reference"]["trial_count"] == 4
     assert "imported dataset revision 9e0acb7" in shown["reference"]["source"]
@@ -343,11 +343,11 @@ def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> No
     values = driver["motions"][0]["profile"][0]["values_deg"]
     np.testing.assert_allclose(np.radians(values), synthetic.coordinates["board"][:, 0], atol=TOLERANCE)
     assert "Driver of board (mocap)" in gauge("show", name, *options).stdout
-    status = json.loads(gauge("data", "status", name, "--json").stdout)
+    status = json.loads(gauge("list", "references", name, "--json").stdout)
     assert (status["grade"], status["imported"], status["trials"], status["is_current"]) == ("trials", True, 4, True)
     assert status["drivers"][0]["provenance"] == "mocap"
     assert {line["metric"]: line["published_mean"] for line in status["baselines"]} == {"rmse": 24.27, "dtw": 6.73}
-    assert "board: mocap" in gauge("data", "status", name).stdout
+    assert "board: mocap" in gauge("list", "references", name).stdout
 
 
 def test_results_are_scored_on_the_import_and_say_so(tmp_path: Path) -> None:
@@ -652,7 +652,7 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
         load_band(name, DataSource.IMPORTED)
     assert str(file) in str(caught.value)
     assert "gauge data import renews it" in str(caught.value)
-    assert gauge("show", name, "--reference", "imported").exit_code == 2
+    assert gauge("show", name, "--use", "imported-reference").exit_code == 2
     assert gauge("show", name).exit_code == 0
     imported(tmp_path)
     assert band_grade(name, DataSource.IMPORTED) is BandGrade.TRIALS

@@ -83,7 +83,7 @@ def test_the_pinned_revision_is_fetched_and_noted(hub: FakeHub) -> None:
 
 def test_patterns_revision_and_folder_are_passed_on(hub: FakeHub, tmp_path: Path) -> None:
     pattern = f"{trial_folder(NAME)}/*"
-    assert run("--pattern", pattern, "--pattern", "metadata/*", "--revision", OTHER, "--to", tmp_path).exit_code == 0
+    assert run(pattern, "metadata/*", "--revision", OTHER, "--out", tmp_path).exit_code == 0
     (call,) = hub.calls
     assert (call["allow_patterns"], call["revision"], call["local_dir"]) == ([pattern, "metadata/*"], OTHER, tmp_path)
 
@@ -105,11 +105,11 @@ def test_revisions_are_resolved_to_full_hashes(hub: FakeHub) -> None:
 
 def test_a_broken_download_says_how_to_go_on(hub: FakeHub, tmp_path: Path) -> None:
     hub.error = ConnectionError("the host is gone")
-    result = run("--to", tmp_path)
+    result = run("--out", tmp_path)
     assert result.exit_code == 2
     assert "ConnectionError: the host is gone; the same command continues the download" in result.stderr
     hub.error = None
-    assert run("--to", tmp_path).exit_code == 0
+    assert run("--out", tmp_path).exit_code == 0
 
 
 def test_without_the_client_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -596,16 +596,18 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
     alone = gauge("diagnose", "ball.json", "--json")
     assert alone.exit_code == 0
     assert [json.loads(line)["id"] for line in alone.stdout.splitlines()] == ["GAUGE/BouncingBall-rubber"]
-    both = gauge("diagnose", "ball.json", "cradle.json", "--out", "plots", "--order", "rate,release,offset")
+    both = gauge("diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
     assert both.exit_code == 0
     assert "is let go" in both.stdout
     assert "left out: GAUGE/Turntable-2-plastic: there is no reference band" in both.stderr
+    drawn = gauge("plot", "--kind", "diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
+    assert (drawn.exit_code, drawn.stdout) == (0, "plots/diagnosis.png\n")
     assert (tmp_path / "plots" / "diagnosis.png").exists()
     none = gauge("diagnose", "cradle.json")
     assert (none.exit_code, "no reference band" in none.stderr) == (2, True)
     (tmp_path / "damaged.json").write_text("{")
     assert gauge("diagnose", ".").exit_code == 1
-    assert gauge("diagnose", "ball.json", "--order", "rate").exit_code == 2
+    assert gauge("diagnose", "ball.json", "order=rate").exit_code == 2
     assert gauge("diagnose", "missing").exit_code == 2
 
 

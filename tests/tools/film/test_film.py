@@ -269,8 +269,8 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
         file.unlink()
     monkeypatch.setattr(replay_module, "versions_of", without_rapier)
     out = tmp_path / "ball.png"
-    shape = ["--width", "160", "--height", "120", "--strip", "2"]
-    run = CliRunner().invoke(app, ["film", str(folder), "--out", str(out), *shape])
+    shape = ["width=160", "height=120", "strip=2"]
+    run = CliRunner().invoke(app, ["video", "film", str(folder), "--out", str(out), *shape])
     assert run.exit_code == 1
     assert "left out: BouncingBall-rubber.rapier.effective.json" in run.stderr
     assert "gauge-envs[rapier]" in run.stderr
@@ -286,7 +286,7 @@ def test_a_result_without_its_engine_has_no_panel_and_a_reason(
 def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) -> None:
     other = replace(next(iter(results.values())), id="GAUGE/SlopeSlider-2-wood")
     mixed = {**results, Path("b.json"): other}
-    with pytest.raises(ResultFileError, match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--id"):
+    with pytest.raises(ResultFileError, match=r"of 2 experiments: BouncingBall-rubber, SlopeSlider-2-wood; .*--only"):
         results_of_one_experiment(mixed)
     assert list(results_of_one_experiment(mixed, "GAUGE/SlopeSlider-2-wood")) == [Path("b.json")]
     with pytest.raises(ResultFileError, match=r"no result is of Funnel-satin; the results are of: Bouncing"):
@@ -297,7 +297,7 @@ def test_results_of_several_experiments_need_an_id(results: dict[Path, Result]) 
 
 def test_a_damaged_file_alone_is_an_error_that_names_it(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(json.dumps({"id": "GAUGE/BouncingBall-rubber"}), encoding="utf-8")
-    run = CliRunner().invoke(app, ["film", str(tmp_path), "--out", str(tmp_path / "a.gif")])
+    run = CliRunner().invoke(app, ["video", "film", str(tmp_path), "--out", str(tmp_path / "a.gif")])
     assert run.exit_code == 2
     assert "not a result file" in run.stderr
     assert not (tmp_path / "a.gif").exists()
@@ -444,6 +444,6 @@ def test_a_start_outside_of_the_recording_is_named(clip: Callable[..., Path]) ->
 
 
 def test_options_of_a_recording_need_one(folder: Path) -> None:
-    run = CliRunner().invoke(app, ["film", str(folder), "--recording-start-s", "1"])
+    run = CliRunner().invoke(app, ["video", "film", str(folder), "recording_start_s=1"])
     assert run.exit_code == 2
-    assert "need --recording" in run.stderr
+    assert "need recording=FILE" in run.stderr

@@ -134,7 +134,7 @@ def test_a_missing_folder_gives_exit_code_2(gauge: Callable[..., Any], tmp_path:
     assert "cannot be listed" in done.output
 
 
-@pytest.mark.parametrize("options", [[], ["--json"], ["--markdown"], ["--out", "site"]])
+@pytest.mark.parametrize("options", [[], ["--json"], ["--format", "markdown"], ["--out", "site"]])
 def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
     options: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

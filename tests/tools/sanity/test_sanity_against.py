@@ -96,7 +96,7 @@ def test_the_command_compares_two_targets(tmp_path) -> None:
     # Margins of both geoms add up.
     assert row["deployed"] - row["trained"] == pytest.approx(2.0, abs=0.05)
     assert RUNNER.invoke(app, [*arguments, "--fail-on", "wrong"]).exit_code == 1
-    assert "| rest-height |" in RUNNER.invoke(app, [*arguments, "--markdown"]).stdout
-    refused = RUNNER.invoke(app, [*arguments, "--html", str(tmp_path / "x.html")])
+    assert "| rest-height |" in RUNNER.invoke(app, [*arguments, "--format", "markdown"]).stdout
+    refused = RUNNER.invoke(app, [*arguments, "--out", str(tmp_path / "x.html")])
     assert refused.exit_code == 2
-    assert "--against goes with none of" in refused.output
+    assert "expected a suffix of .md, .json" in refused.output

@@ -391,12 +391,12 @@ def test_the_command_judges_like_the_check(resting: Path, tmp_path: Path) -> Non
     before = tmp_path / "before.json"
     before.write_text(RUNNER.invoke(app, [*command, "--json"]).stdout, encoding="utf-8")
     creeping(resting)
-    done = RUNNER.invoke(app, [*command, "--fail-on", "wrong", "--engine", "Soft 2"])
+    done = RUNNER.invoke(app, [*command, "--fail-on", "wrong", "--label", "Soft 2"])
     assert done.exit_code == 1 and "1 flag: creep-wood" in done.output and "Soft 2" in done.output
     assert RUNNER.invoke(app, command).exit_code == 0
     done = RUNNER.invoke(app, [*command, "--baseline", str(before)])
     assert done.exit_code == 1 and "regression: creep-wood: wrong, was inside" in done.output
-    markdown = RUNNER.invoke(app, [*command, "--markdown"]).stdout
+    markdown = RUNNER.invoke(app, [*command, "--format", "markdown"]).stdout
     assert "| creep-wood |" in markdown
     first, row = map(json.loads, RUNNER.invoke(app, [*command, "--json"]).stdout.splitlines())
     assert first["worst"] == "wrong" and row["configured"] == pytest.approx(60.0, rel=0.05)
@@ -405,7 +405,7 @@ def test_the_command_judges_like_the_check(resting: Path, tmp_path: Path) -> Non
 def test_the_page_draws_the_motion(resting: Path, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     page = tmp_path / "page.html"
-    assert RUNNER.invoke(app, ["sanity", "judge", str(resting), "--html", str(page)]).exit_code == 0
+    assert RUNNER.invoke(app, ["sanity", "judge", str(resting), "--out", str(page)]).exit_code == 0
     text = page.read_text(encoding="utf-8")
     assert "displacement downhill [mm]" in text and ">reality<" in text and "<svg" in text
 

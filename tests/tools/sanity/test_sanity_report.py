@@ -228,18 +228,18 @@ def test_regressions_are_those_that_are_worse_than_before(tmp_path, monkeypatch)
 
 
 def test_ids_titles_and_kinds_are_listed_without_a_target() -> None:
-    outcome = RUNNER.invoke(app, ["sanity", "--list", "--json", "--only", "creep-*,gravity", "--only", "rebound"])
+    outcome = RUNNER.invoke(app, ["list", "phenomena", "--json", "creep-*", "gravity", "rebound"])
     rows = {row["id"]: row for row in map(json.loads, outcome.stdout.splitlines())}
     assert set(rows) == {"gravity", "creep-wood", "creep-plastic", "creep-metal", "rebound"}
     assert (rows["rebound"]["kind"], rows["rebound"]["trial_count"]) == ("measured", 22)
     assert (rows["creep-wood"]["kind"], rows["creep-wood"]["trial_count"]) == ("law", 0)
     assert rows["gravity"]["rationale"]
-    assert "rope-length" in RUNNER.invoke(app, ["sanity", "--list", "--all"]).stdout
+    assert "rope-length" in RUNNER.invoke(app, ["list", "phenomena", "*"]).stdout
 
 
 def test_a_time_limit_leaves_rows_unmeasured() -> None:
     outcome = RUNNER.invoke(
-        app, ["sanity", "HalfCheetah-v5", "--time-limit-s", "0", "--only", "gravity,creep-wood", "--json"]
+        app, ["sanity", "HalfCheetah-v5", "--limits", "0s", "--only", "gravity,creep-wood", "--json"]
     )
     first, gravity, creep = map(json.loads, outcome.stdout.splitlines())
     assert (gravity["verdict"], creep["verdict"]) == ("inside", "declined")
@@ -346,7 +346,7 @@ def test_a_page_that_cannot_be_drawn_says_why(monkeypatch) -> None:
 
 def test_the_command_on_a_real_configuration(tmp_path) -> None:
     page = tmp_path / "page.html"
-    arguments = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--html", str(page)]
+    arguments = ["sanity", "HalfCheetah-v5", "--only", "rest-height", "--out", str(page)]
     outcome = RUNNER.invoke(app, [*arguments, "--json", "--fail-on", "wrong"])
     first, row = (json.loads(line) for line in outcome.stdout.splitlines())
     assert outcome.exit_code == 1

@@ -1,13 +1,13 @@
-"""`gauge sweep` and `gauge query`: plans, runs, exit codes, interruption, and a message for each wrong request."""
+"""`gauge sweep`: plans, runs, exit codes, interruption, and a message for each wrong request."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
+import sqlite3
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -42,33 +42,40 @@ def lines(result: Any) -> list[dict[str, Any]]:
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_plan_run_and_query(gauge: Any, tmp_path: Path) -> None:
+def test_plan_run_and_store(gauge: Any, tmp_path: Path) -> None:
     plan = gauge("sweep", "sweep.toml", "--out", "out", "--dry-run")
     assert plan.exit_code == 0 and not (tmp_path / "out").exists()
     assert "4 episodes, 4 left" in plan.stderr and "cost unknown" in plan.stderr
     done = gauge("sweep", "sweep.toml", "--out", "out")
     assert done.exit_code == 0 and "mujoco" in done.stdout
     assert len(contents(tmp_path / "out")) == 4
-    (row,) = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "--repeats", "3"))
+    (row,) = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", "repeats=3"))
     assert (row["experiment"], row["episodes"], row["left"], row["unknown"]) == ("SlopeSlider-2-wood", 6, 2, 0)
     assert row["engine_s"] > 0.0
     sql = "SELECT timestep_s, count(*) AS n FROM results GROUP BY 1 ORDER BY 1"
-    assert gauge("query", "out", sql).stdout.splitlines()[0].split() == ["timestep_s", "n"]
-    assert [row["n"] for row in lines(gauge("query", "out", sql, "--format", "json"))] == [2, 2]
-    table = list(csv.reader(io.StringIO(gauge("query", "out", sql, "--format", "csv").stdout)))
-    assert table == [["timestep_s", "n"], ["0.001388888888888889", "2"], ["0.002777777777777778", "2"]]
+    store = Path(gauge("sweep", "--out", "out").stdout.strip())
+    with closing(sqlite3.connect(store)) as connection:
+        assert connection.execute(sql).fetchall() == [(1 / 720, 2), (1 / 360, 2)]
 
 
-def test_options_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
+def test_a_folder_of_results_gets_a_store(gauge: Any, tmp_path: Path) -> None:
+    gauge("run", "SlopeSlider-2-wood", "--out", "results")
+    store = gauge("sweep", "--out", "results")
+    assert (store.exit_code, store.stdout) == (0, "results/sweep.sqlite\n")
+    with closing(sqlite3.connect(tmp_path / "results" / "sweep.sqlite")) as connection:
+        assert connection.execute("SELECT id FROM results").fetchall() == [("GAUGE/SlopeSlider-2-wood",)]
+
+
+def test_words_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
     gauge("sweep", "sweep.toml", "--out", "file")
     steps = "timestep_s=0.002777777777777778,0.001388888888888889"
-    gauge("sweep", "--variant", "SlopeSlider-2-wood", "--repeats", "2", "--set", steps, "--out", "options")
+    gauge("sweep", "variants=SlopeSlider-2-wood", "repeats=2", "--set", steps, "--out", "options")
     assert contents(tmp_path / "file") == contents(tmp_path / "options")
 
 
 @needs_rapier
-def test_options_replace_keys_of_the_file(gauge: Any) -> None:
-    options = ["--backend", "mujoco", "--backend", "rapier", "--set", "mujoco.iterations=5,10", "--jitter-mm", "0.5"]
+def test_words_and_options_replace_keys_of_the_file(gauge: Any) -> None:
+    options = ["backends=mujoco", "backends=rapier", "--set", "mujoco.iterations=5,10", "jitter=0.5mm"]
     rows = lines(gauge("sweep", "sweep.toml", "--out", "out", "--dry-run", "--json", *options))
     assert [(row["backend"], row["runs"]) for row in rows] == [("mujoco", 4), ("rapier", 2)]
 
@@ -101,24 +108,29 @@ def test_ctrl_c_keeps_what_is_complete_and_says_how_to_go_on(
 
 @needs_rapier
 def test_exit_code_1_states_a_bad_outcome(gauge: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    foam = ["--backend", "rapier", "--repeats", "1", "--out", "out"]
-    declined = gauge("sweep", "--variant", "FoamBending-soft", *foam)
+    foam = ["backends=rapier", "repeats=1", "--out", "out"]
+    declined = gauge("sweep", "variants=FoamBending-soft", *foam)
     assert declined.exit_code == 1 and declined.stdout.split()[-5:] == ["rapier", "0", "0", "1", "0"]
-    assert gauge("sweep", "--variant", "FoamBending-s[o]ft", *foam).exit_code == 0
+    assert gauge("sweep", "variants=FoamBending-s[o]ft", *foam).exit_code == 0
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "variants: missing key"),
+        ([], "nothing to run: give a sweep file"),
+        (["repeats=2"], "variants: missing key"),
+        (["variant=SlopeSlider-2-wood"], "unknown detail 'variant'; did you mean variants?"),
+        (["sweep.toml", "repeats=0"], "repeats: Input should be greater than 0"),
+        (["sweep.toml", "jitter=1cm"], "expected numbers with units, as 1mm,0.5deg"),
+        (["sweep.toml", "SlopeSlider-2-wood"], "expected one sweep file; experiments are variants=ID,ID"),
         (["none.toml"], "none.toml: (file): cannot be read"),
         (["sweep.toml", "--set", "iterations"], "expected NAME=VALUE,VALUE or ENGINE.NAME=VALUE,VALUE"),
         (["sweep.toml", "--set", "rapier.iterations=3"], "'rapier' is no engine of this sweep: mujoco"),
         (["sweep.toml", "--shard", "3"], "expected NUMBER/COUNT, as 0/16"),
         (["sweep.toml", "--shard", "5/4"], "expected a number from 0 to 3"),
-        (["sweep.toml", "--backend", "bullet"], "unknown backend 'bullet'"),
-        (["--variant", "SlopeSlider-2-wood", "--slurm", "jobs.py"], "--slurm needs a sweep file"),
-        (["sweep.toml", "--repeats", "1000000000"], "2,000,000,000 episodes, the limit is 1,000,000"),
+        (["sweep.toml", "backends=bullet"], "unknown backend 'bullet'"),
+        (["variants=SlopeSlider-2-wood", "--slurm", "jobs.py"], "--slurm needs a sweep file"),
+        (["sweep.toml", "repeats=1000000000"], "2,000,000,000 episodes, the limit is 1,000,000"),
         (["sweep.toml", "--out", "sweep.toml"], "results cannot be written there"),
     ],
 )
@@ -126,13 +138,6 @@ def test_a_wrong_request_has_exit_code_2(gauge: Any, arguments: list[str], messa
     result = gauge("sweep", *arguments)
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
-
-
-def test_a_wrong_query_has_exit_code_2(gauge: Any) -> None:
-    assert gauge("query", "nowhere", "SELECT 1").exit_code == 2
-    gauge("sweep", "sweep.toml", "--out", "out")
-    result = gauge("query", "out", "SELECT speed FROM results")
-    assert result.exit_code == 2 and "no such column: speed" in result.stderr
 
 
 def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:
@@ -144,7 +149,7 @@ def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:
 
 
 def test_the_slurm_script_states_the_sweep(gauge: Any, tmp_path: Path) -> None:
-    assert gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--jobs", "3").exit_code == 0
+    assert gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "3").exit_code == 0
     text = (tmp_path / "jobs.py").read_text()
     compile(text, "jobs.py", "exec")
     assert "JOBS = 3" in text and str(tmp_path / "sweep.toml") in text
@@ -153,7 +158,7 @@ def test_the_slurm_script_states_the_sweep(gauge: Any, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_slurm_script_runs_every_part(gauge: Any, tmp_path: Path) -> None:
     pytest.importorskip("submitit")
-    gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--jobs", "2")
+    gauge("sweep", "sweep.toml", "--out", "out", "--slurm", "jobs.py", "--shard", "2")
     done = subprocess.run(
         [sys.executable, "jobs.py", "--cluster", "local"],
         cwd=tmp_path,

@@ -219,7 +219,7 @@ def test_the_wrapper_for_gymnasium_runs_and_stays_within_its_ranges(tmp_path: Pa
 
 def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    arguments = ["envelope", "GAUGE/Pendulum-Limit-metal", "--samples", "4", "--figure", str(tmp_path / "a.png"),
+    arguments = ["transfer", "envelope", "GAUGE/Pendulum-Limit-metal", "samples=4", "--out", str(tmp_path / "a.png"),
                  "--out", str(tmp_path / "ranges")]  # fmt: skip
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
@@ -236,10 +236,10 @@ def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
     [
         (["Turntable-9"], "unknown"),
         (["Turntable-1-wood", "--policy", "a.zip"], "only control tasks have policies"),
-        (["Turntable-Limit-wood", "--samples", "5"], "power of 2"),
+        (["Turntable-Limit-wood", "samples=5"], "power of 2"),
     ],
 )
 def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:
-    result = CliRunner().invoke(app, ["envelope", *arguments])
+    result = CliRunner().invoke(app, ["transfer", "envelope", *arguments])
     assert result.exit_code == 2
     assert reason in result.output.replace("\n", " ")

@@ -304,8 +304,8 @@ def test_command_reports_and_draws(tmp_path) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "a.png"
     arguments = [
-        "transfer", f"{__name__}:pumping", "--trust", "--task", "GAUGE/Pendulum-Limit-metal",
-        "--to", "mujoco:timestep_s=0.0005555555555555556", "--sigmas", "2", "--figure", str(picture),
+        "transfer", f"{__name__}:pumping", "--trust", "--id", "GAUGE/Pendulum-Limit-metal",
+        "--to", "mujoco:timestep_s=0.0005555555555555556", "sigmas=2", "--out", str(picture),
         "--fail-below", "101",
     ]  # fmt: skip
     result = CliRunner().invoke(app, arguments)
@@ -318,10 +318,10 @@ def test_command_reports_and_draws(tmp_path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
-        (["a.pt", "--task", TASK], r"expected a \.zip"),
-        (["a.zip", "--task", "Turntable-1-wood"], "unknown control task"),
-        ([f"{__name__}:pumping", "--trust", "--task", TASK, "--to", "bullet3"], "unknown backend 'bullet3'"),
-        ([f"{__name__}:pumping", "--trust", "--task", TASK, "--sigmas", "one"], "expected numbers"),
+        (["a.pt", "--id", TASK], r"expected a \.zip"),
+        (["a.zip", "--id", "Turntable-1-wood"], "unknown control task"),
+        ([f"{__name__}:pumping", "--trust", "--id", TASK, "--to", "bullet3"], "unknown backend 'bullet3'"),
+        ([f"{__name__}:pumping", "--trust", "--id", TASK, "sigmas=one"], "expected numbers"),
     ],
 )
 def test_command_names_what_is_wrong(arguments: list[str], reason: str) -> None:

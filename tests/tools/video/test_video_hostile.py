@@ -61,6 +61,6 @@ def test_a_camera_in_json_is_not_nested_without_end(tmp_path: Path) -> None:
 @pytest.mark.parametrize("size", ["\u00b2x2", "0x4", "4x", "9999999x4", "4x4x4"])
 def test_a_size_is_two_numbers(size: str, tmp_path: Path) -> None:
     (tmp_path / "track.csv").write_text("frame,x,y\n1,2,3\n")
-    options = ["--task", "SlopeSlider-2-wood", "--track", "--fps", "30", "--size", size]
+    options = ["--id", "SlopeSlider-2-wood", "fps=30", f"size={size}"]
     result = CliRunner().invoke(app, ["video", "score", str(tmp_path / "track.csv"), *options])
     assert result.exit_code == 2 and "give width and height in pixels" in result.stderr

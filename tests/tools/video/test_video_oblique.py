@@ -138,16 +138,16 @@ def test_the_command_takes_a_track_and_a_camera(tmp_path: Path) -> None:
     camera.write_text(LENS_AND_POSE + LEVEL, encoding="utf-8")
     rows = [f"{frame},{x},{y}" for frame, (x, y) in enumerate(clip.places_px)]
     track.write_text("\n".join(["frame,x,y", *rows]), encoding="utf-8")
-    arguments = ["video", "score", str(track), "--task", clip.task, "--camera", str(camera), "--track", "--fps", "50"]
+    arguments = ["video", "score", str(track), "--id", clip.task, "--camera", str(camera), "fps=50"]
     outcome = CliRunner().invoke(app, [*arguments, "--json"])
     by_hand = score_track(
         _track(clip.places_px, np.arange(len(rows)), FPS), video_task(clip.task), camera=read_camera(camera)
     )
     # Pixels of the track are those of the camera file.
     assert json.loads(outcome.stdout)["metrics"] == pytest.approx(by_hand.metrics)
-    arguments.remove("--track")
+    arguments[2] = str(track.with_suffix(".mp4"))
     outcome = CliRunner().invoke(app, arguments)
-    assert outcome.exit_code == 2 and "--camera go with --track" in " ".join(outcome.output.split())
+    assert outcome.exit_code == 2 and "--camera go with tracks" in " ".join(outcome.output.split())
 
 
 # --- known motions ---------------------------------------------------------------------------------------------------

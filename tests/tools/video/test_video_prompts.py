@@ -187,7 +187,7 @@ def test_a_wrong_answer_is_no_file_and_the_same_call_continues(
 def test_a_refused_connection_names_the_address_and_what_to_do(tmp_path: Path) -> None:
     address = closed_address()
     out = tmp_path / "inputs"
-    command = ["video", "prompts", "--out", str(out), "--source", address]
+    command = ["video", "prompts", address, "--out", str(out)]
     result = CliRunner(env={"COLUMNS": "200", "no_proxy": "127.0.0.1"}).invoke(app, command)
     assert result.exit_code == 2
     assert address in result.stderr and "refused" in result.stderr and f"git clone {REPOSITORY}" in result.stderr
@@ -212,7 +212,7 @@ def test_an_impossible_address_gets_a_message(tmp_path: Path, address: str) -> N
 def test_the_command_reads_a_folder_and_reports(server: Server, tmp_path: Path) -> None:
     source, out = repository(tmp_path / "clone"), tmp_path / "inputs"
     for written, kept in ((20, 0), (0, 20)):
-        result = CliRunner().invoke(app, ["video", "prompts", "--out", str(out), "--source", str(source)])
+        result = CliRunner().invoke(app, ["video", "prompts", str(source), "--out", str(out)])
         assert result.exit_code == 0
         assert result.stdout.strip() == str(out)
         assert f"{written} files written, {kept} kept" in result.stderr

@@ -118,11 +118,9 @@ def test_a_first_frame_that_is_no_picture_is_an_error(tmp_path: Path) -> None:
         "video",
         "score",
         str(tmp_path / "track.csv"),
-        "--task",
+        "--id",
         "SlopeSlider-2-wood",
-        "--track",
-        "--fps",
-        "30",
+        "fps=30",
     ]
     outcome = CliRunner().invoke(app, [*arguments, "--first-frame", str(tmp_path / "first.png")])
     assert outcome.exit_code == 2

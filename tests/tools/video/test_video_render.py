@@ -68,7 +68,7 @@ def test_the_view_is_that_of_the_first_frame() -> None:
 
 def test_a_film_on_disk_comes_with_its_exact_track(tmp_path: Path) -> None:
     path = tmp_path / "slide.mp4"
-    arguments = ["video", "render", "SlopeSlider-2-wood", "--out", str(path), "--fps", "15", "--seconds", "0.5"]
+    arguments = ["video", "render", "SlopeSlider-2-wood", "--out", str(path), "fps=15", "seconds=0.5"]
     outcome = CliRunner().invoke(app, arguments)
     assert outcome.exit_code == 0, outcome.output
     rows = (tmp_path / "slide.track.csv").read_text().splitlines()

@@ -165,7 +165,7 @@ def written(one: Clip, path: Path) -> Path:
 def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
     one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
     path = written(one, tmp_path / "slide.mp4")
-    arguments = ["video", "score", str(path), "--task", one.task, "--json", "--overlay", str(tmp_path / "drawn")]
+    arguments = ["video", "score", str(path), "--id", one.task, "--json", "--out", str(tmp_path / "drawn")]
     outcome = CliRunner().invoke(app, arguments)
     assert outcome.exit_code == 0, outcome.output
     line = json.loads(outcome.stdout)

@@ -1,0 +1,95 @@
+"""Commands in forks of one process, which has the imports behind it: each has streams and an exit code of its own."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+DRIVER = """
+import json, os, sys
+import gauge_envs.cli.app, gauge_envs.runs.batch, gauge_envs.tools.catalog.listing
+from gauge_envs.backends import backend, backend_names, is_bundled
+from gauge_envs.errors import GaugeError
+
+for name in filter(is_bundled, backend_names()):
+    try:
+        backend(name).supports
+    except GaugeError:
+        pass
+
+cases, folder = json.loads(sys.argv[1]), sys.argv[2]
+codes = []
+for number, case in enumerate(cases):
+    pid = os.fork()
+    if not pid:
+        break
+    codes.append(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]))
+else:
+    print(json.dumps(codes))
+    sys.exit()
+for fd, name in enumerate(("stdin", "stdout", "stderr")):
+    place = case["streams"].get(name, f"{folder}/{number}.{name}" if fd else os.devnull)
+    if place == "closed":
+        os.close(fd)
+        setattr(sys, name, None)
+    elif place == "broken pipe":
+        reading, writing = os.pipe()
+        os.dup2(writing, fd)
+        os.close(reading)
+        os.close(writing)
+    else:
+        opened = os.open(place, os.O_RDWR | os.O_CREAT)
+        os.dup2(opened, fd)
+        os.close(opened)
+sys.argv = ["gauge", *case["arguments"]]
+exec(case["before"])
+from gauge_command import main
+
+main()
+"""
+"""What the process does: the end of a fork is that of the interpreter, so that all that is held back is written."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command.
+
+    Attributes:
+        arguments: Its arguments.
+        before: Code that runs before it.
+        streams: Path of stdin, stdout or stderr, `closed`, or `broken pipe`; files that are read back by default.
+    """
+
+    arguments: Sequence[str]
+    before: str = ""
+    streams: Mapping[str, str] = field(default_factory=dict)
+
+
+def run_forks(
+    cases: Mapping[str, Case], folder: Path, environment: Mapping[str, str]
+) -> dict[str, subprocess.CompletedProcess[str]]:
+    """Run commands one after another in a folder, and return their outcomes."""
+    outputs = folder / "outputs"
+    outputs.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-c", DRIVER, json.dumps([asdict(case) for case in cases.values()]), str(outputs)],
+        cwd=folder,
+        env=dict(environment),
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    codes = json.loads(done.stdout)
+
+    def text(number: int, name: str) -> str:
+        file = outputs / f"{number}.{name}"
+        return file.read_text(encoding="utf-8") if file.exists() else ""
+
+    return {
+        name: subprocess.CompletedProcess(case.arguments, code, text(number, "stdout"), text(number, "stderr"))
+        for number, ((name, case), code) in enumerate(zip(cases.items(), codes, strict=True))
+    }
