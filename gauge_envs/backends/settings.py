@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
+from gauge_envs.errors import BackendError, ParameterError, UnknownNameError, first_fault
+from gauge_envs.files import json_ready
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 INTEGER_LIMIT = 2**31 - 1
@@ -90,3 +92,18 @@ def check_drive_interval(settings: Mapping[str, Any]) -> None:
             f"setting 'drive_interval_s' is {interval:.6g} s, but environments drive in intervals of 1/180 s: "
             "set drive_interval_s to 1/180 and timestep_s to a value that divides it"
         )
+
+
+def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings in force in a form that JSON takes."""
+    record: dict[str, Any] = {}
+    for name, value in settings.items():
+        record[str(name)] = json_ready(value)
+        try:
+            json.dumps(record[str(name)])
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BackendError(
+                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
+                "World.settings must hold numbers, texts, booleans, None, lists and mappings."
+            ) from error
+    return record

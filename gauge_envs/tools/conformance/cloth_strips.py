@@ -14,17 +14,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, hann_mean
+from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
 from gauge_envs.tools.conformance.measurements import stiffness
 from gauge_envs.tools.conformance.model import Measurement
-from gauge_envs.tools.conformance.scene_parts import STRETCH_OVER_SHEAR, clamped
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance.scene_parts import LIGHT_FABRIC, clamped, fabric, sheet
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
-HANG_S, HANG_SETTLED_S = 0.8, 0.2
 
 CLAMP_SHARE, WIDTH_SHARE = 1.0 / 3.0, 2.0 / 3.0
 BENT_FREE_M = 0.15
@@ -34,43 +32,26 @@ BENT_S, SETTLED_SHARE = 1.3, 0.35 / 1.3
 BENT_GRAVITY = 0.2 * G
 
 
-def _fabric(areal_density: float, stretch_n_per_m: float, bend_n_m: float) -> Fabric:
-    return Fabric(
-        stretch_stiffness_n_per_m=stretch_n_per_m,
-        shear_stiffness_n_per_m=stretch_n_per_m / STRETCH_OVER_SHEAR,
-        bend_stiffness_n_m_per_rad=bend_n_m,
-        thickness_m=1e-3,
-        areal_density_kg_per_m2=areal_density,
-    )
-
-
-HUNG_FABRIC = _fabric(0.2, 110.0, 1e-4)
+HUNG_FABRIC = LIGHT_FABRIC
 """Fabric of the check of tension: it sags by 0.8 mm, its largest strain is 0.5 %, and its period 51 ms."""
 
-BENT_FABRIC = _fabric(0.2, 110.0, 6.2e-3)
+BENT_FABRIC = fabric(0.2, 110.0, 6.2e-3)
 """Fabric of the check of bending: at a fifth of gravity it sags by 4 mm on 150 mm, with a period of 0.23 s.
 
 At full gravity its slope would reach 0.5, and the moment of its weight near the tip would be a fifth too small.
 """
 
 
-def _strip(fabric: Fabric, pose: Pose, size_m: tuple[float, float]) -> Cloth:
-    return Cloth(
-        name="cloth",
-        pose=pose,
-        size_m=size_m,
-        mass_kg=fabric.areal_density_kg_per_m2 * size_m[0] * size_m[1],
-        areal_density_kg_per_m2=fabric.areal_density_kg_per_m2,
-        thickness_m=fabric.thickness_m,
-        stretch_stiffness_n_per_m=fabric.stretch_stiffness_n_per_m,
-        shear_stiffness_n_per_m=fabric.shear_stiffness_n_per_m,
-        bend_stiffness_n_m_per_rad=fabric.bend_stiffness_n_m_per_rad,
-    )
+def strip_of(rollout: Rollout) -> Cloth:
+    """Return the strip of a scene of this module."""
+    (cloth,) = rollout.scene.deformables
+    assert isinstance(cloth, Cloth), "the scene has a strip alone"
+    return cloth
 
 
 def local_nodes(rollout: Rollout) -> NDArray[np.float64]:
     """Return nodes in the cloth's frame [m], shape [sample_count, node_count, 3]."""
-    return np.array([rollout.scene.deformables[0].pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
+    return np.array([strip_of(rollout).pose.to_body(nodes) for nodes in rollout.nodes_m["cloth"]])
 
 
 def equilibrium(rollout: Rollout, settled_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -87,43 +68,41 @@ def node_shares(rest_m: NDArray[np.float64], size_m: tuple[float, float]) -> NDA
     return np.bincount(nearest, minlength=len(rest_m)) / len(points)
 
 
-def hanging_strip(fabric: Fabric) -> Scene:
+def hanging_strip(made_of: Fabric) -> Scene:
     """Return a strip of 0.3 m by 0.075 m that hangs from its upper edge, warp downward."""
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
-    cloth = _strip(fabric, pose, (HANG_M, HANG_WIDTH_M))
-    return clamped(cloth, Region(axis="x", side="high"), duration_s=HANG_S)
+    cloth = sheet(made_of, pose, (HANG_M, HANG_WIDTH_M))
+    return clamped(cloth, Region(axis="x", side="high"), duration_s=0.8)
 
 
 def stretch_stiffness(rollout: Rollout) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
-    cloth = rollout.scene.deformables[0]
-    assert isinstance(cloth, Cloth), "the scene is that of `hanging_strip`"
-    rest, now = equilibrium(rollout, HANG_SETTLED_S)
+    cloth = strip_of(rollout)
+    rest, now = equilibrium(rollout, 0.2)
     s = 0.5 * HANG_M - rest[:, 0]
     free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
-    columns = np.column_stack([(HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum())])
-    slope = float(np.linalg.lstsq(columns, (rest - now)[free, 0], rcond=None)[0][0])
+    slope = coefficient((rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
     load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
     return stiffness(load, slope, cloth.stretch_stiffness_n_per_m, "stretches")
 
 
-def cantilever_strip(fabric: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0) -> Scene:
+def cantilever_strip(made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0) -> Scene:
     """Return a horizontal strip that is clamped at one end.
 
     Gravity is that with which rho g L^3 / D is the same for every fabric and length, so that the tip's slope is 0.04.
     The duration has the same number of periods.
 
     Args:
-        fabric: The fabric.
+        made_of: The fabric.
         free_m: Free length L [m]; the clamp is a third of it, and the width two thirds.
         height_m: Height of the strip [m]. Single precision rounds small displacements least at 0.
     """
     scale = free_m / BENT_FREE_M
-    density = BENT_FABRIC.areal_density_kg_per_m2 / fabric.areal_density_kg_per_m2
-    bend = fabric.bend_stiffness_n_m_per_rad / BENT_FABRIC.bend_stiffness_n_m_per_rad
+    density = BENT_FABRIC.areal_density_kg_per_m2 / made_of.areal_density_kg_per_m2
+    bend = made_of.bend_stiffness_n_m_per_rad / BENT_FABRIC.bend_stiffness_n_m_per_rad
     gravity = BENT_GRAVITY * density * bend / scale**3
     size_m = ((1.0 + CLAMP_SHARE) * free_m, WIDTH_SHARE * free_m)
-    cloth = _strip(fabric, Pose(position_m=(0.0, 0.0, height_m)), size_m)
+    cloth = sheet(made_of, Pose(position_m=(0.0, 0.0, height_m)), size_m)
     return clamped(
         cloth,
         Region(axis="x", side="low", depth_m=CLAMP_SHARE * free_m),
@@ -134,8 +113,7 @@ def cantilever_strip(fabric: Fabric, free_m: float = BENT_FREE_M, *, height_m: f
 
 def bending_stiffness(rollout: Rollout) -> Measurement:
     """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
-    cloth = rollout.scene.deformables[0]
-    assert isinstance(cloth, Cloth), "the scene is that of `cantilever_strip`"
+    cloth = strip_of(rollout)
     rest, now = equilibrium(rollout, SETTLED_SHARE * rollout.scene.duration_s)
     free_m = cloth.size_m[0] / (1.0 + CLAMP_SHARE)
     s = rest[:, 0] + 0.5 * cloth.size_m[0] - CLAMP_SHARE * free_m

@@ -5,80 +5,71 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, Motion, Pose, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Scene
 from gauge_envs.scene.drivers import Driver, TrapezoidProfile
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, box, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.scene_parts import box, contact, driven_box, driver, ramp
 
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
-CARRY_S = 1.5
-STROKE_M, SPIN_RAD_PER_S = 0.3, 2.0
-PLATE = body("plate", Box(size_m=PLATE_M), Pose(position_m=(0.0, 0.0, 0.5)), mass_kg=1.0, motion=Motion.KINEMATIC)
 
 
-def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds: float) -> Rollout:
+def _on_plate(lab: Lab, motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5) -> Rollout:
     """Record a cube on a driven plate."""
     cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
     scene = Scene(
-        bodies=(cube, PLATE),
-        contacts=(Contact(first=("cube",), second=("plate",), friction=friction, restitution=0.0),),
+        bodies=(cube, driven_box("plate", (0.0, 0.0, 0.5), PLATE_M)),
+        contacts=(contact("cube", "plate", friction=friction),),
         drivers=(motion,),
         duration_s=seconds,
     )
-    return lab.rollout(scene, seconds)
+    return lab.rollout(scene)
 
 
+@recorded("a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4")
 def _carry(lab: Lab) -> Rollout:
     """Record a plate that moves by 0.3 m in 1.2 s and accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
-    motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(STROKE_M, start_s=0.0, duration_s=1.2, ramp_s=0.4))
-    return _on_plate(lab, motion, friction=0.4, x_m=-0.1, seconds=CARRY_S)
+    motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4))
+    return _on_plate(lab, motion, x_m=-0.1)
 
 
+@recorded("a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4")
 def _turntable(lab: Lab) -> Rollout:
     """Record a plate that rotates at 2 rad/s: centripetal acceleration 0.2 m/s^2; friction can hold 3.9 m/s^2."""
-    rotation = TrapezoidProfile(
-        start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=SPIN_RAD_PER_S * (10.0 - 0.25)
-    )
-    return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), rotation), friction=0.4, x_m=0.05, seconds=CARRY_S)
+    rotation = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5)
+    return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), rotation), x_m=0.05)
 
 
-def _on_the_plate(rollout: Rollout) -> NDArray[np.float64]:
-    """Return displacements of the cube in the plate's prescribed frame [m], shape [sample_count, 3]."""
+def _slip(rollout: Rollout) -> Measurement:
+    """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)
     places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
-    return np.array(places) - places[0]
+    return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
-@check(
+@_carry.check(
     "driven-velocity",
     title="driven body has its driver's velocity",
-    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
     measures="reported speed of a plate at constant driven speed, over the prescribed speed",
     law="v = prescribed v",
     source="contract (Simulation.drive)",
-    unit="1",
     tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
     diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
 )
-def _driven_velocity(lab: Lab) -> Measurement:
-    rollout = lab.once(_carry)
+def _driven_velocity(rollout: Rollout) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
     speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
-@check(
+@_turntable.check(
     "driven-path",
     title="driven body follows its driver",
-    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
     measures="largest distance of a corner of a rotating plate with a cube on it from its prescribed position",
     law="pose = prescribed pose",
     source="contract (Simulation.drive)",
@@ -87,8 +78,7 @@ def _driven_velocity(lab: Lab) -> Measurement:
     diagnosis="the pose is set an interval too early or too late, contacts push the driven body, or the backend "
     "ignores the acceleration that drive() gives",
 )
-def _driven_path(lab: Lab) -> Measurement:
-    rollout = lab.once(_turntable)
+def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
     found = driver_error(rollout, rotated + rollout.position("plate")[:, None])
@@ -113,10 +103,9 @@ CARRY_DIAGNOSIS = (
 )
 
 
-@check(
+@_carry.check(
     "carry-line",
     title="plate carries a cube in a line",
-    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
     measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
     law="0 if acceleration < mu g",
     source="Coulomb",
@@ -124,15 +113,13 @@ CARRY_DIAGNOSIS = (
     tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS,
 )
-def _carry_line(lab: Lab) -> Measurement:
-    distance = np.linalg.norm(_on_the_plate(lab.once(_carry)), axis=1)
-    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
+def _carry_line(rollout: Rollout) -> Measurement:
+    return _slip(rollout)
 
 
-@check(
+@_turntable.check(
     "carry-turn",
     title="turntable carries a cube",
-    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
     measures="largest displacement of the cube on a plate that rotates by 2.5 rad at up to 2 rad/s, 50 mm off its axis",
     law="0 if omega^2 r < mu g",
     source="Coulomb",
@@ -140,12 +127,11 @@ def _carry_line(lab: Lab) -> Measurement:
     tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
 )
-def _carry_turn(lab: Lab) -> Measurement:
-    distance = np.linalg.norm(_on_the_plate(lab.once(_turntable)), axis=1)
-    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
+def _carry_turn(rollout: Rollout) -> Measurement:
+    return _slip(rollout)
 
 
-@check(
+@Check(
     "carry-slip",
     title="plate slips under a cube",
     scene="a cube on a plate that accelerates with 2 m/s^2; friction 0.05",

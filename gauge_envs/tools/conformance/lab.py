@@ -3,15 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import Any, TypeVar
+from contextlib import closing
+from dataclasses import dataclass
+from functools import wraps
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
-from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.runs.episodes import settings_record
+from gauge_envs.backends.settings import check_drive_interval, settings_record
+from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.scene import Scene
+from gauge_envs.tools.conformance.model import Check, Measurement
 
 T = TypeVar("T")
 
@@ -73,19 +79,16 @@ class Lab:
         """Return the first scene that the backend can build, or the last one when it can build none."""
         return next((scene for scene in scenes if scene_support(self.backend, scene)), scenes[-1])
 
-    def rollout(self, scene: Scene, seconds: float) -> Rollout:
+    def rollout(self, scene: Scene, seconds: float | None = None) -> Rollout:
         """Build a scene, reset it, drive it and record it.
 
         Args:
             scene: The scene.
-            seconds: Time to simulate [s].
+            seconds: Time to simulate [s]; None for the duration of the scene.
         """
-        simulation = self.build(scene)
-        try:
+        with closing(self.build(scene)) as simulation:
             simulation.reset(0)
-            return record(simulation, scene, seconds)
-        finally:
-            simulation.close()
+            return record(simulation, scene, scene.duration_s if seconds is None else seconds)
 
     def once(self, function: Callable[[Lab], T]) -> T:
         """Return the value of a function of the lab, which is called at its first use only.
@@ -108,3 +111,42 @@ class Lab:
             return function(self), None, self.settings_in_force
         except Exception as error:
             return None, error, self.settings_in_force
+
+
+@dataclass(frozen=True)
+class Recorded(Generic[T]):
+    """What several checks measure: a scene that a lab builds and records once for all of them.
+
+    Attributes:
+        scene: The scene in words, as in `Check.scene`.
+        record: Function that builds the scene in a lab and returns what it records.
+    """
+
+    scene: str
+    record: Callable[[Lab], T]
+
+    def __call__(self, lab: Lab) -> T:
+        """Return the record of a lab."""
+        return lab.once(self.record)
+
+    def check(self, id: str, **texts: Any) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
+        """Return a decorator that registers a measurement of the record as a check; see `Check` for the texts."""
+
+        def register(measure: Callable[[T], Measurement]) -> Callable[[T], Measurement]:
+            Check(id, scene=self.scene, **texts)(wraps(measure)(lambda lab: measure(self(lab))))
+            return measure
+
+        return register
+
+
+def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
+    """Return a decorator that makes a function of a lab the record of a scene, which is stated in words."""
+    return lambda record: Recorded(scene, record)
+
+
+def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
+    """Apply a wrench to a body; raise `DeclinedError` if the engine applies none."""
+    try:
+        simulation.apply_wrench(body, np.asarray(wrench))
+    except BackendError as error:
+        raise DeclinedError((str(error),)) from error

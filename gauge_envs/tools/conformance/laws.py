@@ -8,16 +8,17 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
-from gauge_envs.scene import Box
+from gauge_envs.scene import Box, RigidBody
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
 
 
-def box_inertia_kg_m2(shape: Box, mass_kg: float) -> NDArray[np.float64]:
+def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
     """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
-    x, y, z = np.square(shape.size_m)
-    return mass_kg / 12.0 * np.array([y + z, x + z, x + y])
+    assert isinstance(body.shape, Box), "the body is a box"
+    x, y, z = np.square(body.shape.size_m)
+    return body.mass_kg / 12.0 * np.array([y + z, x + z, x + y])
 
 
 def world_inertia_kg_m2(moments: NDArray[np.float64], rotation: Rotation) -> NDArray[np.float64]:
@@ -85,8 +86,12 @@ def cantilever_load_over_stiffness(
     free = s_m > -PLACE_TOLERANCE_M
     s, scale = s_m[free], np.sqrt(weights[free])
     columns = np.column_stack([(length_m - s) ** 4 / 24.0, np.ones(len(s)), s])
-    fit = np.linalg.lstsq(columns * scale[:, None], droop_m[free] * scale, rcond=None)[0]
-    return float(fit[0])
+    return coefficient(droop_m[free] * scale, columns * scale[:, None])
+
+
+def coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
+    """Return the coefficient of the first of the columns in a least-squares fit."""
+    return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
 
 def hann_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -6,22 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Pose, Region, Rod, Rope
-from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Pose, Region, Rod, Rope
+from gauge_envs.tools.conformance.lab import Lab, recorded
 from gauge_envs.tools.conformance.laws import cantilever_load_over_stiffness, hann_mean
 from gauge_envs.tools.conformance.measurements import passive_energy_gain, stiffness
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
+from gauge_envs.tools.conformance.model import COUNT, Measurement, Tolerance
 from gauge_envs.tools.conformance.scene_parts import clamped
-
-G = GRAVITY_M_PER_S2
-
 
 # --- rope ------------------------------------------------------------------------------------------------------------
 
-ROPE_M, ROPE_S = 0.3, 0.5
+ROPE_M = 0.3
 
 
+@recorded("a horizontal rope of 0.3 m, held at one end and released")
 def _falling_rope(lab: Lab) -> Rollout:
     """Record a horizontal rope held at one end; it is released and passes its lowest point at about 0.25 s."""
     rope = Rope(
@@ -32,7 +30,7 @@ def _falling_rope(lab: Lab) -> Rollout:
         mass_kg=0.02,
         young_modulus_pa=1e6,
     )
-    return lab.rollout(clamped(rope, Region(axis="x", side="low"), duration_s=ROPE_S), ROPE_S)
+    return lab.rollout(clamped(rope, Region(axis="x", side="low"), duration_s=0.5))
 
 
 def _along(rollout: Rollout) -> NDArray[np.float64]:
@@ -41,26 +39,23 @@ def _along(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
-@check(
+@_falling_rope.check(
     "rope-nodes",
     title="rope, order of nodes",
-    scene="a horizontal rope of 0.3 m, held at one end and released",
     measures="number of nodes at the start that are not further along the rope's x axis than the node before",
     law="node i + 1 follows node i from -x to +x",
     source="contract (Simulation.nodes)",
-    unit="1",
-    tolerance=Tolerance(absolute=0.0, rationale="it is a count"),
+    tolerance=COUNT,
     diagnosis="nodes of a rope or rod must lie along its centre line and in order",
 )
-def _rope_nodes(lab: Lab) -> Measurement:
-    along = lab.once(_falling_rope).nodes_m["rope"][0, :, 0]
-    return Measurement(measured=float((np.diff(along) <= 0.0).sum()), expected=0.0)
+def _rope_nodes(rollout: Rollout) -> Measurement:
+    along = rollout.nodes_m["rope"][0, :, 0]
+    return Measurement(measured=float((np.diff(along) <= 0.0).sum()))
 
 
-@check(
+@_falling_rope.check(
     "rope-length",
     title="rope does not stretch",
-    scene="a horizontal rope of 0.3 m, held at one end and released",
     measures="length of a rope that swings from one end, at its largest change within 0.5 s",
     law="length = L",
     source="inextensible (scene.Rope)",
@@ -68,8 +63,8 @@ def _rope_nodes(lab: Lab) -> Measurement:
     tolerance=Tolerance(relative=0.01, rationale="1 % of the length is 0.5 % of the period"),
     diagnosis="distance constraints are too soft, or the engine uses Young's modulus for the stretch stiffness",
 )
-def _rope_length(lab: Lab) -> Measurement:
-    lengths = np.linalg.norm(np.diff(_along(lab.once(_falling_rope)), axis=1), axis=2).sum(axis=1)
+def _rope_length(rollout: Rollout) -> Measurement:
+    lengths = np.linalg.norm(np.diff(_along(rollout), axis=1), axis=2).sum(axis=1)
     at_start = abs(lengths[0] - ROPE_M) > 0.005 * ROPE_M
     return Measurement(
         measured=1e3 * float(lengths[np.abs(lengths - ROPE_M).argmax()]),
@@ -78,10 +73,9 @@ def _rope_length(lab: Lab) -> Measurement:
     )
 
 
-@check(
+@_falling_rope.check(
     "rope-energy",
     title="rope gains no energy",
-    scene="a horizontal rope of 0.3 m, held at one end and released",
     measures="largest gain of kinetic and potential energy of the swinging rope, over the released potential energy",
     law="T + V <= initial T + V",
     source="an inextensible rope stores no energy",
@@ -89,8 +83,7 @@ def _rope_length(lab: Lab) -> Measurement:
     tolerance=Tolerance(absolute=5.0, rationale="speeds are differences over 11 ms, and the mass is assumed uniform"),
     diagnosis="the solver makes energy: long steps, too few iterations, or constraint corrections that add speed",
 )
-def _rope_energy(lab: Lab) -> Measurement:
-    rollout = lab.once(_falling_rope)
+def _rope_energy(rollout: Rollout) -> Measurement:
     nodes = _along(rollout)
     shares = np.gradient(nodes[0, :, 0])
     shares[[0, -1]] *= 0.5
@@ -103,10 +96,10 @@ def _rope_energy(lab: Lab) -> Measurement:
 CLAMP_M, FREE_M, RADIUS_M = 0.02, 0.15, 0.005
 ROD_DENSITY, YOUNG_PA = 1250.0, 1e7
 ROD_GRAVITY = 0.2 * G
-ROD_S, SETTLED_S = 1.1, 0.3
 SECTION_M2, INERTIA_M4 = np.pi * RADIUS_M**2, 0.25 * np.pi * RADIUS_M**4
 
 
+@recorded("a horizontal rod of 0.15 m, clamped at one end, at a fifth of gravity")
 def _drooping_rod(lab: Lab) -> Rollout:
     """Record a horizontal rod clamped at one end, at a fifth of gravity: sag 2.5 mm on 150 mm, period 0.18 s."""
     rod = Rod(
@@ -119,13 +112,12 @@ def _drooping_rod(lab: Lab) -> Rollout:
         poisson_ratio=0.49,
     )
     clamp = Region(axis="z", side="low", depth_m=CLAMP_M)
-    return lab.rollout(clamped(rod, clamp, duration_s=ROD_S, gravity_m_per_s2=ROD_GRAVITY), ROD_S)
+    return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
 
 
-@check(
+@_drooping_rod.check(
     "rod-bending",
     title="rod, bending stiffness",
-    scene="a horizontal rod of 0.15 m, clamped at one end, at a fifth of gravity",
     measures="bending stiffness from the mean droop of a rod clamped at one end",
     law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
     source="Euler and Bernoulli",
@@ -134,10 +126,9 @@ def _drooping_rod(lab: Lab) -> Rollout:
     diagnosis="check the conversion of E and radius to the bending constant, the mass of the nodes, and that the "
     "clamp holds the slope",
 )
-def _rod_bending(lab: Lab) -> Measurement:
-    rollout = lab.once(_drooping_rod)
+def _rod_bending(rollout: Rollout) -> Measurement:
     nodes = rollout.nodes_m["rod"]
-    droop = (nodes[0] - hann_mean(nodes[rollout.between(SETTLED_S, ROD_S)]))[:, 2]
+    droop = (nodes[0] - hann_mean(nodes[rollout.between(0.3, 1.1)]))[:, 2]
     s = nodes[0, :, 0] + 0.5 * (CLAMP_M + FREE_M) - CLAMP_M
     slope = cantilever_load_over_stiffness(s, droop, length_m=FREE_M, weights=np.ones(len(s)))
     load, expected = ROD_DENSITY * SECTION_M2 * ROD_GRAVITY, YOUNG_PA * INERTIA_M4

@@ -28,7 +28,7 @@ def expected_text(findings: Iterable[CheckResult | None]) -> str:
     """Return the expected value of the first result that has one, with tolerance and unit; empty if none has."""
     for finding in findings:
         if finding is not None and finding.expected is not None and finding.width is not None:
-            unit = "" if finding.unit == "1" else f" {finding.unit}"
+            unit = "" if finding.of.unit == "1" else f" {finding.of.unit}"
             return f"{finding.expected:.4g} +- {finding.width:.2g}{unit}"
     return ""
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from gauge_envs.scene import (
-    GRAVITY_M_PER_S2,
     Box,
     Contact,
     ConvexUnion,
@@ -17,17 +18,12 @@ from gauge_envs.scene import (
     Sphere,
     Vector,
 )
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, vector
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.scene_parts import body, contact
 
 # --- heights at rest -------------------------------------------------------------------------------------------------
-
-Hints = tuple[tuple[float, str], ...]
-"""Heights [m] by which a shape of a known wrong size would sink, and the fault."""
 
 REST_S = 0.3
 LYING_DEG = (90.0, 0.0, 0.0)
@@ -45,53 +41,79 @@ PRISM = ConvexUnion(
 PRISM_CENTRE_M = (0.005, -0.0025)
 """Horizontal place of the solid's centre of mass in its frame [m]."""
 
+UPRIGHT_DEG = (0.0, 0.0, 0.0)
+
 SUPPORTS: dict[str, tuple[Shape, Vector, float]] = {
     # Shape, Euler angles [deg], and height of the highest point over the origin [m].
-    "plane": (Plane(), (0.0, 0.0, 0.0), 0.0),
-    "box": (Box(size_m=(0.12, 0.12, 0.06)), (0.0, 0.0, 0.0), 0.03),
-    "sphere": (Sphere(radius_m=0.06), (0.0, 0.0, 0.0), 0.06),
-    "cylinder": (Cylinder(radius_m=0.06, length_m=0.08), (0.0, 0.0, 0.0), 0.04),
+    "plane": (Plane(), UPRIGHT_DEG, 0.0),
+    "box": (Box(size_m=(0.12, 0.12, 0.06)), UPRIGHT_DEG, 0.03),
+    "sphere": (Sphere(radius_m=0.06), UPRIGHT_DEG, 0.06),
+    "cylinder": (Cylinder(radius_m=0.06, length_m=0.08), UPRIGHT_DEG, 0.04),
     "lying cylinder": (Cylinder(radius_m=0.05, length_m=0.12), ALONG_X_DEG, 0.05),
-    "convex solid": (PRISM, (0.0, 0.0, 0.0), 0.025),
+    "convex solid": (PRISM, UPRIGHT_DEG, 0.025),
 }
 
 
-def _rest_scene(
-    shape: Shape, euler_deg: Vector, height_m: float, centre_m: tuple[float, float], on: list[str]
-) -> Scene:
-    """Return a scene in which copies of a shape stand on fixed bodies of the given kinds, each above the centre.
+@dataclass(frozen=True, kw_only=True)
+class _Resting:
+    """A shape that is placed on every kind of support.
 
-    Args:
-        shape: The shape on top.
+    Attributes:
+        what: The shape in words.
+        shape: The shape.
         euler_deg: Its Euler angles [deg].
         height_m: Height of its origin over its lowest point [m].
         centre_m: Horizontal place of its centre of mass in its rotated frame [m].
-        on: Kinds of the supports.
+        hints: Heights [m] by which a shape of a known wrong size would sink, and the fault.
     """
-    bodies: list[RigidBody] = []
-    contacts = []
-    for index, kind in enumerate(on):
-        support, angles, top_m = SUPPORTS[kind]
-        x, z = 0.4 * index, 0.5
-        name = f"on {kind}"
-        place = (x - centre_m[0], -centre_m[1], z + top_m + height_m)
-        bodies.append(body(name, shape, Pose.from_euler_deg(place, euler_deg), mass_kg=0.2))
-        under = (x, 0.0, z)
-        if isinstance(support, ConvexUnion):
-            under = (x - PRISM_CENTRE_M[0], -PRISM_CENTRE_M[1], z)
-        mass_kg = 0.0 if isinstance(support, Plane) else 1.0
-        pose = Pose.from_euler_deg(under, angles)
-        bodies.append(body(kind, support, pose, mass_kg=mass_kg, motion=Motion.FIXED))
-        contacts.append(Contact(first=(name,), second=(kind,), friction=0.5, restitution=0.0))
-    return Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=REST_S)
+
+    what: str
+    shape: Shape
+    euler_deg: Vector = UPRIGHT_DEG
+    height_m: float
+    centre_m: tuple[float, float] = (0.0, 0.0)
+    hints: tuple[tuple[float, str], ...] = ()
+
+    def scene(self, on: list[str]) -> Scene:
+        """Return a scene in which copies stand on fixed bodies of the given kinds, each above the centre."""
+        bodies: list[RigidBody] = []
+        contacts: list[Contact] = []
+        for index, kind in enumerate(on):
+            support, angles, top_m = SUPPORTS[kind]
+            x, z = 0.4 * index, 0.5
+            name = f"on {kind}"
+            place = (x - self.centre_m[0], -self.centre_m[1], z + top_m + self.height_m)
+            bodies.append(body(name, self.shape, Pose.from_euler_deg(place, self.euler_deg), mass_kg=0.2))
+            under = (x, 0.0, z)
+            if isinstance(support, ConvexUnion):
+                under = (x - PRISM_CENTRE_M[0], -PRISM_CENTRE_M[1], z)
+            mass_kg = 0.0 if isinstance(support, Plane) else 1.0
+            pose = Pose.from_euler_deg(under, angles)
+            bodies.append(body(kind, support, pose, mass_kg=mass_kg, motion=Motion.FIXED))
+            contacts.append(contact(name, kind, friction=0.5))
+        return Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=REST_S)
+
+    def hint(self, worst: str, heights: dict[str, float]) -> str:
+        """Return what the heights [mm] say: a size of the shape, of one support, or a margin of all."""
+        value = heights[worst]
+        if abs(value) < 1e-9:
+            return ""
+        spread = max(heights.values()) - min(heights.values())
+        for drop_m, text in self.hints:
+            if abs(value + 1e3 * drop_m) < 0.2 and spread < 0.3:
+                return text
+        if spread < 0.1 * abs(value):
+            side = "floats above" if value > 0.0 else "sinks into"
+            return f"the {self.what} {side} every support by {abs(value):.3g} mm: a margin, or its size"
+        wrong = [f"{kind} {height:.3g} mm" for kind, height in heights.items() if abs(height) > 0.2]
+        return f"height of the {self.what} on each support that is wrong: {', '.join(wrong)}"
 
 
-def _rest_check(
-    id: str, what: str, shape: Shape, euler_deg: Vector, height_m: float, centre_m: tuple[float, float], hints: Hints
-) -> None:
+def _rest_check(id: str, resting: _Resting) -> None:
     """Register the check of a shape that rests on every kind of support."""
+    what = resting.what
 
-    @check(
+    @Check(
         id,
         title=f"{what} rests at its height",
         scene=f"{what} of 0.2 kg placed on a fixed plane, box, sphere, cylinder, lying cylinder and convex solid "
@@ -110,72 +132,49 @@ def _rest_check(
     )
     def measure(lab: Lab) -> Measurement:
         kinds = list(SUPPORTS)
-        if not lab.backend.supports(_rest_scene(shape, euler_deg, height_m, centre_m, kinds)):
-            single = [
-                kind
-                for kind in kinds
-                if lab.backend.supports(_rest_scene(shape, euler_deg, height_m, centre_m, [kind]))
-            ]
-            kinds = single or kinds
-        rollout = lab.rollout(_rest_scene(shape, euler_deg, height_m, centre_m, kinds), REST_S)
+        if not lab.backend.supports(resting.scene(kinds)):
+            kinds = [kind for kind in kinds if lab.backend.supports(resting.scene([kind]))] or kinds
+        rollout = lab.rollout(resting.scene(kinds))
         last = rollout.between(0.2, REST_S)
-        heights = {
-            kind: 1e3 * float((rollout.position(f"on {kind}")[last, 2] - rollout.position(f"on {kind}")[0, 2]).mean())
-            for kind in kinds
-        }
+        heights = {kind: 1e3 * float(rollout.displacement(f"on {kind}")[last, 2].mean()) for kind in kinds}
         worst = max(heights, key=lambda kind: abs(heights[kind]))
-        return Measurement(measured=heights[worst], expected=0.0, hint=_rest_hint(what, worst, heights, hints))
+        return Measurement(measured=heights[worst], hint=resting.hint(worst, heights))
 
 
-def _rest_hint(what: str, worst: str, heights: dict[str, float], hints: Hints) -> str:
-    """Return what the heights [mm] say: a size of the shape, of one support, or a margin of all."""
-    value = heights[worst]
-    if abs(value) < 1e-9:
-        return ""
-    spread = max(heights.values()) - min(heights.values())
-    for drop_m, text in hints:
-        if abs(value + 1e3 * drop_m) < 0.2 and spread < 0.3:
-            return text
-    if spread < 0.1 * abs(value):
-        side = "floats above" if value > 0.0 else "sinks into"
-        return f"the {what} {side} every support by {abs(value):.3g} mm: a margin, or its size"
-    wrong = [f"{kind} {height:.3g} mm" for kind, height in heights.items() if abs(height) > 0.2]
-    return f"height of the {what} on each support that is wrong: {', '.join(wrong)}"
-
-
-_rest_check("rest-box", "box", Box(size_m=(0.06, 0.05, 0.04)), (0.0, 0.0, 0.0), 0.02, (0.0, 0.0), ())
+_rest_check("rest-box", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02))
 _rest_check(
     "rest-sphere",
-    "sphere",
-    Sphere(radius_m=0.02),
-    (0.0, 0.0, 0.0),
-    0.02,
-    (0.0, 0.0),
-    ((0.01, "its radius is half of that in the scene"), (-0.02, "its radius is taken for a diameter")),
+    _Resting(
+        what="sphere",
+        shape=Sphere(radius_m=0.02),
+        height_m=0.02,
+        hints=((0.01, "its radius is half of that in the scene"), (-0.02, "its radius is taken for a diameter")),
+    ),
 )
 _rest_check(
     "rest-cylinder",
-    "upright cylinder",
-    Cylinder(radius_m=0.025, length_m=0.05),
-    (0.0, 0.0, 0.0),
-    0.025,
-    (0.0, 0.0),
-    (
-        (0.0125, "its length is half of that in the scene: length_m is the full length"),
-        (-0.025, "its length is twice that in the scene: the engine's half length was given length_m"),
+    _Resting(
+        what="upright cylinder",
+        shape=Cylinder(radius_m=0.025, length_m=0.05),
+        height_m=0.025,
+        hints=(
+            (0.0125, "its length is half of that in the scene: length_m is the full length"),
+            (-0.025, "its length is twice that in the scene: the engine's half length was given length_m"),
+        ),
     ),
 )
 _rest_check(
     "rest-lying-cylinder",
-    "lying cylinder",
-    Cylinder(radius_m=0.025, length_m=0.08),
-    LYING_DEG,
-    0.025,
-    (0.0, 0.0),
-    (
-        (0.0125, "its radius is half of that in the scene"),
-        (-0.025, "its radius is twice that in the scene"),
-        (-0.015, "its axis is not body z"),
+    _Resting(
+        what="lying cylinder",
+        shape=Cylinder(radius_m=0.025, length_m=0.08),
+        euler_deg=LYING_DEG,
+        height_m=0.025,
+        hints=(
+            (0.0125, "its radius is half of that in the scene"),
+            (-0.025, "its radius is twice that in the scene"),
+            (-0.015, "its axis is not body z"),
+        ),
     ),
 )
-_rest_check("rest-convex", "convex solid", PRISM, (0.0, 0.0, 0.0), 0.01, PRISM_CENTRE_M, ())
+_rest_check("rest-convex", _Resting(what="convex solid", shape=PRISM, height_m=0.01, centre_m=PRISM_CENTRE_M))

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, Cylinder, Motion, Plane, Pose, Scene, Shape, Sphere
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Cylinder, Pose, Scene, Shape, Sphere
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, vector
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.scene_parts import body, contact, ground
 
 LEAN_DEG = (3.0, 2.0, 0.0)
 LEANING = Pose.from_euler_deg((0.2, -0.1, 1.0), LEAN_DEG)
@@ -35,31 +35,28 @@ def _downhill(pose: Pose) -> NDArray[np.float64]:
     return np.asarray(along / np.linalg.norm(along))
 
 
-def _on_plane(lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float) -> Rollout:
-    """Record a body on a leaning plane; a cylinder lies across the slope."""
+def _down_acceleration(lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float) -> float:
+    """Return the acceleration downhill of a body on a leaning plane [m/s^2]; a cylinder lies across the slope."""
     down = _downhill(plane)
     normal = plane.rotation.apply([0.0, 0.0, 1.0])
     axes = np.column_stack([down, normal, np.cross(down, normal)])
     start = np.asarray(plane.position_m) + height_m * normal
     pose = Pose.from_rotation(vector(start), Rotation.from_matrix(axes))
     scene = Scene(
-        bodies=(body("roller", shape, pose), body("plane", Plane(), plane, mass_kg=0.0, motion=Motion.FIXED)),
-        contacts=(Contact(first=("roller",), second=("plane",), friction=friction, restitution=0.0),),
+        bodies=(body("roller", shape, pose), replace(ground(), name="plane", pose=plane)),
+        contacts=(contact("roller", "plane", friction=friction),),
         duration_s=ROLL_S,
     )
-    return lab.rollout(scene, ROLL_S)
-
-
-def _down_acceleration(rollout: Rollout, plane: Pose) -> float:
+    rollout = lab.rollout(scene)
     window = rollout.between(0.1, ROLL_S)
-    along = rollout.displacement("roller") @ _downhill(plane)
+    along = rollout.displacement("roller") @ down
     return acceleration_m_per_s2(rollout.times_s[window], along[window])
 
 
 def _roll_check(id: str, what: str, shape: Shape, radius_m: float, share: float, law: str) -> None:
     """Register the check of a body that rolls down a leaning plane."""
 
-    @check(
+    @Check(
         id,
         title=f"{what} rolls without rolling friction",
         scene=f"a {what} of 0.1 kg and radius {1e3 * radius_m:g} mm on a fixed plane that leans by 3.6 degrees about a "
@@ -73,10 +70,8 @@ def _roll_check(id: str, what: str, shape: Shape, radius_m: float, share: float,
         "the body is damped",
     )
     def measure(lab: Lab) -> Measurement:
-        measured = _down_acceleration(_on_plane(lab, shape, radius_m, LEANING, 0.5), LEANING)
-        sine = _sine(LEANING)
-        expected = share * G * sine
-        return Measurement(measured=measured, expected=expected, hint=_roll_hint(measured, share, sine))
+        measured, sine = _down_acceleration(lab, shape, radius_m, LEANING, 0.5), _sine(LEANING)
+        return Measurement(measured=measured, expected=share * G * sine, hint=_roll_hint(measured, share, sine))
 
 
 def _roll_hint(measured: float, share: float, sine: float) -> str:
@@ -97,7 +92,7 @@ _roll_check(
 )
 
 
-@check(
+@Check(
     "slide-plane",
     title="plane leans",
     scene="a brick of 0.1 kg on a fixed plane that leans by 32 degrees about a diagonal; friction 0.2",
@@ -110,8 +105,8 @@ _roll_check(
     "that the plane leans: its normal is the body's z axis",
 )
 def _slide_plane(lab: Lab) -> Measurement:
-    rollout = _on_plane(lab, Box(size_m=(0.06, 0.03, 0.05)), 0.015, STEEP, SLIDE_FRICTION)
-    measured, sine = _down_acceleration(rollout, STEEP), _sine(STEEP)
+    brick = Box(size_m=(0.06, 0.03, 0.05))
+    measured, sine = _down_acceleration(lab, brick, 0.015, STEEP, SLIDE_FRICTION), _sine(STEEP)
     expected = G * (sine - SLIDE_FRICTION * float(np.sqrt(1.0 - sine**2)))
     return Measurement(measured=measured, expected=expected, hint=_slide_hint(measured, sine))
 

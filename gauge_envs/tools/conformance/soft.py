@@ -10,24 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Motion, Pose, Region, Scene, SoftBody
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, hann_mean
-from gauge_envs.tools.conformance.measurements import attachment_error, stiffness
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, clamped, driver, ramp
+from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Pose, Region, Scene, SoftBody
+from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, coefficient, hann_mean
+from gauge_envs.tools.conformance.measurements import attachment_error, bounds_error, stiffness
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.scene_parts import clamped, driven_box, driver, ramp
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 DENSITY_KG_PER_M3, YOUNG_PA, POISSON = 100.0, 1e4, 0.3
-LOAD_N_PER_M3 = DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2
-HANG_S, SETTLED_S = 0.8, 0.25
-CENTRE = Pose(position_m=(0.0, 0.0, 1.0))
+CENTRE_M = (0.0, 0.0, 1.0)
 
 BAR = SoftBody(
     name="foam",
     shape=Box(size_m=(EDGE_M, EDGE_M, LENGTH_M)),
-    pose=CENTRE,
+    pose=Pose(position_m=CENTRE_M),
     mass_kg=DENSITY_KG_PER_M3 * EDGE_M**2 * LENGTH_M,
     young_modulus_pa=YOUNG_PA,
     poisson_ratio=POISSON,
@@ -35,15 +32,16 @@ BAR = SoftBody(
 UPPER_FACE = Region(axis="z", side="high")
 
 
+@recorded("a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face")
 def _hanging(lab: Lab) -> Rollout:
     """Record a bar that hangs from its upper face: sag 2 mm, largest strain 2 %, period 80 ms."""
-    return lab.rollout(clamped(BAR, UPPER_FACE, duration_s=HANG_S), HANG_S)
+    return lab.rollout(clamped(BAR, UPPER_FACE, duration_s=0.8))
 
 
 def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return start and mean displacement of nodes at least one width from the clamp [m], shapes [node_count, 3]."""
-    nodes = rollout.nodes_m["foam"] - np.asarray(CENTRE.position_m)
-    displacement = hann_mean(nodes[rollout.between(SETTLED_S, HANG_S)]) - nodes[0]
+    nodes = rollout.nodes_m["foam"] - np.asarray(CENTRE_M)
+    displacement = hann_mean(nodes[rollout.between(0.25, 0.8)]) - nodes[0]
     free = nodes[0, :, 2] < 0.5 * LENGTH_M - EDGE_M + PLACE_TOLERANCE_M
     return nodes[0, free], displacement[free]
 
@@ -54,14 +52,12 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
     The exact field of a hanging bar has u_z = (rho g / 2E) (z^2 + nu r^2 - L^2), z from its lower end.
     """
     height = rest[:, 2] + 0.5 * LENGTH_M
-    columns = np.column_stack([0.5 * height**2, np.ones(len(rest)), np.square(rest[:, :2]).sum(axis=1)])
-    return float(np.linalg.lstsq(columns, displacement[:, 2], rcond=None)[0][0])
+    return coefficient(displacement[:, 2], 0.5 * height**2, np.ones(len(rest)), np.square(rest[:, :2]).sum(axis=1))
 
 
-@check(
+@_hanging.check(
     "foam-start",
     title="foam, start",
-    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="largest distance between the bar's faces and the bounding box of its nodes, at the start",
     law="SoftBody.shape, SoftBody.pose",
     source="contract (Simulation.nodes)",
@@ -69,17 +65,13 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
     tolerance=Tolerance(absolute=0.01, rationale="a float's rounding at 1 m is 0.1 um"),
     diagnosis="nodes are world positions in metres, and the outer ones lie on the body's surface",
 )
-def _foam_start(lab: Lab) -> Measurement:
-    nodes = lab.once(_hanging).nodes_m["foam"][0] - np.asarray(CENTRE.position_m)
-    half = 0.5 * np.array([EDGE_M, EDGE_M, LENGTH_M])
-    error = float(np.abs(np.concatenate([nodes.min(axis=0) + half, nodes.max(axis=0) - half])).max())
-    return Measurement(measured=1e3 * error, expected=0.0)
+def _foam_start(rollout: Rollout) -> Measurement:
+    return bounds_error(rollout.nodes_m["foam"][0] - np.asarray(CENTRE_M), BAR.shape.size_m)
 
 
-@check(
+@_hanging.check(
     "foam-tension",
     title="foam, Young's modulus",
-    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="E from the mean sag of a bar under its own weight, at least one width from its clamped face",
     law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E)",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
@@ -90,27 +82,25 @@ def _foam_start(lab: Lab) -> Measurement:
     ),
     diagnosis="check the conversion of E and nu to the engine's constants, the mass of the nodes, and locking elements",
 )
-def _foam_tension(lab: Lab) -> Measurement:
-    rate = _strain_rate_per_m(*_equilibrium(lab.once(_hanging)))
-    return stiffness(LOAD_N_PER_M3, rate, YOUNG_PA, "stretches")
+def _foam_tension(rollout: Rollout) -> Measurement:
+    rate = _strain_rate_per_m(*_equilibrium(rollout))
+    return stiffness(DENSITY_KG_PER_M3 * GRAVITY_M_PER_S2, rate, YOUNG_PA, "stretches")
 
 
-@check(
+@_hanging.check(
     "foam-poisson",
     title="foam, Poisson contraction",
-    scene="a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
     measures="mean transverse contraction over mean stretch of the bar, at least one width from its clamped face",
     law="u_x = -nu rho g z x / E",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
-    unit="1",
     tolerance=Tolerance(
         relative=0.1,
         rationale="transverse displacements are a tenth of a millimetre, and the clamp acts over about one width",
     ),
     diagnosis="check the engine's second constant (lambda, bulk modulus); with nu = 0 nothing contracts",
 )
-def _foam_poisson(lab: Lab) -> Measurement:
-    rest, displacement = _equilibrium(lab.once(_hanging))
+def _foam_poisson(rollout: Rollout) -> Measurement:
+    rest, displacement = _equilibrium(rollout)
     height = rest[:, 2] + 0.5 * LENGTH_M
     lever = height[:, None] * rest[:, :2]
     contraction = -float((lever * displacement[:, :2]).sum() / np.square(lever).sum())
@@ -118,7 +108,7 @@ def _foam_poisson(lab: Lab) -> Measurement:
     return Measurement(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
 
 
-@check(
+@Check(
     "foam-pinned-face",
     title="foam, attached face follows its driven body",
     scene="the same bar attached to a plate that turns by 0.5 rad",
@@ -130,19 +120,12 @@ def _foam_poisson(lab: Lab) -> Measurement:
     diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
 )
 def _foam_pinned_face(lab: Lab) -> Measurement:
-    plate = body(
-        "plate",
-        Box(size_m=(0.06, 0.06, 0.01)),
-        Pose(position_m=(0.0, 0.0, 1.0 + 0.5 * LENGTH_M + 0.005)),
-        mass_kg=1.0,
-        motion=Motion.KINEMATIC,
-    )
     rotation = ramp(0.5, start_s=0.0, duration_s=0.2, ramp_s=0.08)
     scene = Scene(
-        bodies=(plate,),
+        bodies=(driven_box("plate", (0.0, 0.0, 1.0 + 0.5 * LENGTH_M + 0.005), (0.06, 0.06, 0.01)),),
         deformables=(BAR,),
         attachments=(Attachment(deformable="foam", region=UPPER_FACE, to="plate"),),
         drivers=(driver("plate", "rotate", (0.0, 0.0, 1.0), rotation, point_m=(0.02, 0.0, 0.0)),),
         duration_s=0.25,
     )
-    return attachment_error(lab.rollout(scene, 0.25), "foam")
+    return attachment_error(lab.rollout(scene), "foam")

@@ -43,7 +43,7 @@ def findings_view(findings: Sequence[CheckResult], *, wide: bool = False) -> Gro
 
 def findings_markdown(findings: Sequence[CheckResult]) -> str:
     """Return the same table in Markdown, for a README, with the notes below it as lists."""
-    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.title} ({one.check})")).rstrip()]
+    lines = [as_markdown(_findings_table(findings, lambda one: f"{one.of.title} ({one.check})")).rstrip()]
     for title, notes in _notes(findings):
         lines += ["", f"{title}:", "", *(f"- {note}" for note in notes)]
     return "\n".join(lines)
@@ -56,7 +56,7 @@ def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult
     return Table(
         columns=(
             Column("", "check", first(name)),
-            Column("", "law", first(lambda one: one.law), wide_only=True),
+            Column("", "law", first(lambda one: one.of.law), wide_only=True),
             Column("", "expected", _expected),
             *(Column(backend, backend, _measured, style=_style) for backend in _backends(findings)),
         ),
@@ -99,7 +99,7 @@ def _expected(row: Mapping[str, CheckResult]) -> str:
         if finding.expected is not None and finding.width is not None:
             expected = _number(finding.expected)
             text = f"{expected} +- {finding.width:.2g}" if finding.width else f"exactly {expected}"
-            return _with_unit(text, finding.unit)
+            return _with_unit(text, finding.of.unit)
     return ""
 
 
@@ -158,4 +158,4 @@ def _what(finding: CheckResult) -> str:
     if finding.measured is None or finding.expected is None:
         return ""
     expected, measured = _number(finding.expected), _number(finding.measured)
-    return _with_unit(f"{measured} instead of {expected}", finding.unit) + f" ({finding.measures}). "
+    return _with_unit(f"{measured} instead of {expected}", finding.of.unit) + f" ({finding.of.measures}). "
