@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.conformance.continuation import (
     CONTINUATION,
@@ -42,6 +41,8 @@ def _benchmark_check(id: str, title: str, what: str, saved_s: Mapping[str, float
 
     @replace(CONTINUATION, id=id, title=title, scene=scene, measures=measures)
     def measure(lab: Lab) -> Measurement:
+        from gauge_envs.experiments.resolve import load_experiment  # At use: most checks have no experiment.
+
         scenes = {name: load_experiment(name).scene for name in saved_s}
         chosen = [name for name, scene in scenes.items() if lab.backend.supports(scene)]
         found: dict[str, Measurement] = {}

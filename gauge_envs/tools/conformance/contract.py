@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Hinge, Pose, Region, Scene, SoftBody
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.lab import Lab, recorded
 from gauge_envs.tools.conformance.measurements import largest_mm
@@ -238,7 +239,7 @@ def _time(lab: Lab) -> Measurement:
             fallen.append(3.0 - states_now(simulation, ["brick"])[0, 2])
     if fallen[1] == 0.0:
         return Measurement(measured=float("nan"), expected=1.0, hint="the brick does not move")
-    law_m = 0.5 * GRAVITY_M_PER_S2 * (54 * SAMPLE_INTERVAL_S) ** 2
+    law_m = 0.5 * G * (54 * SAMPLE_INTERVAL_S) ** 2
     wrong = abs(abs(fallen[1]) - law_m) > 0.05 * law_m
     hint = f"in 54 calls it fell by {fallen[1]:.3g} m instead of {law_m:.3g} m: each call changes its speed"
     return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
