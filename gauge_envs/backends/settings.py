@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -40,6 +41,26 @@ class SteppedSettings(BaseModel):
         if isinstance(value, int) and abs(value) > INTEGER_LIMIT:
             raise ValueError(f"must be at most {INTEGER_LIMIT}")
         return value
+
+
+@dataclass(frozen=True)
+class Native:
+    """Metadata of a setting: its name in the engine's own interface, where it is another one than here.
+
+    Attributes:
+        name: The engine's name, in the engine's units; its values are those of the setting.
+    """
+
+    name: str
+
+
+def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
+    """Return the name of each setting by its name in the engine's own interface."""
+    names: dict[str, str] = {}
+    for name, field in settings.model_fields.items():
+        own = (one.name for one in field.metadata if isinstance(one, Native))
+        names[next(own, name)] = name
+    return names
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)

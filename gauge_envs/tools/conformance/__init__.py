@@ -34,7 +34,7 @@ from gauge_envs.tools.conformance.cloth_strips import (
     stretch_stiffness,
 )
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import hann_mean, pendulum_period_s
+from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
 from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, checks
 from gauge_envs.tools.conformance.run import run_checks
 
@@ -53,6 +53,7 @@ __all__ = [
     "cantilever_strip",
     "check",
     "checks",
+    "friction_of_slide",
     "hanging_strip",
     "hann_mean",
     "pendulum_period_s",

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Box, RigidBody
 
 PLACE_TOLERANCE_M = 1e-5
@@ -60,6 +63,18 @@ def torque_free_orientation(
     first = np.concatenate([start.as_quat(scalar_first=True), start.apply(spin_rad_per_s, inverse=True)])
     last = solve_ivp(rate, (0.0, seconds), first, rtol=1e-10, atol=1e-12, method="DOP853").y[:, -1]
     return Rotation.from_quat(last[:4], scalar_first=True)
+
+
+def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:
+    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos + b).
+
+    Args:
+        acceleration_m_per_s2: Acceleration a down the slope.
+        slope_rad: Slope [rad].
+        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
+            both have the same weights: a body that hops gets its friction from its impacts.
+    """
+    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad) + lift_m_per_s2)
 
 
 def spin_from_orientations(rotations: Rotation, interval_s: float) -> NDArray[np.float64]:

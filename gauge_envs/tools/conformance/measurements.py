@@ -9,7 +9,12 @@ from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, box_inertia_kg_m2, world_inertia_kg_m2
+from gauge_envs.tools.conformance.laws import (
+    PLACE_TOLERANCE_M,
+    box_inertia_kg_m2,
+    friction_of_slide,
+    world_inertia_kg_m2,
+)
 from gauge_envs.tools.conformance.model import Measurement
 
 SLIDE_SLOPE_DEG = 30.0
@@ -42,7 +47,7 @@ def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> f
 def slide_acceleration(measured: float, friction: float) -> Measurement:
     """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
     sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
-    effective = (sine - measured / GRAVITY_M_PER_S2) / cosine
+    effective = friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG))
     rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
     rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
     return Measurement(

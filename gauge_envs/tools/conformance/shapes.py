@@ -25,6 +25,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import friction_of_slide
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 from gauge_envs.tools.conformance.scene_parts import body, contact, ground
@@ -286,7 +287,7 @@ def _slide_plane(lab: Lab) -> Measurement:
 def _slide_hint(measured: float, sine: float) -> str:
     if abs(measured) < 0.02 * G * sine:
         return "it does not slide: the leaning plane is level in the engine, or friction holds the brick"
-    friction = (sine - measured / G) / float(np.sqrt(1.0 - sine**2))
+    friction = friction_of_slide(measured, float(np.arcsin(sine)))
     if friction < -0.02:
         return "it slides faster than without friction: the plane leans otherwise in the engine"
     return f"it slides as if the friction were {friction:.3g} instead of {SLIDE_FRICTION:.3g}"

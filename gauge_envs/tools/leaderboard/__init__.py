@@ -14,8 +14,7 @@ episodes can be run again. `docs/leaderboard.md` states each rule.
 """
 
 from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
-from gauge_envs.tools.leaderboard.faults import Fault
 from gauge_envs.tools.leaderboard.reruns import Rerun
-from gauge_envs.tools.leaderboard.statement import Statement
+from gauge_envs.tools.leaderboard.submission import Fault, Statement
 
 __all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard"]

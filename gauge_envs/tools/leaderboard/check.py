@@ -16,12 +16,18 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name
-from gauge_envs.tools.leaderboard.faults import Fault
-from gauge_envs.tools.leaderboard.layout import SubmissionFiles, find_submissions, relative_name, submission_files
 from gauge_envs.tools.leaderboard.reruns import Rerun, RerunStatus, rerun, rerun_sample
-from gauge_envs.tools.leaderboard.scores import differing_scores, rescored
-from gauge_envs.tools.leaderboard.statement import STATEMENT_FILE, Statement, read_statement
-from gauge_envs.tools.leaderboard.trajectory import trajectory_faults
+from gauge_envs.tools.leaderboard.submission import (
+    STATEMENT_FILE,
+    Fault,
+    Statement,
+    SubmissionFiles,
+    find_submissions,
+    read_statement,
+    relative_name,
+    submission_files,
+)
+from gauge_envs.tools.leaderboard.trajectory import differing_scores, rescored, trajectory_faults
 
 Found = Iterator[tuple[str, str]]
 

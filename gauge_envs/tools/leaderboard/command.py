@@ -75,7 +75,7 @@ def leaderboard_table(
 
     from gauge_envs.errors import ResultFileError
     from gauge_envs.files import write_whole
-    from gauge_envs.tools.leaderboard.layout import GENERATED
+    from gauge_envs.tools.leaderboard.submission import GENERATED
     from gauge_envs.tools.leaderboard.words import leaderboard_markdown, leaderboard_records, leaderboard_view
 
     check_one_format(json_lines, markdown)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from gauge_envs.backends.registry import backend
@@ -22,11 +22,12 @@ from gauge_envs.scene.fabrics import (
     shear_stiffness,
     uniaxial_stiffness,
 )
-from gauge_envs.tools.conformance import Lab, Measurement, checks
-from gauge_envs.tools.conformance.cloth_strips import (
+from gauge_envs.tools.conformance import (
     BENT_FREE_M,
+    Lab,
     bending_stiffness,
     cantilever_strip,
+    checks,
     hanging_strip,
     stretch_stiffness,
 )
@@ -70,14 +71,14 @@ class FabricRecipe:
     """
 
     engine: str
-    versions: Mapping[str, str]
+    versions: Mapping[str, str] = field(default_factory=dict)
     name: str
     mapped: EngineConstants
-    stretch_n_per_m: float | None
-    bend_n_m: float | None
-    timestep_s: float | None
-    faults: tuple[str, ...]
-    wall_s: float
+    stretch_n_per_m: float | None = None
+    bend_n_m: float | None = None
+    timestep_s: float | None = None
+    faults: tuple[str, ...] = ()
+    wall_s: float = 0.0
 
     @property
     def asked(self) -> dict[str, float]:
@@ -183,50 +184,39 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     key = fabric_engine(engine)
     mapped = MAPPINGS[key](fabric)
     if key in NOT_SIMULATED:
-        return FabricRecipe(
-            engine=key,
-            versions={},
-            name=name,
-            mapped=mapped,
-            stretch_n_per_m=None,
-            bend_n_m=None,
-            timestep_s=None,
-            faults=(NOT_SIMULATED[key],),
-            wall_s=0.0,
-        )
+        return FabricRecipe(engine=key, name=name, mapped=mapped, faults=(NOT_SIMULATED[key],))
     simulated = backend(key)
     given = dict(SETTINGS.get(key, {})) | ({} if timestep_s is None else {"timestep_s": timestep_s})
     start = time.perf_counter()
     free_m = BENT_SHARE * BENT_FREE_M
     hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
     faults: list[str] = []
-    values: list[float | None] = []
+    values: dict[str, float] = {}
     steps: list[float] = []
     for quantity, scene, cell, measure in (
         ("stretch_n_per_m", hung, {}, stretch_stiffness),
         ("bend_n_m", bent, {"cell_m": free_m / CELLS}, bending_stiffness),
     ):
         lab = Lab(simulated, given | cell)
-        measured: Measurement | None = None
         try:
-            measured = measure(lab.rollout(scene, scene.duration_s))
+            found = measure(lab.rollout(scene))
         except DivergedError as error:
             faults.append(f"{quantity}: the simulation diverges: {error}")
-        if measured is not None and not math.isfinite(measured.measured):
-            faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {measured.hint}")
-            measured = None
-        values.append(None if measured is None else measured.measured)
+        else:
+            if math.isfinite(found.measured):
+                values[quantity] = found.measured
+            else:
+                faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {found.hint}")
         steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
     return FabricRecipe(
         engine=key,
         versions=simulated.versions(),
         name=name,
         mapped=mapped,
-        stretch_n_per_m=values[0],
-        bend_n_m=values[1],
         timestep_s=steps[0],
         faults=tuple(faults),
         wall_s=time.perf_counter() - start,
+        **values,
     )
 
 

@@ -19,11 +19,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.runs.rollout import Rollout, record
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.recipes.closed_forms import friction_of_slide
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance import friction_of_slide
 
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only where friction exceeds 4."""

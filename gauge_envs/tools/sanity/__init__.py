@@ -7,6 +7,7 @@ Example:
     ['inside']
 """
 
+from gauge_envs.backends import Backend
 from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.model import (
     Cause,
@@ -44,4 +45,12 @@ __all__ = [
     "Verdict",
     "check",
     "configuration",
+    "mujoco_warp",
 ]
+
+
+def mujoco_warp() -> Backend:
+    """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+
+    return BackendMuJoCoWarp()
