@@ -33,7 +33,7 @@ from gauge_envs.tools.conformance.cloth_strips import (
     stretch_stiffness,
     strip_of,
 )
-from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, coefficient
 from gauge_envs.tools.conformance.measurements import (
     SLIDE_SLOPE_DEG,
@@ -44,7 +44,7 @@ from gauge_envs.tools.conformance.measurements import (
     slide_acceleration,
     stiffness,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.scene_parts import (
     LIGHT_FABRIC,
     STRETCH_OVER_SHEAR,

@@ -11,7 +11,7 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import (
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
@@ -19,7 +19,7 @@ from gauge_envs.tools.conformance.measurements import (
     largest_mm,
     slide_acceleration,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, fixed_box, ground
 
 # --- friction --------------------------------------------------------------------------------------------------------

@@ -12,9 +12,9 @@ from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, reco
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import largest_mm
-from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.scene_parts import (
     STRIP_ON_ROD,
     ball,

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass
-from functools import wraps
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,7 +15,6 @@ from gauge_envs.backends.settings import check_drive_interval, settings_record
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.scene import Scene
-from gauge_envs.tools.conformance.model import Check, Measurement
 
 T = TypeVar("T")
 
@@ -111,37 +108,6 @@ class Lab:
             return function(self), None, self.settings_in_force
         except Exception as error:
             return None, error, self.settings_in_force
-
-
-@dataclass(frozen=True)
-class Recorded(Generic[T]):
-    """What several checks measure: a scene that a lab builds and records once for all of them.
-
-    Attributes:
-        scene: The scene in words, as in `Check.scene`.
-        record: Function that builds the scene in a lab and returns what it records.
-    """
-
-    scene: str
-    record: Callable[[Lab], T]
-
-    def __call__(self, lab: Lab) -> T:
-        """Return the record of a lab."""
-        return lab.once(self.record)
-
-    def check(self, id: str, **texts: Any) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
-        """Return a decorator that registers a measurement of the record as a check; see `Check` for the texts."""
-
-        def register(measure: Callable[[T], Measurement]) -> Callable[[T], Measurement]:
-            Check(id, scene=self.scene, **texts)(wraps(measure)(lambda lab: measure(self(lab))))
-            return measure
-
-        return register
-
-
-def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
-    """Return a decorator that makes a function of a lab the record of a scene, which is stated in words."""
-    return lambda record: Recorded(scene, record)
 
 
 def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:

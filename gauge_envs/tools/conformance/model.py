@@ -8,14 +8,17 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
 from fnmatch import fnmatchcase
+from functools import wraps
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready
 
 if TYPE_CHECKING:
     from gauge_envs.tools.conformance.lab import Lab
+
+T = TypeVar("T")
 
 FAMILIES = (
     "contract",
@@ -206,7 +209,41 @@ class CheckResult(Outcome):
         return ready
 
 
+check = Check
+"""The same, under a name that reads as a decorator."""
+
 _CHECKS: dict[str, Check] = {}
+
+
+@dataclass(frozen=True)
+class Recorded(Generic[T]):
+    """What several checks measure: a scene that a lab builds and records once for all of them.
+
+    Attributes:
+        scene: The scene in words, as in `Check.scene`.
+        record: Function that builds the scene in a lab and returns what it records.
+    """
+
+    scene: str
+    record: Callable[[Lab], T]
+
+    def __call__(self, lab: Lab) -> T:
+        """Return the record of a lab."""
+        return lab.once(self.record)
+
+    def check(self, id: str, **texts: Any) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
+        """Return a decorator that registers a measurement of the record as a check; see `Check` for the texts."""
+
+        def register(measure: Callable[[T], Measurement]) -> Callable[[T], Measurement]:
+            Check(id, scene=self.scene, **texts)(wraps(measure)(lambda lab: measure(self(lab))))
+            return measure
+
+        return register
+
+
+def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
+    """Return a decorator that makes a function of a lab the record of a scene, which is stated in words."""
+    return lambda record: Recorded(scene, record)
 
 
 def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:

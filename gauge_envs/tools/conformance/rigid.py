@@ -7,10 +7,10 @@ import numpy as np
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Tether
-from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, mean_period_s
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, ground
 
 # --- free fall -------------------------------------------------------------------------------------------------------

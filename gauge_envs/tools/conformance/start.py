@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, recorded
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, torque_free_orientation
 from gauge_envs.tools.conformance.measurements import largest_mm
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)

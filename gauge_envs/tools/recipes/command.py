@@ -79,13 +79,15 @@ def _print_recipe(
     json_lines: bool,
 ) -> None:
     from gauge_envs.tools.recipes import FREE_FRICTION, Aim, engine_settings, find_recipe
-    from gauge_envs.tools.recipes.materials import find_material
     from gauge_envs.tools.recipes.words import material_table, recipe_view
 
     settings = engine_settings(engine)
     friction, restitution, penetration, stiffness, damping = behaviour
-    pair = None if material is None else find_material(material, also=_fabrics())
-    if pair is not None:
+    pair = None
+    if material is not None:
+        from gauge_envs.tools.recipes.materials import find_material
+
+        pair = find_material(material, also=_fabrics())
         mass = pair.mass_kg if mass is None else mass
         friction = pair.friction if friction is None else friction
         if restitution is None and damping is None:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.table import Column, Place, Table, TerminalTable, as_rich
 from gauge_envs.scene.fabrics import Fabric, bending_length_m
-from gauge_envs.tools.recipes import Recipe
-from gauge_envs.tools.recipes.explain import Meaning
-from gauge_envs.tools.recipes.fabrics import FabricRecipe
-from gauge_envs.tools.recipes.materials import MaterialPair
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.recipes import Recipe
+    from gauge_envs.tools.recipes.explain import Meaning
+    from gauge_envs.tools.recipes.fabrics import FabricRecipe
+    from gauge_envs.tools.recipes.materials import MaterialPair
 
 TITLES = {
     "penetration_m": "penetration [m]",

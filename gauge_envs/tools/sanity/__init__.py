@@ -7,7 +7,9 @@ Example:
     ['inside']
 """
 
-from gauge_envs.backends import Backend
+from typing import TYPE_CHECKING
+
+from gauge_envs.tools import door
 from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.model import (
     Cause,
@@ -27,7 +29,11 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.target import Target, configuration
 
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+
 __all__ = [
+    "BackendMuJoCoWarp",
     "Cause",
     "ContactGroup",
     "Cure",
@@ -45,12 +51,7 @@ __all__ = [
     "Verdict",
     "check",
     "configuration",
-    "mujoco_warp",
 ]
 
-
-def mujoco_warp() -> Backend:
-    """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
-    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
-
-    return BackendMuJoCoWarp()
+if not TYPE_CHECKING:  # With it, a type checker would accept any name.
+    __getattr__ = door(__name__, "mujoco_warp_run")

@@ -147,9 +147,9 @@ class MuJoCoWarpSettings(MuJoCoSettings):
     @classmethod
     def backend(cls) -> Backend:
         """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
-        from gauge_envs.tools.sanity import mujoco_warp
+        from gauge_envs.tools.sanity import BackendMuJoCoWarp
 
-        return mujoco_warp()
+        return BackendMuJoCoWarp()
 
     @classmethod
     def searched_on(cls) -> type[ContactSettings]:
