@@ -13,7 +13,7 @@ benchmark runs too. A check is one function that builds a scene and measures one
         law="a = g",
         source="Galilei",
         unit="m/s^2",
-        tolerance=Tolerance(relative=1e-3, rationale="a fall has no model error"),
+        tolerance=Tolerance("a fall has no model error", relative=1e-3),
         diagnosis="check gravity and damping",
     )
     def free_fall(lab: Lab) -> Measurement:

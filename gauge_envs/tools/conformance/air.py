@@ -34,7 +34,7 @@ RATE_PER_M = 0.5 * DENSITY * COEFFICIENT / FABRIC.areal_density_kg_per_m2
 """k [1/m] of a sheet that moves along its normal: 9."""
 
 TOLERANCE = Tolerance(
-    relative=0.02, rationale="a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %"
+    "a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %", relative=0.02
 )
 
 SOURCE = "quadratic drag, Newton's law of resistance"
@@ -157,7 +157,7 @@ def _air_friction(lab: Lab) -> Measurement:
     law="tan a = tan a0 exp(-k w t), k = rho C_l / (2 mass per area)",
     source="lift of a flat plate, C_l sin a cos a (scene.Air)",
     unit="deg",
-    tolerance=Tolerance(relative=0.02, absolute=0.2, rationale="as for the drag; the speed is a difference of places"),
+    tolerance=Tolerance("as for the drag; the speed is a difference of places", relative=0.02, absolute=0.2),
     diagnosis="the lift is perpendicular to the relative velocity and does no work on it",
 )
 def _air_lift(lab: Lab) -> Measurement:
@@ -183,7 +183,7 @@ def _air_lift(lab: Lab) -> Measurement:
     law="T + V <= initial T + V; no part of the force does positive work in still air",
     source="drag opposes the motion, lift is perpendicular to it",
     unit="%",
-    tolerance=Tolerance(absolute=5.0, rationale="masses and speeds of nodes are estimated from their positions"),
+    tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
     diagnosis="a force has the wrong sign, or explicit steps are too long for a light cloth",
 )
 def _air_energy(lab: Lab) -> Measurement:

@@ -73,7 +73,7 @@ def _hanging(lab: Lab) -> Rollout:
     law="Cloth.size_m, Cloth.pose",
     source="contract (Simulation.nodes)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.01, rationale="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
     diagnosis="nodes are world positions in metres; the sheet is centred on its pose, warp along x",
 )
 def _cloth_start(rollout: Rollout) -> Measurement:
@@ -92,7 +92,7 @@ def _cloth_start(rollout: Rollout) -> Measurement:
     law="position in the driven body's frame = const",
     source="contract (scene.Attachment)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
 )
 def _cloth_pinned_edge(lab: Lab) -> Measurement:
@@ -110,8 +110,7 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
     source="uniaxial tension with free transverse edges (scene.Cloth)",
     unit="N/m",
     tolerance=Tolerance(
-        relative=0.02,
-        rationale="nonlinear laws differ by the largest strain, 0.5 % in equilibrium and 1 % at the lowest point",
+        "nonlinear laws differ by the largest strain, 0.5 % in equilibrium and 1 % at the lowest point", relative=0.02
     ),
     diagnosis="check the membrane's constants (K_s is the uniaxial stiffness: K_s = 4 mu (lambda + mu) / (lambda + "
     "2 mu)), the mass of the nodes, and the solver's convergence: without it the strip hangs too low",
@@ -147,7 +146,7 @@ def _sheared(lab: Lab) -> Rollout:
     law="w(s) = rho g (L s - s^2) / (2 K_sh)",
     source="simple shear of a wide sheet (scene.Cloth)",
     unit="N/m",
-    tolerance=Tolerance(relative=0.05, rationale="the free edges and the mesh's diagonals contribute a few per cent"),
+    tolerance=Tolerance("the free edges and the mesh's diagonals contribute a few per cent", relative=0.05),
     diagnosis="check the membrane's shear constant (K_sh = mu if isotropic); springs along mesh edges alone give "
     "K_s / 2 or less",
 )
@@ -179,9 +178,9 @@ def _cantilever(lab: Lab) -> Rollout:
     source="heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py)",
     unit="N m",
     tolerance=Tolerance(
-        relative=0.2,
-        rationale="K_theta belongs to a hinge, and triangulations distribute it differently: the paper's mapping gives "
+        "K_theta belongs to a hinge, and triangulations distribute it differently: the paper's mapping gives "
         "0.88 along grid lines",
+        relative=0.2,
     ),
     diagnosis="check the conversion of K_theta to the constant of an edge (its length, its neighbours' heights), and "
     "that a clamp of 50 mm holds the slope: it must hold two lines of nodes",
@@ -200,7 +199,7 @@ def _cloth_bending(rollout: Rollout) -> Measurement:
     law="T + V <= initial T + V; elastic energy is not negative and starts at 0",
     source="elasticity is passive",
     unit="%",
-    tolerance=Tolerance(absolute=5.0, rationale="masses and speeds of nodes are estimated from their positions"),
+    tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
     diagnosis="the solver makes energy: long steps, too few iterations, or explicit integration of the stiffness",
 )
 def _cloth_energy(rollout: Rollout) -> Measurement:
@@ -242,7 +241,7 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
     source="Coulomb",
     unit="m/s^2",
     tolerance=Tolerance(
-        relative=0.05, rationale="a sheet has many light contacts that flutter: some of them are open at any time"
+        "a sheet has many light contacts that flutter: some of them are open at any time", relative=0.05
     ),
     diagnosis="check the friction of cloth against rigid bodies: engines often take it from one global constant, or "
     "combine it differently from that of rigid pairs",
@@ -260,9 +259,7 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
     law="height = thickness / 2",
     source="contact (scene.Contact), thickness (scene.Cloth)",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=2.0, rationale="twice the real trials' scatter; folding cloth needs a layer of about 2 mm"
-    ),
+    tolerance=Tolerance("twice the real trials' scatter; folding cloth needs a layer of about 2 mm", absolute=2.0),
     diagnosis="it falls through, sinks in, or floats on a collision radius larger than half its thickness",
 )
 def _cloth_rests(rollout: Rollout) -> Measurement:

@@ -72,7 +72,7 @@ def _slide_measurement(rollout: Rollout, name: str, friction: float) -> Measurem
     law="r = const",
     source="contract (scene.Motion)",
     unit="mm",
-    tolerance=Tolerance(absolute=1e-3, rationale="a fixed body does not move; 1 um allows for rounding"),
+    tolerance=Tolerance("a fixed body does not move; 1 um allows for rounding", absolute=1e-3),
     diagnosis="a fixed body must be static; gravity must not act on it",
 )
 def _fixed_body_stays(rollout: Rollout) -> Measurement:
@@ -80,8 +80,7 @@ def _fixed_body_stays(rollout: Rollout) -> Measurement:
 
 
 SLIDE_TOLERANCE = Tolerance(
-    relative=0.01,
-    rationale="real slides scatter by 1.4 to 3 % (wood to metal); the error of an engine must be well below that",
+    "real slides scatter by 1.4 to 3 % (wood to metal); the error of an engine must be well below that", relative=0.01
 )
 SLIDE_DIAGNOSIS = (
     "check how the friction of two surfaces is combined (the contract's is the pair's), the friction cone, and "
@@ -124,7 +123,7 @@ def _slide_smooth(rollout: Rollout) -> Measurement:
     law="y, z in the board's frame = const",
     source="symmetry",
     unit="mm",
-    tolerance=Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
     diagnosis="the cube hops, sinks in or turns: check contact stiffness, contact points and friction anisotropy",
 )
 def _slide_straight(rollout: Rollout) -> Measurement:
@@ -138,9 +137,7 @@ def _slide_straight(rollout: Rollout) -> Measurement:
     law="r = const if tan(slope) < mu",
     source="Coulomb",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=0.1, rationale="real cubes that hold scatter by 0.6 mm; creep must be small in comparison"
-    ),
+    tolerance=Tolerance("real cubes that hold scatter by 0.6 mm; creep must be small in comparison", absolute=0.1),
     diagnosis="static friction is regularized and creeps, or the cube sinks into the board",
 )
 def _hold_check(rollout: Rollout) -> Measurement:
@@ -193,7 +190,7 @@ def _rebound_check(restitution: float) -> None:
         law="v' = -e v",
         source="Newton's law of restitution",
         tolerance=Tolerance(
-            absolute=0.005, rationale="the real ball's ratio scatters by 0.0022 over 22 trials; this is twice as much"
+            "the real ball's ratio scatters by 0.0022 over 22 trials; this is twice as much", absolute=0.005
         ),
         diagnosis="check how restitution enters (coefficient, or damping of the contact), a threshold speed below "
         "which the engine does not rebound, and the step",
@@ -213,7 +210,7 @@ for _restitution in (0.2, 0.5, 0.75, 0.95):
     measures="outgoing over incoming speed of the ball with restitution 0.2",
     law="v' = -e v",
     source="Newton's law of restitution; contract (scene.Contact)",
-    tolerance=Tolerance(absolute=0.005, rationale="as for one ball"),
+    tolerance=Tolerance("as for one ball", absolute=0.005),
     diagnosis="each pair of bodies has its own restitution: check how the engine combines the values of two bodies",
 )
 def _rebound_of_pair(lab: Lab) -> Measurement:
@@ -227,7 +224,7 @@ def _rebound_of_pair(lab: Lab) -> Measurement:
     measures="outgoing over incoming speed of the ball",
     law="v' = 0: a sustained pair has no restitution",
     source="contract (scene.ContactMode)",
-    tolerance=Tolerance(absolute=0.05, rationale="the ball then rises by at most 0.25 % of the drop, 0.13 mm"),
+    tolerance=Tolerance("the ball then rises by at most 0.25 % of the drop, 0.13 mm", absolute=0.05),
     diagnosis="restitution has no effect on a pair of the mode SUSTAINED: give the engine the value 0",
 )
 def _rebound_sustained(lab: Lab) -> Measurement:
@@ -246,7 +243,7 @@ def _rebound_sustained(lab: Lab) -> Measurement:
     measures="outgoing over incoming speed of the ball, at a restitution of 0.5",
     law="v' = -e v at any speed",
     source="Newton's law of restitution",
-    tolerance=Tolerance(absolute=0.01, rationale="twice that of a fast rebound, of which a slow one is the tail"),
+    tolerance=Tolerance("twice that of a fast rebound, of which a slow one is the tail", absolute=0.01),
     diagnosis="where a fast ball rebounds (rebound-0.5), the engine has a threshold speed below which it does not: set "
     "it to 0, or decline restitution",
 )
@@ -271,8 +268,7 @@ def _largest_gain(rollout: Rollout) -> Measurement:
 
 
 ENERGY_TOLERANCE = Tolerance(
-    absolute=1.0,
-    rationale="contacts only dissipate energy; a stiff contact may store 1 %, which is 3 mm of the height of fall",
+    "contacts only dissipate energy; a stiff contact may store 1 %, which is 3 mm of the height of fall", absolute=1.0
 )
 ENERGY_DIAGNOSIS = (
     "the engine makes energy: contacts too stiff for the step, too few solver iterations, or penetration corrections "
@@ -338,7 +334,7 @@ def _pile_energy(rollout: Rollout) -> Measurement:
     measures="highest speed of a box of the pile, over the speed limit of the scene (Scene.speed_limit_m_per_s)",
     law="v <= 3 sqrt(2 g h)",
     source="energy; beyond this bound an episode counts as diverged",
-    tolerance=Tolerance(absolute=1.0, rationale="an environment ends an episode as diverged at higher speeds"),
+    tolerance=Tolerance("an environment ends an episode as diverged at higher speeds", absolute=1.0),
     diagnosis=ENERGY_DIAGNOSIS,
 )
 def _pile_bounds(rollout: Rollout) -> Measurement:
@@ -354,9 +350,9 @@ def _pile_bounds(rollout: Rollout) -> Measurement:
     source="bodies are rigid",
     unit="mm",
     tolerance=Tolerance(
-        absolute=0.5,
-        rationale="the real trials' scatter is about 1 mm. The time of landing is ignored: a soft contact then yields "
+        "the real trials' scatter is about 1 mm. The time of landing is ignored: a soft contact then yields "
         "by speed times its time constant, and recovers",
+        absolute=0.5,
     ),
     diagnosis="contacts are too soft, or boxes tunnel through the plane",
 )

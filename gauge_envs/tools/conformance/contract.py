@@ -137,7 +137,7 @@ def _order_of_names(built: _Built) -> Measurement:
     law="RigidBody.pose",
     source="contract (Backend.build)",
     unit="mm",
-    tolerance=Tolerance(absolute=1e-3, rationale="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=1e-3),
     diagnosis="body_states must give the body origin in metres in the world frame before the first step",
 )
 def _start_position(built: _Built) -> Measurement:
@@ -152,7 +152,7 @@ def _start_position(built: _Built) -> Measurement:
     measures="largest distance of a body's quaternion (w, x, y, z), of either sign, from its start, right after build",
     law="RigidBody.pose",
     source="contract (Simulation.body_states)",
-    tolerance=Tolerance(absolute=1e-5, rationale="a float's rounding is 1e-7"),
+    tolerance=Tolerance("a float's rounding is 1e-7", absolute=1e-5),
     diagnosis="columns 3 to 6 of body_states are a unit quaternion, scalar first, body to world",
 )
 def _start_orientation(built: _Built) -> Measurement:
@@ -177,7 +177,7 @@ def _start_orientation(built: _Built) -> Measurement:
     measures="largest reported speed [m/s] or angular speed [rad/s] right after build",
     law="v = 0, omega = 0",
     source="contract (bodies of this scene start at rest)",
-    tolerance=Tolerance(absolute=1e-9, rationale="no body has moved yet"),
+    tolerance=Tolerance("no body has moved yet", absolute=1e-9),
     diagnosis="build must not step the engine, or must return to the start afterwards",
 )
 def _start_rest(built: _Built) -> Measurement:
@@ -225,7 +225,7 @@ BOUNCES = (
     measures="fall of a brick in nine calls of advance(1/30), over its fall in 54 calls of advance(1/180)",
     law="advance(6 dt) = 6 advance(dt)",
     source="contract (Simulation.advance)",
-    tolerance=Tolerance(absolute=1e-4, rationale="the steps are the same; only rounding differs"),
+    tolerance=Tolerance("the steps are the same; only rounding differs", absolute=1e-4),
     diagnosis="advance(seconds) must simulate any given time: count steps, do not make one step for each call",
 )
 def _time(lab: Lab) -> Measurement:

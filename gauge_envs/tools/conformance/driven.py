@@ -60,7 +60,7 @@ def _slip(rollout: Rollout) -> Measurement:
     measures="reported speed of a plate at constant driven speed, over the prescribed speed",
     law="v = prescribed v",
     source="contract (Simulation.drive)",
-    tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
+    tolerance=Tolerance("friction depends on this velocity; 1 % is the tolerance of a slide", absolute=0.01),
     diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
 )
 def _driven_velocity(rollout: Rollout) -> Measurement:
@@ -76,7 +76,7 @@ def _driven_velocity(rollout: Rollout) -> Measurement:
     law="pose = prescribed pose",
     source="contract (Simulation.drive)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     diagnosis="the pose is set an interval too early or too late, contacts push the driven body, or the backend "
     "ignores the acceleration that drive() gives",
 )
@@ -98,7 +98,7 @@ def _turn_hint(rollout: Rollout) -> str:
     return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
-CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
+CARRY_TOLERANCE = Tolerance("the real trials' scatter is about 1 mm", absolute=1.0)
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
     "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
@@ -142,7 +142,7 @@ def _carry_turn(rollout: Rollout) -> Measurement:
     source="Coulomb",
     unit="m/s^2",
     tolerance=Tolerance(
-        relative=0.02, rationale="1 % as for a slide, and 1 % because the plate's speed changes within an interval"
+        "1 % as for a slide, and 1 % because the plate's speed changes within an interval", relative=0.02
     ),
     diagnosis="friction on a driven body is not that of the pair, or acts on a velocity other than the prescribed one",
 )
@@ -220,7 +220,7 @@ def _relative_speed(rollout: Rollout) -> Measurement:
     law="v = largest speed of the plate",
     source="no restitution, no friction",
     unit="m/s",
-    tolerance=Tolerance(relative=0.02, rationale="a stiff contact may release some elastic energy; 2 % is 1 cm/s"),
+    tolerance=Tolerance("a stiff contact may release some elastic energy; 2 % is 1 cm/s", relative=0.02),
     diagnosis="the driven body moves without velocity, or the contact sticks or rebounds",
 )
 def _pushed_ball(rollout: Rollout) -> Measurement:
@@ -233,7 +233,7 @@ def _pushed_ball(rollout: Rollout) -> Measurement:
     measures="momentum of two floating balls of different mass after their collision, over that before",
     law="m1 v1 + m2 v2 = const",
     source="Newton",
-    tolerance=Tolerance(absolute=1e-3, rationale="only rounding and damping can change it"),
+    tolerance=Tolerance("only rounding and damping can change it", absolute=1e-3),
     diagnosis="the masses are not the scene's, bodies are damped, or the contact acts on one body only",
 )
 def _collision_momentum(rollout: Rollout) -> Measurement:
@@ -247,8 +247,7 @@ def _collision_momentum(rollout: Rollout) -> Measurement:
     law="v2' - v1' = e (v1 - v2)",
     source="Newton's law of restitution",
     tolerance=Tolerance(
-        absolute=0.01,
-        rationale="each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision",
+        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
     ),
     diagnosis="restitution is not that of the pair, or depends on the masses, which is possible for a damped contact",
 )
@@ -262,7 +261,7 @@ def _collision_rebound(rollout: Rollout) -> Measurement:
     measures="relative speed of the two balls after their collision, over that before",
     law="v2' - v1' = e (v1 - v2) at any speed",
     source="Newton's law of restitution",
-    tolerance=Tolerance(absolute=0.01, rationale="as for the fast collision"),
+    tolerance=Tolerance("as for the fast collision", absolute=0.01),
     diagnosis="the engine has a threshold speed below which bodies do not rebound: set it to 0",
 )
 def _collision_slow(rollout: Rollout) -> Measurement:

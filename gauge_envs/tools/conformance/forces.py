@@ -130,7 +130,7 @@ PUSHES = {
     law="a parallel to F",
     source="contract (World.apply_wrench)",
     unit="%",
-    tolerance=Tolerance(absolute=1.0, rationale="nothing acts sideways; a wrong frame gives 30 % and more"),
+    tolerance=Tolerance("nothing acts sideways; a wrong frame gives 30 % and more", absolute=1.0),
     diagnosis="force and torque are in the world frame, force first",
 )
 def _wrench_frame(found: _Push) -> Measurement:
@@ -149,7 +149,7 @@ def _wrench_frame(found: _Push) -> Measurement:
     measures="mean velocity of three boxes along their forces after 0.1 s, over force times time over mass",
     law="m a = F",
     source="Newton; contract (World.apply_wrench)",
-    tolerance=Tolerance(relative=1e-3, rationale="nothing else acts; 0.1 % allows for a step at the start or end"),
+    tolerance=Tolerance("nothing else acts; 0.1 % allows for a step at the start or end", relative=1e-3),
     diagnosis="apply_wrench is ignored, acts for one step or interval only, or the mass is not the scene's",
 )
 def _wrench_force(found: _Push) -> Measurement:
@@ -172,7 +172,7 @@ def _force_hint(measured: float) -> str:
     law="angle = 0",
     source="contract (World.apply_wrench); uniform density (scene.py)",
     unit="deg",
-    tolerance=Tolerance(absolute=0.05, rationale="a lever of 1 mm would rotate it by about 0.3 degrees"),
+    tolerance=Tolerance("a lever of 1 mm would rotate it by about 0.3 degrees", absolute=0.05),
     diagnosis="the force acts at the body origin, or the engine's centre of mass is not that of the volume",
 )
 def _wrench_centre(found: _Push) -> Measurement:
@@ -201,9 +201,7 @@ def _inertia_check(kind: str) -> None:
         "furthest from that of a uniform solid, as a ratio to its largest moment",
         law="I = integral of density (r^2 1 - r r')",
         source="Euler; uniform density (scene.py)",
-        tolerance=Tolerance(
-            absolute=0.02, rationale="1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile"
-        ),
+        tolerance=Tolerance("1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile", absolute=0.02),
         diagnosis="the inertia does not follow from shape and mass: check half and full sizes, the centre of mass to "
         "which it refers, rotated principal axes, and armature",
     )
@@ -283,7 +281,7 @@ for _kind in SHAPES:
     law="v = 0",
     source="contract (World.apply_wrench)",
     unit="m/s",
-    tolerance=Tolerance(absolute=1e-9, rationale="no force acts"),
+    tolerance=Tolerance("no force acts", absolute=1e-9),
     diagnosis="reset must clear applied forces and torques",
 )
 def _wrench_reset(lab: Lab) -> Measurement:
@@ -368,7 +366,7 @@ def _swing_check(kind: str) -> None:
         measures="mean period over 2 s over the expected one, the worst of the three axes",
         law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2)), k^2 = I / m",
         source="physical pendulum, complete elliptic integral",
-        tolerance=Tolerance(absolute=3e-3, rationale="0.3 % of the period is 1 % of the inertia"),
+        tolerance=Tolerance("0.3 % of the period is 1 % of the inertia", absolute=3e-3),
         diagnosis="the inertia or the centre of mass does not follow from the shape, or the hinge's anchor or axis is "
         "elsewhere; check the half sizes, and pieces that are not weighted by volume",
     )

@@ -52,7 +52,7 @@ class Status(StrEnum):
     """The backend raised an exception, its process died, or it exceeded a limit."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Tolerance:
     """Largest difference between a measured and an expected value: `absolute + relative * |expected|`.
 
@@ -65,6 +65,7 @@ class Tolerance:
     """
 
     rationale: str
+    _: KW_ONLY
     absolute: float = 0.0
     relative: float = 0.0
 
@@ -73,8 +74,8 @@ class Tolerance:
         return self.absolute + self.relative * abs(expected)
 
 
-EXACT = Tolerance(rationale="the contract requires equality bit for bit")
-COUNT = Tolerance(rationale="it is a count")
+EXACT = Tolerance("the contract requires equality bit for bit")
+COUNT = Tolerance("it is a count")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -43,8 +43,7 @@ from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins
     source="Euler",
     unit="%",
     tolerance=Tolerance(
-        absolute=1.0,
-        rationale="a tumbling body falls for about 0.3 s before it lands; 1 % of its rotation is then 2 degrees",
+        "a tumbling body falls for about 0.3 s before it lands; 1 % of its rotation is then 2 degrees", absolute=1.0
     ),
     diagnosis="check angular damping, the gyroscopic term, the inertia, and the frame of the angular velocity",
 )
@@ -63,8 +62,7 @@ def _spin_momentum(rollout: Rollout) -> Measurement:
     source="Euler, integrated by scipy's DOP853",
     unit="deg",
     tolerance=Tolerance(
-        absolute=3.0,
-        rationale="it has rotated by several hundred degrees; 1 % is the tolerance of its angular momentum",
+        "it has rotated by several hundred degrees; 1 % is the tolerance of its angular momentum", absolute=3.0
     ),
     diagnosis="the gyroscopic term, the inertia, or the sign or frame of the reported angular velocity is wrong",
 )
@@ -87,7 +85,7 @@ def _spin_orientation(rollout: Rollout) -> Measurement:
     law="centre of mass moves uniformly",
     source="Newton; uniform density (scene.py)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=0.5),
     diagnosis="the centre of mass is not that of the solid's volume: the engine uses the origin of its frame",
 )
 @if_it_spins
@@ -151,7 +149,7 @@ def _centre(rollout: Rollout) -> NDArray[np.float64]:
     law="the two bodies share the axis",
     source="definition (BodyHinge)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the scatter of real starts"),
+    tolerance=Tolerance("a tenth of the scatter of real starts", absolute=0.1),
     diagnosis="check the anchor and the axis in the frame of each body, and the solver's iterations for joints",
 )
 def _hinged_closed(rollout: Rollout) -> Measurement:
@@ -178,7 +176,7 @@ def _hinged_closed(rollout: Rollout) -> Measurement:
     law="the centre of mass falls freely",
     source=SOURCE,
     unit="m/s^2",
-    tolerance=Tolerance(absolute=1e-3 * G, rationale="a fall has no model error, as for a single body (free-fall)"),
+    tolerance=Tolerance("a fall has no model error, as for a single body (free-fall)", absolute=1e-3 * G),
     diagnosis="gravity acts on both bodies, and the hinge pulls both with opposite forces",
 )
 def _hinged_fall(rollout: Rollout) -> Measurement:
@@ -194,7 +192,7 @@ def _hinged_fall(rollout: Rollout) -> Measurement:
     law="L = sum of R I R' omega + m (r - c) x (v - v_c) = const",
     source=SOURCE,
     unit="%",
-    tolerance=Tolerance(absolute=1.0, rationale="as for a single body (spin-momentum)"),
+    tolerance=Tolerance("as for a single body (spin-momentum)", absolute=1.0),
     diagnosis="check the inertia of both bodies, the gyroscopic terms, and that the hinge acts on both at one point",
 )
 def _hinged_momentum(rollout: Rollout) -> Measurement:
@@ -215,7 +213,7 @@ def _hinged_momentum(rollout: Rollout) -> Measurement:
     law="T relative to the centre of mass = const",
     source=SOURCE,
     unit="%",
-    tolerance=Tolerance(absolute=3.0, rationale="1.5 % of the speed with which the blocks turn"),
+    tolerance=Tolerance("1.5 % of the speed with which the blocks turn", absolute=3.0),
     diagnosis="check damping, friction and armature of the hinge, and the integration of joints",
 )
 def _hinged_energy(rollout: Rollout) -> Measurement:
@@ -254,7 +252,7 @@ def scissors_angle_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
     law="(I + m d^2 cos^2 f) f'^2 = const, f half the angle between the blocks",
     source="energy of a symmetric motion, by quadrature",
     unit="deg",
-    tolerance=Tolerance(absolute=3.0, rationale="1 % of the angle, as for a body that spins freely"),
+    tolerance=Tolerance("1 % of the angle, as for a body that spins freely", absolute=3.0),
     diagnosis="check the start rate of the hinge and its sign, its anchor, and damping",
 )
 def _hinged_angle(lab: Lab) -> Measurement:

@@ -51,8 +51,8 @@ def _gravity_hint(measured: float, expected: float) -> str:
 
 
 FALL_TOLERANCE = Tolerance(
+    "a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, and real drops scatter by 1 mm",
     relative=1e-3,
-    rationale="a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, and real drops scatter by 1 mm",
 )
 
 
@@ -93,8 +93,7 @@ def _gravity_of_scene(lab: Lab) -> Measurement:
     source="Galilei",
     unit="mm",
     tolerance=Tolerance(
-        absolute=0.01,
-        rationale="no force acts sideways; 10 um is the rounding of single precision over some hundred steps",
+        "no force acts sideways; 10 um is the rounding of single precision over some hundred steps", absolute=0.01
     ),
     diagnosis="gravity is tilted, world axes are swapped, or another body pushes it",
 )
@@ -110,8 +109,7 @@ def _free_fall_drift(rollout: Rollout) -> Measurement:
     source="Euler's equations without torque",
     unit="deg",
     tolerance=Tolerance(
-        absolute=0.01,
-        rationale="no torque acts; single precision keeps an orientation to about 1e-5 degrees for each step",
+        "no torque acts; single precision keeps an orientation to about 1e-5 degrees for each step", absolute=0.01
     ),
     diagnosis="gravity does not act at the centre of mass, or the orientation is read or set in another convention",
 )
@@ -174,7 +172,7 @@ def _pendulum(lab: Lab) -> Rollout:
     law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2))",
     source="physical pendulum, complete elliptic integral",
     unit="s",
-    tolerance=Tolerance(relative=2e-3, rationale="over the benchmark's 100 periods, 0.2 % is a fifth of a period"),
+    tolerance=Tolerance("over the benchmark's 100 periods, 0.2 % is a fifth of a period", relative=2e-3),
     diagnosis="check the bob's inertia (2/5 m r^2 contributes 2.5 %), the hinge's position, damping and armature",
 )
 def _pendulum_period(rollout: Rollout) -> Measurement:
@@ -196,9 +194,8 @@ def _pendulum_period(rollout: Rollout) -> Measurement:
     source="frictionless hinge (scene.py)",
     unit="%",
     tolerance=Tolerance(
+        "EL, the benchmark's energy score, resolves per cent over 100 s; a loss of 1 % in 3 s would dominate it",
         absolute=1.0,
-        rationale="EL, the benchmark's energy score, resolves per cent over 100 s; a loss of 1 % in 3 s would dominate "
-        "it",
     ),
     diagnosis="energy is lost where the hinge or the body is damped (joint damping, friction, angular damping), and "
     "gained or lost by the integrator where the step is too long",
@@ -222,7 +219,7 @@ def _pendulum_energy(rollout: Rollout) -> Measurement:
     law="|r - anchor| = l",
     source="hinge (scene.py)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.2, rationale="0.1 % of the arm, which is 0.05 % of the period"),
+    tolerance=Tolerance("0.1 % of the arm, which is 0.05 % of the period", absolute=0.2),
     diagnosis="the joint is a soft constraint that yields: stiffen it, or use reduced coordinates",
 )
 def _hinge_radius(rollout: Rollout) -> Measurement:
@@ -254,7 +251,7 @@ def _tether(lab: Lab) -> Rollout:
     law="a = g",
     source="tether (scene.py): it only pulls",
     unit="m/s^2",
-    tolerance=Tolerance(relative=0.01, rationale="the fit is over 23 samples only"),
+    tolerance=Tolerance("the fit is over 23 samples only", relative=0.01),
     diagnosis="the string pushes: the engine models it as a rod or a spring",
 )
 def _tether_slack(rollout: Rollout) -> Measurement:
@@ -273,7 +270,7 @@ def _tether_slack(rollout: Rollout) -> Measurement:
     law="|r - anchor| <= l",
     source="tether (scene.py): inextensible",
     unit="mm",
-    tolerance=Tolerance(relative=0.01, rationale="1 % of the length is 0.5 % of the period"),
+    tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01),
     diagnosis="the string is too soft, or it is missing",
 )
 def _tether_length(rollout: Rollout) -> Measurement:
@@ -303,7 +300,7 @@ def _pairs(lab: Lab) -> Rollout:
     law="a = g",
     source="contract (scene.Contact)",
     unit="m/s^2",
-    tolerance=Tolerance(relative=0.01, rationale="it is a free fall; any contact force is visible"),
+    tolerance=Tolerance("it is a free fall; any contact force is visible", relative=0.01),
     diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene; where "
     "free-fall fails too, it is the fall itself",
 )
@@ -325,7 +322,7 @@ def _contact_unlisted(rollout: Rollout) -> Measurement:
     law="height = 0",
     source="contract (scene.Contact)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.5, rationale="the real trials' scatter is about 1 mm"),
+    tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=0.5),
     diagnosis="the pair does not collide, or the contact is so soft that a body of 0.1 kg sinks in",
 )
 def _contact_listed(rollout: Rollout) -> Measurement:

@@ -131,8 +131,7 @@ def _rest_check(id: str, resting: _Resting) -> None:
         source="sizes of both shapes (scene.Shape)",
         unit="mm",
         tolerance=Tolerance(
-            absolute=0.2,
-            rationale="a fifth of the real trials' scatter; default margins of collision shapes are 0.5 to 40 mm",
+            "a fifth of the real trials' scatter; default margins of collision shapes are 0.5 to 40 mm", absolute=0.2
         ),
         diagnosis=f"the {what} or its support has another size in the engine: check half sizes, the cylinder's axis, "
         "collision margins, contact offsets and rounded edges",
@@ -238,7 +237,7 @@ def _roll_check(id: str, what: str, shape: Shape, radius_m: float, share: float,
         law=law,
         source="rolling without slip; contract (Contact.friction is no rolling friction)",
         unit="m/s^2",
-        tolerance=Tolerance(relative=0.01, rationale="as for a slide; a rolling friction of 0.01 takes 10 % and more"),
+        tolerance=Tolerance("as for a slide; a rolling friction of 0.01 takes 10 % and more", relative=0.01),
         diagnosis="rolling or torsional friction of the engine is not 0, the inertia or the radius is wrong, or "
         "the body is damped",
     )
@@ -273,7 +272,7 @@ _roll_check(
     law="a = g (sin - mu cos)",
     source="Coulomb; scene.Plane (body z is the normal)",
     unit="m/s^2",
-    tolerance=Tolerance(relative=0.01, rationale="as for a slide on a box"),
+    tolerance=Tolerance("as for a slide on a box", relative=0.01),
     diagnosis="check the friction cone (a pyramid has less friction between its axes), how friction is combined, and "
     "that the plane leans: its normal is the body's z axis",
 )

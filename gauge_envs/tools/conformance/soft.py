@@ -63,7 +63,7 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
     law="SoftBody.shape, SoftBody.pose",
     source="contract (Simulation.nodes)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.01, rationale="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
     diagnosis="nodes are world positions in metres, and the outer ones lie on the body's surface",
 )
 def _foam_start(rollout: Rollout) -> Measurement:
@@ -78,8 +78,7 @@ def _foam_start(rollout: Rollout) -> Measurement:
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
     unit="Pa",
     tolerance=Tolerance(
-        relative=0.05,
-        rationale="nonlinear laws differ by the largest strain, 2 % in equilibrium and 4 % at the lowest point",
+        "nonlinear laws differ by the largest strain, 2 % in equilibrium and 4 % at the lowest point", relative=0.05
     ),
     diagnosis="check the conversion of E and nu to the engine's constants, the mass of the nodes, and locking elements",
 )
@@ -95,8 +94,7 @@ def _foam_tension(rollout: Rollout) -> Measurement:
     law="u_x = -nu rho g z x / E",
     source="prismatic bar under its own weight (Timoshenko and Goodier)",
     tolerance=Tolerance(
-        relative=0.1,
-        rationale="transverse displacements are a tenth of a millimetre, and the clamp acts over about one width",
+        "transverse displacements are a tenth of a millimetre, and the clamp acts over about one width", relative=0.1
     ),
     diagnosis="check the engine's second constant (lambda, bulk modulus); with nu = 0 nothing contracts",
 )
@@ -117,7 +115,7 @@ def _foam_poisson(rollout: Rollout) -> Measurement:
     law="position in the driven body's frame = const",
     source="contract (scene.Attachment)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
 )
 def _foam_pinned_face(lab: Lab) -> Measurement:
@@ -178,7 +176,7 @@ def _rope_nodes(rollout: Rollout) -> Measurement:
     law="length = L",
     source="inextensible (scene.Rope)",
     unit="mm",
-    tolerance=Tolerance(relative=0.01, rationale="1 % of the length is 0.5 % of the period"),
+    tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01),
     diagnosis="distance constraints are too soft, or the engine uses Young's modulus for the stretch stiffness",
 )
 def _rope_length(rollout: Rollout) -> Measurement:
@@ -198,7 +196,7 @@ def _rope_length(rollout: Rollout) -> Measurement:
     law="T + V <= initial T + V",
     source="an inextensible rope stores no energy",
     unit="%",
-    tolerance=Tolerance(absolute=5.0, rationale="speeds are differences over 11 ms, and the mass is assumed uniform"),
+    tolerance=Tolerance("speeds are differences over 11 ms, and the mass is assumed uniform", absolute=5.0),
     diagnosis="the solver makes energy: long steps, too few iterations, or constraint corrections that add speed",
 )
 def _rope_energy(rollout: Rollout) -> Measurement:
@@ -240,7 +238,7 @@ def _drooping_rod(lab: Lab) -> Rollout:
     law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
     source="Euler and Bernoulli",
     unit="N m^2",
-    tolerance=Tolerance(relative=0.1, rationale="the clamp of a mesh can be off by half a segment, 3 % of the length"),
+    tolerance=Tolerance("the clamp of a mesh can be off by half a segment, 3 % of the length", relative=0.1),
     diagnosis="check the conversion of E and radius to the bending constant, the mass of the nodes, and that the "
     "clamp holds the slope",
 )

@@ -97,8 +97,7 @@ def _vector_error(
 
 
 DERIVATIVE_TOLERANCE = Tolerance(
-    absolute=2.0,
-    rationale="central differences over 11 ms are 0.3 % off at this spin; a wrong frame or sign gives 10 to 200 %",
+    "central differences over 11 ms are 0.3 % off at this spin; a wrong frame or sign gives 10 to 200 %", absolute=2.0
 )
 
 

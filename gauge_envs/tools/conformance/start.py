@@ -78,9 +78,7 @@ def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[ND
     law="r = r0 + v0 t",
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=0.1, rationale="nothing acts; single precision rounds each of some hundred steps to 0.1 um"
-    ),
+    tolerance=Tolerance("nothing acts; single precision rounds each of some hundred steps to 0.1 um", absolute=0.1),
     diagnosis="build() and reset() must give each dynamic body the linear velocity of the scene, in the world frame",
 )
 def _start_velocity(rollout: Rollout) -> Measurement:
@@ -102,7 +100,7 @@ def _start_velocity(rollout: Rollout) -> Measurement:
     source="Euler, integrated by scipy's DOP853; RigidBody.angular_velocity_rad_per_s (scene.py)",
     unit="deg",
     tolerance=Tolerance(
-        absolute=3.0, rationale="it rotates by 180 degrees; the tolerance is that of the free rotation after a hit"
+        "it rotates by 180 degrees; the tolerance is that of the free rotation after a hit", absolute=3.0
     ),
     diagnosis="build() and reset() must give each dynamic body the angular velocity of the scene, in the world frame; "
     "where start-velocity-reset passes, check the frame of the inertia and the gyroscopic term",
@@ -137,9 +135,7 @@ def _start_spin(rollout: Rollout) -> Measurement:
     law="r_c = r_c0 + (v0 + omega0 x R c) t",
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=0.5, rationale="the real trials' scatter is about 1 mm; a wrong point gives over 100 mm"
-    ),
+    tolerance=Tolerance("the real trials' scatter is about 1 mm; a wrong point gives over 100 mm", absolute=0.5),
     diagnosis="the scene's linear velocity is that of the body origin; engines often expect that of the centre of mass",
 )
 def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
@@ -159,7 +155,7 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     "reset that follows 0.1 s of flight",
     law="v = v0, omega = omega0",
     source="contract (Simulation.reset)",
-    tolerance=Tolerance(absolute=1e-4, rationale="m/s and rad/s; single precision keeps seven digits"),
+    tolerance=Tolerance("m/s and rad/s; single precision keeps seven digits", absolute=1e-4),
     diagnosis="reset() must write the velocities of the scene again, and body_states must report them at once",
 )
 def _start_velocity_reset(lab: Lab) -> Measurement:

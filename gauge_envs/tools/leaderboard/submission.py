@@ -126,10 +126,13 @@ class SubmissionFiles:
     faults: list[Fault] = field(default_factory=list)
 
     def sha256(self, folder: Path) -> str:
-        """Return a hash over names and contents of all files, which changes with any of them."""
+        """Return a hash over names and contents of all files, which changes with any; empty if one cannot be read."""
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
-            content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+            try:
+                content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+            except OSError:
+                return ""
             digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
         return digest.hexdigest()
 
