@@ -31,7 +31,7 @@ from gauge_envs.tools import door
 
 if TYPE_CHECKING:
     from gauge_envs.runs.rollout import Rollout
-    from gauge_envs.tools.conformance.cloth_strips import (
+    from gauge_envs.tools.conformance.cloth import (
         BENT_FREE_M,
         bending_stiffness,
         cantilever_strip,
@@ -65,4 +65,4 @@ __all__ = [
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth_strips")
+    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth")

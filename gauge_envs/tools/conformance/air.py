@@ -46,8 +46,6 @@ def _free_sheet(lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float) 
     return lab.rollout(scene)
 
 
-# --- terminal velocity -----------------------------------------------------------------------------------------------
-
 FALL_S, SETTLED_S = 0.8, 0.6
 
 
@@ -74,8 +72,6 @@ def _air_terminal(lab: Lab) -> Measurement:
     ratio = (expected / speed) ** 2 if speed > 0.0 else math.inf
     return Measurement(measured=speed, expected=expected, hint=f"the drag is {ratio:.3g} times that of the law")
 
-
-# --- wind ------------------------------------------------------------------------------------------------------------
 
 WIND_M_PER_S, INCIDENCE_DEG = 2.0, 40.0
 DRAG_S = 0.25
@@ -170,9 +166,6 @@ def _air_lift(lab: Lab) -> Measurement:
     lost = 1.0 - math.hypot(along, across) / WIND_M_PER_S
     hint = f"the relative speed changes by {-100.0 * lost:.3g} %: the lift does work" if abs(lost) > 0.02 else ""
     return Measurement(measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint)
-
-
-# --- energy ----------------------------------------------------------------------------------------------------------
 
 
 @Check(

@@ -144,7 +144,7 @@ def _all_bodies_move(lab: Lab) -> Measurement:
     )
     rollout = lab.rollout(Scene(bodies=bodies, duration_s=0.3))
     expected = 0.5 * G * 0.3**2
-    fallen = {name: -float(rollout.displacement(name)[-1, 2]) for name in KINDS}
+    fallen = {name: 0.0 - float(rollout.displacement(name)[-1, 2]) for name in KINDS}
     wrong = [name for name, fall in fallen.items() if not abs(fall - expected) < 0.02 * expected]
     hint = "; ".join(f"the {name} fell {fallen[name]:.3g} m instead of {expected:.3g} m" for name in wrong)
     return Measurement(measured=len(KINDS) - len(wrong), expected=len(KINDS), hint=hint)

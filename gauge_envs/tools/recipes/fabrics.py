@@ -98,14 +98,9 @@ class FabricRecipe:
         """Stiffness of the simulated strips by name; None for what was not simulated."""
         length = None
         if self.bend_n_m is not None and self.bend_n_m > 0.0:
-            weight = self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
-            length = math.cbrt(self.bend_n_m / weight)
-        return {
-            "stretch_n_per_m": self.stretch_n_per_m,
-            "shear_n_per_m": None,
-            "bend_n_m": self.bend_n_m,
-            "bending_length_m": length,
-        }
+            length = math.cbrt(self.bend_n_m / (self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
+        values = (self.stretch_n_per_m, None, self.bend_n_m, length)
+        return dict(zip(("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m"), values, strict=True))
 
     @property
     def mapping_gives(self) -> dict[str, float]:
@@ -121,12 +116,11 @@ class FabricRecipe:
     @property
     def misses(self) -> tuple[str, ...]:
         """Simulated values beyond the tolerances of the conformance checks of cloth."""
-        widths = {"stretch_n_per_m": "cloth-stretch", "bend_n_m": "cloth-bending"}
         found: list[str] = []
-        for key, name in widths.items():
+        for key, name in (("stretch_n_per_m", "cloth-stretch"), ("bend_n_m", "cloth-bending")):
             value, target = self.reached[key], self.asked[key]
-            tolerance = checks((name,))[0].tolerance
-            if value is not None and not abs(value - target) <= tolerance.relative * target:
+            width = checks((name,))[0].tolerance.width(target)
+            if value is not None and not abs(value - target) <= width:
                 found.append(key)
         return tuple(found)
 
@@ -220,24 +214,30 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     )
 
 
+SNIPPETS = {
+    "newton": """\
+builder.add_cloth_mesh(
+    ...,
+    density={density},
+    tri_ke={tri_ke},
+    tri_ka={tri_ka},
+    edge_ke={edge_ke_times_mean_edge_length} / mean_edge_length,  # mean length of the edges of your mesh [m]
+)
+""",
+    "mujoco": """\
+<elasticity young="{young}" poisson="{poisson}" thickness="{thickness}" elastic2d="both"/>
+<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->
+""",
+    "genesis": "material = gs.materials.PBD.Cloth(rho={density}, {constants})\n",
+}
+"""Constants in the engine's own language."""
+
+
 def fabric_snippet(mapped: EngineConstants) -> str:
     """Return the constants of a fabric in the engine's own language."""
     given = {name: f"{value:.6g}" for name, value in mapped.constants.items()}
-    if mapped.engine == "newton":
-        bend = given["edge_ke_times_mean_edge_length"]
-        return (
-            "builder.add_cloth_mesh(\n"
-            f"    ...,\n    density={mapped.fabric.areal_density_kg_per_m2:.6g},\n"
-            f"    tri_ke={given['tri_ke']},\n    tri_ka={given['tri_ka']},\n"
-            f"    edge_ke={bend} / mean_edge_length,  # mean length of the edges of your mesh [m]\n)\n"
-        )
-    if mapped.engine == "mujoco":
-        return (
-            f'<elasticity young="{given["young"]}" poisson="{given["poisson"]}" thickness="{given["thickness"]}" '
-            'elastic2d="both"/>\n'
-            "<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->\n"
-        )
-    if mapped.engine == "genesis":
-        names = ", ".join(f"{name}={value}" for name, value in given.items())
-        return f"material = gs.materials.PBD.Cloth(rho={mapped.fabric.areal_density_kg_per_m2:.6g}, {names})\n"
-    return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
+    if mapped.engine not in SNIPPETS:
+        return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
+    constants = ", ".join(f"{name}={value}" for name, value in given.items())
+    density = f"{mapped.fabric.areal_density_kg_per_m2:.6g}"
+    return SNIPPETS[mapped.engine].format(density=density, constants=constants, **given)

@@ -1,8 +1,8 @@
 """Which check catches each planted fault first, and what its diagnosis says, as a Markdown table.
 
-    python benchmarks/mutations.py
-    python benchmarks/mutations.py --backend newton --only "rope-*" --only margin
-    python benchmarks/mutations.py --backend genesis --own-check --only "cloth-*"
+    python benchmarks/planted_faults.py
+    python benchmarks/planted_faults.py --backend newton --only "rope-*" --only margin
+    python benchmarks/planted_faults.py --backend genesis --own-check --only "cloth-*"
 
 With `--own-check`, each mutant runs the one check that is stored with its fault. Exit code 1 when a fault survives.
 Faults of MuJoCo's model are left out on another backend.
