@@ -93,6 +93,7 @@ def test_cloth_that_drifts_with_the_wind_feels_no_force() -> None:
     assert simulation.nodes("cloth") - start == pytest.approx(np.tile(0.1 * np.array(wind), (len(start), 1)), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
     """One stiff cell that hangs from an edge: theta'' = -w^2 theta - b |theta'| theta'.
 

@@ -331,6 +331,7 @@ def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
 # --- held edges ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_flung_cloth_stays_on_its_rod() -> None:
     bench = Bench(load_experiment("TextileFlinging-satin").scene)
     part, start = bench.parts[0]["textile"], bench.scene.body("rod").pose
@@ -350,6 +351,7 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
     np.testing.assert_allclose(state.body_qd.numpy()[0], velocity, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_reset_and_restore_repeat_bit_for_bit() -> None:
     bench = Bench(load_experiment("TextileFlinging-satin").scene)
     first = bench.play(0.1)
@@ -363,6 +365,7 @@ def test_reset_and_restore_repeat_bit_for_bit() -> None:
     assert np.array_equal(bench.play(0.1), later)
 
 
+@pytest.mark.slow
 def test_two_worlds_are_alike_and_do_not_touch() -> None:
     alone = Bench(load_experiment("TextileFlinging-satin").scene).play(0.1)
     both = Bench(load_experiment("TextileFlinging-satin").scene, worlds=2)
@@ -417,6 +420,7 @@ def test_cloth_slides_down_a_slope_as_coulomb_says(friction: float) -> None:
     assert abs(way[2]) < 1e-4
 
 
+@pytest.mark.slow
 def test_cloth_stays_on_a_slope_that_holds_it() -> None:
     scene = on_a_slope(0.8, 30.0)
     bench = Bench(scene)
@@ -433,6 +437,7 @@ def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
     assert bench.nodes()[:, 2].max() < -0.15
 
 
+@pytest.mark.slow
 def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
     ball = body("ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085)))
     scene = Scene(
@@ -459,6 +464,7 @@ def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
     assert sag_m(scene, full_surface=False) == pytest.approx(free, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_cloth_rests_on_cloth() -> None:
     """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
     corners = body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))
