@@ -27,6 +27,8 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
 from gauge_envs.tools.conformance.measurements import (
+    ATTACHED,
+    NODES,
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
     attachment_error,
@@ -35,7 +37,7 @@ from gauge_envs.tools.conformance.measurements import (
     slide_acceleration,
     stiffness,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
 from gauge_envs.tools.conformance.scene_parts import (
     LIGHT_FABRIC,
     STRETCH_OVER_SHEAR,
@@ -57,9 +59,6 @@ BENT_FREE_M = 0.15
 BENT_S, SETTLED_SHARE = 1.3, 0.35 / 1.3
 BENT_GRAVITY = 0.2 * G
 
-
-HUNG_FABRIC = LIGHT_FABRIC
-"""Fabric of the check of tension: it sags by 0.8 mm, its largest strain is 0.5 %, and its period 51 ms."""
 
 BENT_FABRIC = fabric(0.2, 110.0, 6.2e-3)
 """Fabric of the check of bending: at a fifth of gravity it sags by 4 mm on 150 mm, with a period of 0.23 s.
@@ -101,17 +100,6 @@ def hanging_strip(made_of: Fabric) -> Scene:
     return clamped(cloth, Region(axis="x", side="high"), duration_s=0.8)
 
 
-def stretch_stiffness(rollout: Rollout) -> Measurement:
-    """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
-    cloth = strip_of(rollout)
-    rest, now = equilibrium(rollout, 0.2)
-    s = 0.5 * HANG_M - rest[:, 0]
-    free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
-    slope = coefficient((rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
-    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
-    return stiffness(load, slope, cloth.stretch_stiffness_n_per_m, "stretches")
-
-
 def cantilever_strip(made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: float = 1.0) -> Scene:
     """Return a horizontal strip that is clamped at one end.
 
@@ -137,26 +125,11 @@ def cantilever_strip(made_of: Fabric, free_m: float = BENT_FREE_M, *, height_m: 
     )
 
 
-def bending_stiffness(rollout: Rollout) -> Measurement:
-    """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
-    cloth = strip_of(rollout)
-    rest, now = equilibrium(rollout, SETTLED_SHARE * rollout.scene.duration_s)
-    free_m = cloth.size_m[0] / (1.0 + CLAMP_SHARE)
-    s = rest[:, 0] + 0.5 * cloth.size_m[0] - CLAMP_SHARE * free_m
-    # Nodes are weighted by area, like the load, since a mesh's diagonals make its lines of nodes wavy.
-    shares = node_shares(rest, cloth.size_m)
-    slope = cantilever_load_over_stiffness(s, (rest - now)[:, 2], length_m=free_m, weights=shares)
-    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
-    return stiffness(load, slope, cloth.bend_stiffness_n_m_per_rad, "bends")
-
-
 # --- checks ----------------------------------------------------------------------------------------------------------
 
 
-@recorded("a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge")
-def _hanging(lab: Lab) -> Rollout:
-    """Record a strip that hangs from its upper edge."""
-    return lab.rollout(hanging_strip(HUNG_FABRIC))
+_hanging = rollout_of("a strip of cloth, 0.3 m by 0.075 m, that hangs from its upper edge", hanging_strip(LIGHT_FABRIC))
+"""It sags by 0.8 mm, its largest strain is 0.5 %, and its period 51 ms."""
 
 
 @_hanging.check(
@@ -164,9 +137,7 @@ def _hanging(lab: Lab) -> Rollout:
     title="cloth, start",
     measures="largest distance between the sheet's edges and the bounding box of its nodes, in its frame, at the start",
     law="Cloth.size_m, Cloth.pose",
-    source="contract (Simulation.nodes)",
-    unit="mm",
-    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
+    **NODES,
     diagnosis="nodes are world positions in metres; the sheet is centred on its pose, warp along x",
 )
 def _cloth_start(rollout: Rollout) -> Measurement:
@@ -179,11 +150,7 @@ def _cloth_start(rollout: Rollout) -> Measurement:
     title="cloth, attached edge follows its driven body",
     scene=STRIP_ON_ROD,
     measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
-    law="position in the driven body's frame = const",
-    source="contract (scene.Attachment)",
-    unit="mm",
-    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
-    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+    **ATTACHED,
 )
 def _cloth_pinned_edge(lab: Lab) -> Measurement:
     return attachment_error(lab.rollout(strip_on_rod(), 0.5), "cloth")
@@ -202,8 +169,15 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
     diagnosis="check the membrane's constants (K_s is the uniaxial stiffness: K_s = 4 mu (lambda + mu) / (lambda + "
     "2 mu)), the mass of the nodes, and the solver's convergence: without it the strip hangs too low",
 )
-def _cloth_stretch(rollout: Rollout) -> Measurement:
-    return stretch_stiffness(rollout)
+def stretch_stiffness(rollout: Rollout) -> Measurement:
+    """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
+    cloth = strip_of(rollout)
+    rest, now = equilibrium(rollout, 0.2)
+    s = 0.5 * HANG_M - rest[:, 0]
+    free = s > HANG_WIDTH_M - PLACE_TOLERANCE_M
+    slope = coefficient((rest - now)[free, 0], (HANG_M * s - 0.5 * s**2)[free], np.ones(free.sum()))
+    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
+    return stiffness(load, slope, cloth.stretch_stiffness_n_per_m, "stretches")
 
 
 SPAN_M, HEIGHT_M = 0.1, 0.4
@@ -246,10 +220,9 @@ def _cloth_shear(rollout: Rollout) -> Measurement:
     return stiffness(SHEAR_DENSITY * G, slope, SHEAR_STRETCH / STRETCH_OVER_SHEAR, "shears")
 
 
-@recorded("a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity")
-def _cantilever(lab: Lab) -> Rollout:
-    """Record a horizontal strip that is clamped at one end, at a fifth of gravity."""
-    return lab.rollout(cantilever_strip(BENT_FABRIC))
+_cantilever = rollout_of(
+    "a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity", cantilever_strip(BENT_FABRIC)
+)
 
 
 @_cantilever.check(
@@ -267,8 +240,17 @@ def _cantilever(lab: Lab) -> Rollout:
     diagnosis="check the conversion of K_theta to the constant of an edge (its length, its neighbours' heights), and "
     "that a clamp of 50 mm holds the slope: it must hold two lines of nodes",
 )
-def _cloth_bending(rollout: Rollout) -> Measurement:
-    return bending_stiffness(rollout)
+def bending_stiffness(rollout: Rollout) -> Measurement:
+    """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
+    cloth = strip_of(rollout)
+    rest, now = equilibrium(rollout, SETTLED_SHARE * rollout.scene.duration_s)
+    free_m = cloth.size_m[0] / (1.0 + CLAMP_SHARE)
+    s = rest[:, 0] + 0.5 * cloth.size_m[0] - CLAMP_SHARE * free_m
+    # Nodes are weighted by area, like the load, since a mesh's diagonals make its lines of nodes wavy.
+    shares = node_shares(rest, cloth.size_m)
+    slope = cantilever_load_over_stiffness(s, (rest - now)[:, 2], length_m=free_m, weights=shares)
+    load = cloth.areal_density_kg_per_m2 * rollout.scene.gravity_m_per_s2
+    return stiffness(load, slope, cloth.bend_stiffness_n_m_per_rad, "bends")
 
 
 @_cantilever.check(
@@ -293,7 +275,7 @@ SLOPE = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, SLIDE_SLOPE_DEG, 0.0))
 
 @recorded("a sheet of cloth on a fixed slab that leans by 30 degrees; friction 0.3")
 def _sliding(lab: Lab) -> Rollout:
-    """Record a sheet on a slab tilted by 30 degrees; its mid-plane starts half its thickness above the slab."""
+    # The mid-plane starts half the thickness above the slab.
     start = SLOPE.to_world(np.array([-0.3, 0.0, 0.5 * SLAB_M[2] + 0.5e-3]))
     pose = Pose(position_m=vector(start), quaternion=SLOPE.quaternion)
     scene = Scene(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +20,7 @@ from gauge_envs.tools.conformance.measurements import (
     largest_mm,
     slide_acceleration,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
 from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, fixed_box, ground
 
 # --- friction --------------------------------------------------------------------------------------------------------
@@ -28,8 +29,8 @@ CUBE_M = 0.05
 BOARD_THICKNESS_M = 0.02
 
 
-def _on_slope(lab: Lab, slope_deg: float, frictions: dict[str, float], seconds: float) -> Rollout:
-    """Record cubes side by side on a board tilted about y, each with its own friction; the board's x is downhill."""
+def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float) -> Scene:
+    """Return cubes side by side on a board tilted about y, each with its own friction; the board's x is downhill."""
     board = fixed_box("board", (0.0, 0.0, 1.0), (1.2, 0.6, BOARD_THICKNESS_M), euler_deg=(0.0, slope_deg, 0.0))
     height = 0.5 * (CUBE_M + BOARD_THICKNESS_M)
     cubes = []
@@ -38,7 +39,7 @@ def _on_slope(lab: Lab, slope_deg: float, frictions: dict[str, float], seconds: 
         pose = Pose(position_m=vector(place), quaternion=board.pose.quaternion)
         cubes.append(body(name, Box(size_m=(CUBE_M,) * 3), pose))
     contacts = tuple(contact(name, "board", friction=friction) for name, friction in frictions.items())
-    return lab.rollout(Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds))
+    return Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds)
 
 
 def _along_slope(rollout: Rollout, name: str) -> NDArray[np.float64]:
@@ -47,22 +48,13 @@ def _along_slope(rollout: Rollout, name: str) -> NDArray[np.float64]:
     return np.asarray(board.apply(rollout.displacement(name), inverse=True))
 
 
-@recorded("two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees")
-def _slide(lab: Lab) -> Rollout:
-    return _on_slope(lab, SLIDE_SLOPE_DEG, {"smooth": 0.1, "rough": 0.3}, 0.5)
-
-
-@recorded("a cube with friction 0.25 on a fixed board that leans by 10 degrees")
-def _hold(lab: Lab) -> Rollout:
-    return _on_slope(lab, 10.0, {"cube": 0.25}, 0.3)
-
-
-def _slide_measurement(rollout: Rollout, name: str, friction: float) -> Measurement:
-    along = _along_slope(rollout, name)
-    found = slide_acceleration(acceleration_m_per_s2(rollout.times_s, along[:, 0]), friction)
-    if along[-1, 2] < -0.1:
-        return replace(found, hint="it falls through the board: the pair has no contact")
-    return found
+_slide = rollout_of(
+    "two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
+    _on_slope(SLIDE_SLOPE_DEG, {"smooth": 0.1, "rough": 0.3}, 0.5),
+)
+_hold = rollout_of(
+    "a cube with friction 0.25 on a fixed board that leans by 10 degrees", _on_slope(10.0, {"cube": 0.25}, 0.3)
+)
 
 
 @_slide.check(
@@ -79,41 +71,47 @@ def _fixed_body_stays(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.displacement("board")))
 
 
-SLIDE_TOLERANCE = Tolerance(
-    "real slides scatter by 1.4 to 3 % (wood to metal); the error of an engine must be well below that", relative=0.01
-)
+def _slide_check(id: str, name: str, friction: float, **texts: str) -> None:
+    @_slide.check(
+        id,
+        law="a = g (sin 30 - mu cos 30)",
+        unit="m/s^2",
+        tolerance=Tolerance(
+            "real slides scatter by 1.4 to 3 % (wood to metal); the error of an engine must be well below that",
+            relative=0.01,
+        ),
+        **texts,
+    )
+    def measure(rollout: Rollout) -> Measurement:
+        along = _along_slope(rollout, name)
+        found = slide_acceleration(acceleration_m_per_s2(rollout.times_s, along[:, 0]), friction)
+        if along[-1, 2] < -0.1:
+            return replace(found, hint="it falls through the board: the pair has no contact")
+        return found
+
+
 SLIDE_DIAGNOSIS = (
     "check how the friction of two surfaces is combined (the contract's is the pair's), the friction cone, and "
     "regularized friction"
 )
-
-
-@_slide.check(
+_slide_check(
     "slide",
+    "rough",
+    0.3,
     title="slide on 30 degrees",
     measures="acceleration downhill of a cube with friction 0.3, quadratic fit over 0.5 s",
-    law="a = g (sin 30 - mu cos 30)",
     source="Coulomb",
-    unit="m/s^2",
-    tolerance=SLIDE_TOLERANCE,
     diagnosis=SLIDE_DIAGNOSIS,
 )
-def _slide_rough(rollout: Rollout) -> Measurement:
-    return _slide_measurement(rollout, "rough", 0.3)
-
-
-@_slide.check(
+_slide_check(
     "slide-of-pair",
+    "smooth",
+    0.1,
     title="friction is the pair's",
     measures="acceleration downhill of a second cube, with friction 0.1, on the same board",
-    law="a = g (sin 30 - mu cos 30)",
     source="Coulomb; contract (scene.Contact)",
-    unit="m/s^2",
-    tolerance=SLIDE_TOLERANCE,
     diagnosis="each pair of bodies has its own friction; " + SLIDE_DIAGNOSIS,
 )
-def _slide_smooth(rollout: Rollout) -> Measurement:
-    return _slide_measurement(rollout, "smooth", 0.1)
 
 
 @_slide.check(
@@ -151,13 +149,12 @@ REBOUND_FALLS = 2.1
 """Recorded time over the time of the fall."""
 
 
-def _dropped(lab: Lab, restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity: float = G) -> Rollout:
-    """Record balls side by side that drop on a plane, each with its own restitution."""
+def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity: float = G) -> Scene:
+    """Return balls side by side that drop on a plane, each with its own restitution."""
     seconds = REBOUND_FALLS * float(np.sqrt(2.0 * drop_m / gravity))
     balls = (ball(name, (0.3 * index, 0.0, RADIUS_M + drop_m)) for index, name in enumerate(restitutions))
-    contacts = (contact(name, "ground", friction=0.5, restitution=value) for name, value in restitutions.items())
-    scene = Scene(bodies=(*balls, ground()), contacts=tuple(contacts), duration_s=seconds, gravity_m_per_s2=gravity)
-    return lab.rollout(scene)
+    contacts = tuple(contact(name, "ground", friction=0.5, restitution=value) for name, value in restitutions.items())
+    return Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=seconds, gravity_m_per_s2=gravity)
 
 
 def _ratio_of_speeds(
@@ -181,99 +178,90 @@ def _ratio_of_speeds(
     return Measurement(measured=float(np.sqrt(outgoing) / incoming), expected=restitution)
 
 
-def _rebound_check(restitution: float) -> None:
-    @Check(
-        f"rebound-{restitution:g}",
-        title=f"rebound, e = {restitution:g}",
+def _rebound_check(
+    id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M, **texts: Any
+) -> None:
+    common = {"measures": "outgoing over incoming speed of the ball", "source": "Newton's law of restitution"}
+
+    @Check(id, **({"law": "v' = -e v"} | common | texts))
+    def measure(lab: Lab) -> Measurement:
+        return _ratio_of_speeds(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
+
+
+for _restitution in (0.2, 0.5, 0.75, 0.95):
+    _rebound_check(
+        f"rebound-{_restitution:g}",
+        _dropped({"ball": _restitution}),
+        _restitution,
+        title=f"rebound, e = {_restitution:g}",
         scene=f"a ball of radius 30 mm dropped by {DROP_M:g} m on a plane",
         measures=f"outgoing over incoming speed of a ball dropped by {DROP_M:g} m on a plane",
-        law="v' = -e v",
-        source="Newton's law of restitution",
         tolerance=Tolerance(
             "the real ball's ratio scatters by 0.0022 over 22 trials; this is twice as much", absolute=0.005
         ),
         diagnosis="check how restitution enters (coefficient, or damping of the contact), a threshold speed below "
         "which the engine does not rebound, and the step",
     )
-    def measure(lab: Lab) -> Measurement:
-        return _ratio_of_speeds(_dropped(lab, {"ball": restitution}), restitution)
-
-
-for _restitution in (0.2, 0.5, 0.75, 0.95):
-    _rebound_check(_restitution)
-
-
-@Check(
+_rebound_check(
     "rebound-of-pair",
+    _dropped({"lively": 0.75, "dull": 0.2}),
+    0.2,
+    name="dull",
     title="restitution is the pair's",
     scene="two balls dropped by 0.4 m on one plane, with restitutions 0.75 and 0.2",
     measures="outgoing over incoming speed of the ball with restitution 0.2",
-    law="v' = -e v",
     source="Newton's law of restitution; contract (scene.Contact)",
     tolerance=Tolerance("as for one ball", absolute=0.005),
     diagnosis="each pair of bodies has its own restitution: check how the engine combines the values of two bodies",
 )
-def _rebound_of_pair(lab: Lab) -> Measurement:
-    return _ratio_of_speeds(_dropped(lab, {"lively": 0.75, "dull": 0.2}), 0.2, name="dull")
-
-
-@Check(
+_rebound_check(
     "rebound-sustained",
+    Scene(
+        bodies=(ball("ball", (0.0, 0.0, RADIUS_M + LOW_DROP_M)), ground()),
+        contacts=(Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.8),),
+        duration_s=0.3,
+    ),
+    0.0,
+    drop_m=LOW_DROP_M,
     title="sustained pair does not rebound",
     scene="a ball dropped by 50 mm on a plane, with restitution 0.8 and the mode of sustained contacts",
-    measures="outgoing over incoming speed of the ball",
     law="v' = 0: a sustained pair has no restitution",
     source="contract (scene.ContactMode)",
     tolerance=Tolerance("the ball then rises by at most 0.25 % of the drop, 0.13 mm", absolute=0.05),
     diagnosis="restitution has no effect on a pair of the mode SUSTAINED: give the engine the value 0",
 )
-def _rebound_sustained(lab: Lab) -> Measurement:
-    scene = Scene(
-        bodies=(ball("ball", (0.0, 0.0, RADIUS_M + LOW_DROP_M)), ground()),
-        contacts=(Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.8),),
-        duration_s=0.3,
-    )
-    return _ratio_of_speeds(lab.rollout(scene), 0.0, drop_m=LOW_DROP_M)
-
-
-@Check(
+_rebound_check(
     "rebound-slow",
+    _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1),
+    0.5,
+    drop_m=LOW_DROP_M,
     title="slow rebound",
     scene="a ball dropped by 50 mm on a plane at a gravity of 0.1 m/s^2, so that it lands with 0.1 m/s",
     measures="outgoing over incoming speed of the ball, at a restitution of 0.5",
     law="v' = -e v at any speed",
-    source="Newton's law of restitution",
     tolerance=Tolerance("twice that of a fast rebound, of which a slow one is the tail", absolute=0.01),
     diagnosis="where a fast ball rebounds (rebound-0.5), the engine has a threshold speed below which it does not: set "
     "it to 0, or decline restitution",
 )
-def _rebound_slow(lab: Lab) -> Measurement:
-    rollout = _dropped(lab, {"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1)
-    return _ratio_of_speeds(rollout, 0.5, drop_m=LOW_DROP_M)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
 
 
-def _largest_gain(rollout: Rollout) -> Measurement:
-    """Measure the gain of kinetic and potential energy of the dynamic boxes above z = 0, over the initial one [%]."""
-    energy = np.zeros(len(rollout.times_s))
-    for one in rollout.scene.dynamic_bodies:
-        states, spin = rollout.states[one.name], rollout.angular_velocity(one.name)
-        energy += 0.5 * np.einsum("ti,tij,tj->t", spin, inertia_kg_m2(rollout, one.name), spin)
-        energy += one.mass_kg * (0.5 * np.square(states[:, 7:10]).sum(axis=1) + G * states[:, 2])
-    gain = 100.0 * float((energy - energy[0]).max() / energy[0])
-    at = float(rollout.times_s[int(energy.argmax())])
-    return Measurement(measured=gain, hint=f"the energy is highest at {at:.3g} s")
-
-
-ENERGY_TOLERANCE = Tolerance(
-    "contacts only dissipate energy; a stiff contact may store 1 %, which is 3 mm of the height of fall", absolute=1.0
-)
 ENERGY_DIAGNOSIS = (
     "the engine makes energy: contacts too stiff for the step, too few solver iterations, or penetration corrections "
     "that add speed. All states may be finite all the time"
 )
+PASSIVE: dict[str, Any] = {
+    "law": "T + V <= initial T + V",
+    "source": "contacts are passive",
+    "unit": "%",
+    "tolerance": Tolerance(
+        "contacts only dissipate energy; a stiff contact may store 1 %, which is 3 mm of the height of fall",
+        absolute=1.0,
+    ),
+    "diagnosis": ENERGY_DIAGNOSIS,
+}
 
 
 @recorded("a box dropped by 0.35 m on a corner, on a plane")
@@ -283,27 +271,11 @@ def _tumble(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(brick, ground()), contacts=(bounce,), duration_s=1.0))
 
 
-@_tumble.check(
-    "drop-energy",
-    title="tumbling box gains no energy",
-    measures="largest gain of kinetic and potential energy of a box dropped on a corner, within 1 s, over the initial "
-    "one",
-    law="T + V <= initial T + V",
-    source="contacts are passive",
-    unit="%",
-    tolerance=ENERGY_TOLERANCE,
-    diagnosis=ENERGY_DIAGNOSIS,
-)
-def _drop_energy(rollout: Rollout) -> Measurement:
-    return _largest_gain(rollout)
-
-
 PILE_BOX_M = (0.1, 0.1, 0.05)
 
 
 @recorded("a slanting stack of six boxes on a plane, which falls over")
 def _pile(lab: Lab) -> Rollout:
-    """Record boxes in a slanting stack that falls over."""
     boxes = tuple(
         box(f"box-{index}", (0.025 * index, 0.01 * (index % 2), 0.03 + 0.055 * index), PILE_BOX_M, mass_kg=0.3)
         for index in range(6)
@@ -318,14 +290,25 @@ def _pile(lab: Lab) -> Rollout:
     title="falling pile gains no energy",
     measures="largest gain of kinetic and potential energy of six boxes that fall over, within 1 s, over the initial "
     "one",
-    law="T + V <= initial T + V",
-    source="contacts are passive",
-    unit="%",
-    tolerance=ENERGY_TOLERANCE,
-    diagnosis=ENERGY_DIAGNOSIS,
+    **PASSIVE,
 )
-def _pile_energy(rollout: Rollout) -> Measurement:
-    return _largest_gain(rollout)
+@_tumble.check(
+    "drop-energy",
+    title="tumbling box gains no energy",
+    measures="largest gain of kinetic and potential energy of a box dropped on a corner, within 1 s, over the initial "
+    "one",
+    **PASSIVE,
+)
+def _largest_gain(rollout: Rollout) -> Measurement:
+    """Measure the gain of kinetic and potential energy of the dynamic boxes above z = 0, over the initial one [%]."""
+    energy = np.zeros(len(rollout.times_s))
+    for one in rollout.scene.dynamic_bodies:
+        states, spin = rollout.states[one.name], rollout.angular_velocity(one.name)
+        energy += 0.5 * np.einsum("ti,tij,tj->t", spin, inertia_kg_m2(rollout, one.name), spin)
+        energy += one.mass_kg * (0.5 * np.square(states[:, 7:10]).sum(axis=1) + G * states[:, 2])
+    gain = 100.0 * float((energy - energy[0]).max() / energy[0])
+    at = float(rollout.times_s[int(energy.argmax())])
+    return Measurement(measured=gain, hint=f"the energy is highest at {at:.3g} s")
 
 
 @_pile.check(

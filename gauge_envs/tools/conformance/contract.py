@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,17 @@ from gauge_envs.tools.conformance.scene_parts import (
     strip_on_rod,
 )
 
-RANDOM_DIAGNOSIS = "unseeded random numbers, or sums in a changing order, such as atomic additions on a GPU"
+SAME_SEED: dict[str, Any] = {
+    "law": "same seed, same trajectory",
+    "source": "contract (Simulation.reset)",
+    "tolerance": EXACT,
+}
+SAME_SCENE: dict[str, Any] = {
+    "law": "same scene, same trajectory",
+    "source": "contract (Simulation.reset); a benchmark must be repeatable",
+    "tolerance": EXACT,
+    "diagnosis": "unseeded random numbers, or sums in a changing order, such as atomic additions on a GPU",
+}
 
 # --- finite states ---------------------------------------------------------------------------------------------------
 
@@ -337,9 +347,7 @@ def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
     "reset-course",
     title="the same seed gives the same trajectory",
     measures="largest difference of any state between the first 0.5 s after two resets",
-    law="same seed, same trajectory",
-    source="contract (Simulation.reset)",
-    tolerance=EXACT,
+    **SAME_SEED,
     diagnosis="reset does not restore velocities, warm starts, contact caches, forces on driven bodies, or time",
 )
 def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
@@ -351,26 +359,19 @@ def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
     title="two builds give the same trajectory",
     scene=BOUNCES,
     measures="largest difference of any state within 0.5 s between two simulations of one scene",
-    law="same scene, same trajectory",
-    source="contract (Simulation.reset); a benchmark must be repeatable",
-    tolerance=EXACT,
-    diagnosis=RANDOM_DIAGNOSIS,
+    **SAME_SCENE,
 )
 def _determinism(lab: Lab) -> Measurement:
     return Measurement(measured=_difference(*(lab.rollout(bounces(lab), 0.5) for _ in range(2))))
 
 
-@_cloth_again.check(
+_cloth_again.check(
     "cloth-reset",
     title="cloth: the same seed gives the same trajectory",
     measures="largest difference of any node [m] or state between the first 0.2 s after two resets",
-    law="same seed, same trajectory",
-    source="contract (Simulation.reset)",
-    tolerance=EXACT,
+    **SAME_SEED,
     diagnosis="reset must restore positions and velocities of the nodes, and all that the solver keeps between steps",
-)
-def _cloth_reset(pair: tuple[Rollout, Rollout]) -> Measurement:
-    return Measurement(measured=_difference(*pair))
+)(_reset_course)
 
 
 @Check(
@@ -378,10 +379,7 @@ def _cloth_reset(pair: tuple[Rollout, Rollout]) -> Measurement:
     title="cloth: two builds give the same trajectory",
     scene=STRIP_ON_ROD,
     measures="largest difference of any node [m] or state within 0.2 s between two simulations",
-    law="same scene, same trajectory",
-    source="contract (Simulation.reset); a benchmark must be repeatable",
-    tolerance=EXACT,
-    diagnosis=RANDOM_DIAGNOSIS,
+    **SAME_SCENE,
 )
 def _cloth_determinism(lab: Lab) -> Measurement:
     return Measurement(measured=_difference(_cloth_again(lab)[0], lab.rollout(strip_on_rod(), 0.2)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -14,44 +15,38 @@ from gauge_envs.scene import Box, Scene
 from gauge_envs.scene.drivers import Driver, TrapezoidProfile
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 from gauge_envs.tools.conformance.scene_parts import ball, box, contact, driven_box, driver, ramp
 
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
 
 
-def _on_plate(lab: Lab, motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5) -> Rollout:
-    """Record a cube on a driven plate."""
+def _on_plate(motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5) -> Scene:
+    """Return a cube on a driven plate."""
     cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
-    scene = Scene(
+    return Scene(
         bodies=(cube, driven_box("plate", (0.0, 0.0, 0.5), PLATE_M)),
         contacts=(contact("cube", "plate", friction=friction),),
         drivers=(motion,),
         duration_s=seconds,
     )
-    return lab.rollout(scene)
 
 
-@recorded("a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4")
-def _carry(lab: Lab) -> Rollout:
-    """Record a plate that moves by 0.3 m in 1.2 s and accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
-    motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4))
-    return _on_plate(lab, motion, x_m=-0.1)
+_carry = rollout_of(
+    "a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
+    _on_plate(
+        driver("plate", "translate", (1.0, 0.0, 0.0), ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4)), x_m=-0.1
+    ),
+)
+"""The plate accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
 
-
-@recorded("a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4")
-def _turntable(lab: Lab) -> Rollout:
-    """Record a plate that rotates at 2 rad/s: centripetal acceleration 0.2 m/s^2; friction can hold 3.9 m/s^2."""
-    rotation = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5)
-    return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), rotation), x_m=0.05)
-
-
-def _slip(rollout: Rollout) -> Measurement:
-    """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
-    poses = driver_poses(rollout)
-    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
-    return Measurement(measured=largest_mm(np.array(places) - places[0]))
+TURN = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5)
+_turntable = rollout_of(
+    "a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
+    _on_plate(driver("plate", "rotate", (0.0, 0.0, 1.0), TURN), x_m=0.05),
+)
+"""The centripetal acceleration is 0.2 m/s^2; friction can hold 3.9 m/s^2."""
 
 
 @_carry.check(
@@ -98,25 +93,15 @@ def _turn_hint(rollout: Rollout) -> str:
     return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
-CARRY_TOLERANCE = Tolerance("the real trials' scatter is about 1 mm", absolute=1.0)
+CARRY: dict[str, Any] = {
+    "source": "Coulomb",
+    "unit": "mm",
+    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
+}
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
     "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
 )
-
-
-@_carry.check(
-    "carry-line",
-    title="plate carries a cube in a line",
-    measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
-    law="0 if acceleration < mu g",
-    source="Coulomb",
-    unit="mm",
-    tolerance=CARRY_TOLERANCE,
-    diagnosis=CARRY_DIAGNOSIS,
-)
-def _carry_line(rollout: Rollout) -> Measurement:
-    return _slip(rollout)
 
 
 @_turntable.check(
@@ -124,13 +109,22 @@ def _carry_line(rollout: Rollout) -> Measurement:
     title="turntable carries a cube",
     measures="largest displacement of the cube on a plate that rotates by 2.5 rad at up to 2 rad/s, 50 mm off its axis",
     law="0 if omega^2 r < mu g",
-    source="Coulomb",
-    unit="mm",
-    tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
+    **CARRY,
 )
-def _carry_turn(rollout: Rollout) -> Measurement:
-    return _slip(rollout)
+@_carry.check(
+    "carry-line",
+    title="plate carries a cube in a line",
+    measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
+    law="0 if acceleration < mu g",
+    diagnosis=CARRY_DIAGNOSIS,
+    **CARRY,
+)
+def _slip(rollout: Rollout) -> Measurement:
+    """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
+    poses = driver_poses(rollout)
+    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
+    return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
 @Check(
@@ -149,7 +143,7 @@ def _carry_turn(rollout: Rollout) -> Measurement:
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
-    rollout = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
+    rollout = lab.rollout(_on_plate(motion, friction=0.05, x_m=0.0, seconds=0.4))
     measured = acceleration_m_per_s2(rollout.times_s, rollout.position("cube")[:, 0])
     return Measurement(measured=measured, expected=0.05 * G)
 
@@ -163,20 +157,10 @@ PUSH_M_PER_S = 0.5
 BEFORE_S, AFTER_S = 0.42, 0.75
 
 
-@recorded("a driven plate pushes a ball of 0.1 kg at 0.5 m/s against a resting one of 0.2 kg; no gravity")
-def _collision(lab: Lab) -> Rollout:
-    return _collide(lab, 1.0)
-
-
-@recorded("a driven plate pushes a ball of 0.1 kg at 0.1 m/s against a resting one of 0.2 kg; no gravity")
-def _slow_collision(lab: Lab) -> Rollout:
-    return _collide(lab, 5.0)
-
-
-def _collide(lab: Lab, slowdown: float) -> Rollout:
-    """Record two balls, one of which a driven plate pushes; all times are longer by a factor."""
+def _collide(slowdown: float) -> Scene:
+    """Return two balls, one of which a driven plate pushes; all times are longer by a factor."""
     stroke = ramp(0.1, start_s=0.0, duration_s=0.3 * slowdown, ramp_s=0.1 * slowdown)
-    scene = Scene(
+    return Scene(
         bodies=(
             ball("left", (0.0, 0.0, 1.0), radius_m=0.02, mass_kg=LEFT_KG),
             ball("right", (0.25, 0.0, 1.0), radius_m=0.02, mass_kg=RIGHT_KG),
@@ -190,7 +174,11 @@ def _collide(lab: Lab, slowdown: float) -> Rollout:
         duration_s=slowdown,
         gravity_m_per_s2=0.0,
     )
-    return lab.rollout(scene)
+
+
+PUSHED = "a driven plate pushes a ball of 0.1 kg at {} m/s against a resting one of 0.2 kg; no gravity"
+_collision = rollout_of(PUSHED.format(0.5), _collide(1.0))
+_slow_collision = rollout_of(PUSHED.format(0.1), _collide(5.0))
 
 
 def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
@@ -207,10 +195,6 @@ def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float
         return Measurement(measured=measure(before, left, right), expected=expected)
     hint = f"before the collision the balls move at {before:.3g} and {still:.3g} m/s instead of {push:g} and 0"
     return Measurement(measured=float("nan"), expected=expected, hint=hint)
-
-
-def _relative_speed(rollout: Rollout) -> Measurement:
-    return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)
 
 
 @_collision.check(
@@ -240,29 +224,29 @@ def _collision_momentum(rollout: Rollout) -> Measurement:
     return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
 
 
-@_collision.check(
-    "collision-rebound",
-    title="two balls, relative speed",
-    measures="relative speed of the two balls after their collision, over that before",
-    law="v2' - v1' = e (v1 - v2)",
-    source="Newton's law of restitution",
-    tolerance=Tolerance(
-        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
-    ),
-    diagnosis="restitution is not that of the pair, or depends on the masses, which is possible for a damped contact",
-)
-def _collision_rebound(rollout: Rollout) -> Measurement:
-    return _relative_speed(rollout)
+RELATIVE_SPEED = {
+    "measures": "relative speed of the two balls after their collision, over that before",
+    "source": "Newton's law of restitution",
+}
 
 
 @_slow_collision.check(
     "collision-slow",
     title="two balls, slow collision",
-    measures="relative speed of the two balls after their collision, over that before",
     law="v2' - v1' = e (v1 - v2) at any speed",
-    source="Newton's law of restitution",
     tolerance=Tolerance("as for the fast collision", absolute=0.01),
     diagnosis="the engine has a threshold speed below which bodies do not rebound: set it to 0",
+    **RELATIVE_SPEED,
 )
-def _collision_slow(rollout: Rollout) -> Measurement:
-    return _relative_speed(rollout)
+@_collision.check(
+    "collision-rebound",
+    title="two balls, relative speed",
+    law="v2' - v1' = e (v1 - v2)",
+    tolerance=Tolerance(
+        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
+    ),
+    diagnosis="restitution is not that of the pair, or depends on the masses, which is possible for a damped contact",
+    **RELATIVE_SPEED,
+)
+def _relative_speed(rollout: Rollout) -> Measurement:
+    return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)

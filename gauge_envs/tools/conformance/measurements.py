@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,26 @@ from gauge_envs.tools.conformance.laws import (
     friction_of_slide,
     world_inertia_kg_m2,
 )
-from gauge_envs.tools.conformance.model import Measurement
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 SLIDE_SLOPE_DEG = 30.0
 """Slope of every slide [deg]."""
+
+NODES: dict[str, Any] = {
+    "source": "contract (Simulation.nodes)",
+    "unit": "mm",
+    "tolerance": Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
+}
+"""Texts of the checks of nodes at the start (`bounds_error`)."""
+
+ATTACHED: dict[str, Any] = {
+    "law": "position in the driven body's frame = const",
+    "source": "contract (scene.Attachment)",
+    "unit": "mm",
+    "tolerance": Tolerance("a tenth of the real trials' scatter", absolute=0.1),
+    "diagnosis": "attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+}
+"""Texts of the checks of attachments (`attachment_error`)."""
 
 
 def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> float:

@@ -16,6 +16,8 @@ from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready
 
 if TYPE_CHECKING:
+    from gauge_envs.runs.rollout import Rollout
+    from gauge_envs.scene import Scene
     from gauge_envs.tools.conformance.lab import Lab
 
 T = TypeVar("T")
@@ -245,6 +247,11 @@ class Recorded(Generic[T]):
 def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
     """Return a decorator that makes a function of a lab the record of a scene, which is stated in words."""
     return lambda record: Recorded(scene, record)
+
+
+def rollout_of(scene: str, built: Scene) -> Recorded[Rollout]:
+    """Return the rollout of a scene, which is stated in words too, over its duration."""
+    return Recorded(scene, lambda lab: lab.rollout(built))
 
 
 def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:

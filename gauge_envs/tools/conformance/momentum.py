@@ -121,7 +121,6 @@ def _moving(
 
 @recorded("two unequal blocks, joined at an edge, that tumble in free fall and fold by about 6 rad/s")
 def _tumbling(lab: Lab) -> Rollout:
-    """Record the tumbling pair."""
     pose = Pose.from_euler_deg((0.1, 0.2, 3.0), (20.0, 30.0, 40.0))
     anchor, axis = pose.to_world(np.array([-0.035, 0.03, 0.01])), pose.rotation.apply([0.6, 0.8, 0.0])
     turned = Pose.from_euler_deg((0.0, 0.0, 0.0), (-30.0, 10.0, 70.0))

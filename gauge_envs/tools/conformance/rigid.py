@@ -7,30 +7,23 @@ import numpy as np
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Tether
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, mean_period_s
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
 from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, ground
 
 # --- free fall -------------------------------------------------------------------------------------------------------
 
 
-def _falling(lab: Lab, gravity: float) -> Rollout:
+def _falling(gravity: float) -> Scene:
     brick = box("brick", (0.3, -0.2, 3.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 30.0, 40.0))
-    return lab.rollout(Scene(bodies=(brick,), duration_s=0.5, gravity_m_per_s2=gravity))
+    return Scene(bodies=(brick,), duration_s=0.5, gravity_m_per_s2=gravity)
 
 
-@recorded("a turned brick of 0.2 kg that falls by 1.2 m, without contacts")
-def _fall(lab: Lab) -> Rollout:
-    return _falling(lab, G)
-
-
-def _fall_measurement(rollout: Rollout) -> Measurement:
-    """Measure the downward acceleration [m/s^2]."""
-    measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
-    expected = rollout.scene.gravity_m_per_s2
-    return Measurement(measured=measured, expected=expected, hint=_gravity_hint(measured, expected))
+_fall = rollout_of("a turned brick of 0.2 kg that falls by 1.2 m, without contacts", _falling(G))
+_slow_fall = rollout_of("the same brick at a gravity of 1.62 m/s^2", _falling(1.62))
 
 
 def _gravity_hint(measured: float, expected: float) -> str:
@@ -56,6 +49,16 @@ FALL_TOLERANCE = Tolerance(
 )
 
 
+@_slow_fall.check(
+    "gravity-of-scene",
+    title="gravity is the scene's",
+    measures="downward acceleration of the same brick with Scene.gravity_m_per_s2 = 1.62",
+    law="a = Scene.gravity_m_per_s2",
+    source="contract (scene.py)",
+    unit="m/s^2",
+    tolerance=FALL_TOLERANCE,
+    diagnosis="the backend must take gravity from the scene instead of the engine's default",
+)
 @_fall.check(
     "free-fall",
     title="free fall",
@@ -67,22 +70,9 @@ FALL_TOLERANCE = Tolerance(
     diagnosis="check size and sign of gravity, damping of free bodies, and the simulated time of advance()",
 )
 def _free_fall(rollout: Rollout) -> Measurement:
-    return _fall_measurement(rollout)
-
-
-@Check(
-    "gravity-of-scene",
-    title="gravity is the scene's",
-    scene="the same brick at a gravity of 1.62 m/s^2",
-    measures="downward acceleration of the same brick with Scene.gravity_m_per_s2 = 1.62",
-    law="a = Scene.gravity_m_per_s2",
-    source="contract (scene.py)",
-    unit="m/s^2",
-    tolerance=FALL_TOLERANCE,
-    diagnosis="the backend must take gravity from the scene instead of the engine's default",
-)
-def _gravity_of_scene(lab: Lab) -> Measurement:
-    return _fall_measurement(_falling(lab, 1.62))
+    measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
+    expected = rollout.scene.gravity_m_per_s2
+    return Measurement(measured=measured, expected=expected, hint=_gravity_hint(measured, expected))
 
 
 @_fall.check(
@@ -158,9 +148,8 @@ PIVOT_M = (0.1, 0.2, 1.0)
 
 @recorded("a sphere of 50 mm radius on a horizontal hinge 0.2 m away, released at 60 degrees from the vertical")
 def _pendulum(lab: Lab) -> Rollout:
-    """Record a sphere on a hinge about y, released at 60 degrees."""
     x, z = PENDULUM_M * np.sin(AMPLITUDE_RAD), -PENDULUM_M * np.cos(AMPLITUDE_RAD)
-    bob = ball("bob", (float(PIVOT_M[0] + x), PIVOT_M[1], float(PIVOT_M[2] + z)), radius_m=BOB_M)
+    bob = ball("bob", vector(np.add(PIVOT_M, (x, 0.0, z))), radius_m=BOB_M)
     hinge = Hinge(body="bob", anchor_m=PIVOT_M, axis=(0.0, 1.0, 0.0))
     return lab.rollout(Scene(bodies=(bob,), joints=(hinge,), duration_s=3.0))
 
@@ -238,7 +227,6 @@ STRING_M, SLACK_M = 0.3, 0.1
 
 @recorded("a ball on a slack string of 0.3 m; it falls by 0.1 m until the string is taut")
 def _tether(lab: Lab) -> Rollout:
-    """Record a ball on a slack string; it falls until the string is taut."""
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M + SLACK_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
     return lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0))
@@ -285,7 +273,6 @@ def _tether_length(rollout: Rollout) -> Measurement:
 
 @recorded("three balls of radius 30 mm over a plane; only one of them has a contact with it")
 def _pairs(lab: Lab) -> Rollout:
-    """Record three balls over a plane: one has a contact with the plane, the other two have none."""
     places = {"listed": (-0.1, 0.0, 0.03), "unlisted": (0.1, 0.0, 0.03), "upper": (-0.1, 0.0, 0.2)}
     balls = [ball(name, place) for name, place in places.items()]
     contacts = (contact("listed", "ground", friction=0.5),)

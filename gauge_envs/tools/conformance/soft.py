@@ -14,8 +14,15 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
-from gauge_envs.tools.conformance.measurements import attachment_error, bounds_error, passive_energy_gain, stiffness
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.measurements import (
+    ATTACHED,
+    NODES,
+    attachment_error,
+    bounds_error,
+    passive_energy_gain,
+    stiffness,
+)
+from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
 from gauge_envs.tools.conformance.scene_parts import clamped, driven_box, driver, ramp
 
 EDGE_M, LENGTH_M = 0.04, 0.2
@@ -33,10 +40,11 @@ BAR = SoftBody(
 UPPER_FACE = Region(axis="z", side="high")
 
 
-@recorded("a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face")
-def _hanging(lab: Lab) -> Rollout:
-    """Record a bar that hangs from its upper face: sag 2 mm, largest strain 2 %, period 80 ms."""
-    return lab.rollout(clamped(BAR, UPPER_FACE, duration_s=0.8))
+_hanging = rollout_of(
+    "a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
+    clamped(BAR, UPPER_FACE, duration_s=0.8),
+)
+"""It sags by 2 mm, its largest strain is 2 %, and its period 80 ms."""
 
 
 def _equilibrium(rollout: Rollout) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -61,9 +69,7 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
     title="foam, start",
     measures="largest distance between the bar's faces and the bounding box of its nodes, at the start",
     law="SoftBody.shape, SoftBody.pose",
-    source="contract (Simulation.nodes)",
-    unit="mm",
-    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
+    **NODES,
     diagnosis="nodes are world positions in metres, and the outer ones lie on the body's surface",
 )
 def _foam_start(rollout: Rollout) -> Measurement:
@@ -112,11 +118,7 @@ def _foam_poisson(rollout: Rollout) -> Measurement:
     title="foam, attached face follows its driven body",
     scene="the same bar attached to a plate that turns by 0.5 rad",
     measures="largest distance of an attached node from its place on a rotating driven plate, within 0.25 s",
-    law="position in the driven body's frame = const",
-    source="contract (scene.Attachment)",
-    unit="mm",
-    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
-    diagnosis="attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+    **ATTACHED,
 )
 def _foam_pinned_face(lab: Lab) -> Measurement:
     rotation = ramp(0.5, start_s=0.0, duration_s=0.2, ramp_s=0.08)
@@ -135,18 +137,13 @@ def _foam_pinned_face(lab: Lab) -> Measurement:
 ROPE_M = 0.3
 
 
-@recorded("a horizontal rope of 0.3 m, held at one end and released")
-def _falling_rope(lab: Lab) -> Rollout:
-    """Record a horizontal rope held at one end; it is released and passes its lowest point at about 0.25 s."""
-    rope = Rope(
-        name="rope",
-        pose=Pose(position_m=(0.0, 0.0, 1.0)),
-        length_m=ROPE_M,
-        radius_m=0.003,
-        mass_kg=0.02,
-        young_modulus_pa=1e6,
-    )
-    return lab.rollout(clamped(rope, Region(axis="x", side="low"), duration_s=0.5))
+ROPE = Rope(
+    name="rope", pose=Pose(position_m=CENTRE_M), length_m=ROPE_M, radius_m=0.003, mass_kg=0.02, young_modulus_pa=1e6
+)
+_falling_rope = rollout_of(
+    "a horizontal rope of 0.3 m, held at one end and released",
+    clamped(ROPE, Region(axis="x", side="low"), duration_s=0.5),
+)
 
 
 def _along(rollout: Rollout) -> NDArray[np.float64]:
@@ -217,10 +214,10 @@ SECTION_M2, INERTIA_M4 = np.pi * RADIUS_M**2, 0.25 * np.pi * RADIUS_M**4
 
 @recorded("a horizontal rod of 0.15 m, clamped at one end, at a fifth of gravity")
 def _drooping_rod(lab: Lab) -> Rollout:
-    """Record a horizontal rod clamped at one end, at a fifth of gravity: sag 2.5 mm on 150 mm, period 0.18 s."""
+    """Record a horizontal rod clamped at one end: sag 2.5 mm on 150 mm, period 0.18 s."""
     rod = Rod(
         name="rod",
-        pose=Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, 90.0, 0.0)),
+        pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0, 0.0)),
         length_m=CLAMP_M + FREE_M,
         radius_m=RADIUS_M,
         mass_kg=float(ROD_DENSITY * SECTION_M2 * (CLAMP_M + FREE_M)),

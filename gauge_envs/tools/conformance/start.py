@@ -14,7 +14,7 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, torque_free_orientation
 from gauge_envs.tools.conformance.measurements import largest_mm
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
@@ -39,19 +39,15 @@ def _thrown_scene(shape: Shape) -> Scene:
     return Scene(bodies=(thrown,), duration_s=FLIGHT_S, gravity_m_per_s2=0.0)
 
 
-@recorded("a ball thrown with rotation, without gravity and contacts")
-def _thrown_ball(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(Sphere(radius_m=0.03)))
-
-
-@recorded("a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts")
-def _thrown_brick(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(BRICK))
-
-
-@recorded("the same brick as a convex solid whose origin is one of its corners")
-def _thrown_solid(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(ConvexUnion(pieces_m=(CORNERS_M,))))
+BALL = _thrown_scene(Sphere(radius_m=0.03))
+_thrown_ball = rollout_of("a ball thrown with rotation, without gravity and contacts", BALL)
+_thrown_brick = rollout_of(
+    "a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts", _thrown_scene(BRICK)
+)
+_thrown_solid = rollout_of(
+    "the same brick as a convex solid whose origin is one of its corners",
+    _thrown_scene(ConvexUnion(pieces_m=(CORNERS_M,))),
+)
 
 
 def _explained(
@@ -159,7 +155,7 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     diagnosis="reset() must write the velocities of the scene again, and body_states must report them at once",
 )
 def _start_velocity_reset(lab: Lab) -> Measurement:
-    with closing(lab.build(_thrown_scene(Sphere(radius_m=0.03)))) as simulation:
+    with closing(lab.build(BALL)) as simulation:
         simulation.reset(0)
         simulation.advance(0.1)
         simulation.reset(0)
