@@ -208,7 +208,7 @@ def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
     expected = {
         "backend": stated.engine,
         "parameters": stated.parameters,
-        "settings_given": stated.settings_given(),
+        "settings_given": stated.settings,
         "task_sha256": task_sha256(find_variant(result.id).family),
         "seed": 0,
         "jitter": {},

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -87,10 +87,6 @@ class Statement(BaseModel):
     parameters: Name = "calibrated"
     settings: dict[str, Setting] = Field(default_factory=dict)
     left_out: dict[Line, Line] = Field(default_factory=dict)
-
-    def settings_given(self) -> dict[str, Any]:
-        """Return the settings as a result states them."""
-        return dict(self.settings)
 
 
 def read_statement(file: Path, name: str) -> Statement | Fault:
