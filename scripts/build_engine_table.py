@@ -25,7 +25,6 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +103,7 @@ def conformance(engine: str, preset: str, file: Path) -> list[dict[str, Any]]:
     """Return the conformance checks of a configuration, from its file if there is one."""
     if not file.is_file():
         results = run_checks(engine, settings=settings_of(engine, preset))
-        rows = [json.dumps(json_ready(asdict(one))) for one in results]
+        rows = [json.dumps(one.to_dict()) for one in results]
         write_whole(file, ("\n".join(rows) + "\n").encode())
     return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
 

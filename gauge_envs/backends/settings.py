@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
-from gauge_envs.errors import ParameterError, UnknownNameError, first_fault, nearest
+from gauge_envs.errors import BackendError, ParameterError, UnknownNameError, first_fault, nearest
+from gauge_envs.files import json_ready
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 
 INTEGER_LIMIT = 2**31 - 1
@@ -38,6 +41,26 @@ class SteppedSettings(BaseModel):
         if isinstance(value, int) and abs(value) > INTEGER_LIMIT:
             raise ValueError(f"must be at most {INTEGER_LIMIT}")
         return value
+
+
+@dataclass(frozen=True)
+class Native:
+    """Metadata of a setting: its name in the engine's own interface, where it is another one than here.
+
+    Attributes:
+        name: The engine's name, in the engine's units; its values are those of the setting.
+    """
+
+    name: str
+
+
+def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
+    """Return the name of each setting by its name in the engine's own interface."""
+    names: dict[str, str] = {}
+    for name, field in settings.model_fields.items():
+        own = (one.name for one in field.metadata if isinstance(one, Native))
+        names[next(own, name)] = name
+    return names
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)
@@ -90,3 +113,18 @@ def check_drive_interval(settings: Mapping[str, Any]) -> None:
             f"setting 'drive_interval_s' is {interval:.6g} s, but environments drive in intervals of 1/180 s: "
             "set drive_interval_s to 1/180 and timestep_s to a value that divides it"
         )
+
+
+def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings in force in a form that JSON takes."""
+    record: dict[str, Any] = {}
+    for name, value in settings.items():
+        record[str(name)] = json_ready(value)
+        try:
+            json.dumps(record[str(name)])
+        except (TypeError, ValueError, RecursionError) as error:
+            raise BackendError(
+                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
+                "World.settings must hold numbers, texts, booleans, None, lists and mappings."
+            ) from error
+    return record

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -13,11 +12,11 @@ import numpy as np
 
 from gauge_envs.backends import backend_for
 from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment, start_of
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode, advance_together, run_on_together
 from gauge_envs.envs.trial_start import TrialStart
-from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -213,21 +212,6 @@ def planned_result(
         asset=asset_record(experiment),
         error="not run",
     )
-
-
-def settings_record(backend: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the settings in force in a form that JSON takes."""
-    record: dict[str, Any] = {}
-    for name, value in settings.items():
-        record[str(name)] = json_ready(value)
-        try:
-            json.dumps(record[str(name)])
-        except (TypeError, ValueError, RecursionError) as error:
-            raise BackendError(
-                f"backend {backend!r}: setting {name!r} is a {type(value).__name__}, which JSON does not have. "
-                "World.settings must hold numbers, texts, booleans, None, lists and mappings."
-            ) from error
-    return record
 
 
 def _finished(

@@ -127,22 +127,27 @@ def record(
     """
     count = round(seconds / interval_s)
     paths = DriverPaths(scene, seconds, interval_s)
-    observer = _marker_observer(simulation, scene)
-    last = _read(simulation, scene, observer)
+    observer = None
+    if scene.markers is not None:
+        observer = ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
+    last: _Sample | None = None
     samples: list[_Sample] = []
     for index in range(count + 1):
-        now = _read(simulation, scene, observer) if index else last
-        if engine_fault := simulation.fault():
-            raise DivergedError(f"after {index * interval_s:.3g} s {engine_fault}")
+        time = f"after {index * interval_s:.3g} s"
+        now = _read(simulation, scene, observer)
+        if fault := simulation.fault():
+            raise DivergedError(f"{time} {fault}")
         if name := _not_finite(scene, now):
-            raise NotFiniteError(f"after {index * interval_s:.3g} s {name!r} is not finite")
-        if fault := _fault(scene, last, now, interval_s=interval_s, speed_limit_m_per_s=speed_limit_m_per_s):
-            raise DivergedError(f"after {index * interval_s:.3g} s {fault}")
+            raise NotFiniteError(f"{time} {name!r} is not finite")
+        for name, speed in _speeds_m_per_s(scene, last or now, now, interval_s):
+            if speed > speed_limit_m_per_s:
+                limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
+                raise DivergedError(f"{time} {name!r} moves at {speed:.3g} m/s; {limit}")
         kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}
         samples.append(now._replace(nodes_m=kept))
         last = now
         if index < count:
-            _advance(simulation, paths, index, interval_s)
+            _advance(simulation, paths, index, time)
     states = np.stack([sample.states for sample in samples])
     return Rollout(
         scene=scene,
@@ -156,6 +161,14 @@ def record(
 def states_now(simulation: Simulation, names: Sequence[str]) -> NDArray[np.float64]:
     """Return a copy of the current states of bodies, shape [len(names), 13]."""
     return np.array(simulation.body_states(names), dtype=np.float64)
+
+
+def raised_at(error: Exception) -> str:
+    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose."""
+    frames = traceback.extract_tb(error.__traceback__)
+    if isinstance(error, GaugeError) or not frames:
+        return ""
+    return f" ({frames[-1].name}, {Path(frames[-1].filename).name}, line {frames[-1].lineno})"
 
 
 class _Sample(NamedTuple):
@@ -172,12 +185,6 @@ class _Sample(NamedTuple):
     markers_m: NDArray[np.float64]
 
 
-def _marker_observer(simulation: Simulation, scene: Scene) -> ObserverMarkers | None:
-    if scene.markers is None:
-        return None
-    return ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
-
-
 def _read(simulation: Simulation, scene: Scene, observer: ObserverMarkers | None) -> _Sample:
     if observer is not None:
         observer.now(simulation)
@@ -188,23 +195,13 @@ def _read(simulation: Simulation, scene: Scene, observer: ObserverMarkers | None
     )
 
 
-def raised_at(error: Exception) -> str:
-    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose."""
-    frames = traceback.extract_tb(error.__traceback__)
-    if isinstance(error, GaugeError) or not frames:
-        return ""
-    return f" ({frames[-1].name}, {Path(frames[-1].filename).name}, line {frames[-1].lineno})"
-
-
-def _advance(simulation: Simulation, paths: DriverPaths, index: int, interval_s: float) -> None:
+def _advance(simulation: Simulation, paths: DriverPaths, index: int, time: str) -> None:
     try:
         paths.advance(simulation, index)
     # Engines raise exceptions of any kind, such as MuJoCo when a diverged scene has more contacts than fit in memory.
     except Exception as error:
         reason = " ".join(str(error).split())
-        raise DivergedError(
-            f"after {index * interval_s:.3g} s the engine raises {type(error).__name__}: {reason}{raised_at(error)}"
-        ) from error
+        raise DivergedError(f"{time} the engine raises {type(error).__name__}: {reason}{raised_at(error)}") from error
 
 
 def _not_finite(scene: Scene, now: _Sample) -> str:
@@ -213,19 +210,11 @@ def _not_finite(scene: Scene, now: _Sample) -> str:
     return next((name for name, values in (rigid | now.nodes_m).items() if not np.isfinite(values).all()), "")
 
 
-def _fault(scene: Scene, last: _Sample, now: _Sample, *, interval_s: float, speed_limit_m_per_s: float) -> str:
-    """Return why a sample cannot follow another one in the scene; empty when it can.
+def _speeds_m_per_s(scene: Scene, last: _Sample, now: _Sample, interval_s: float) -> Iterator[tuple[str, float]]:
+    """Yield the largest speed along an axis of each dynamic or deformable body, reported or from displacements.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    for name, speed in _speeds_m_per_s(scene, last, now, interval_s):
-        if speed > speed_limit_m_per_s:
-            return f"{name!r} moves at {speed:.3g} m/s; the scene allows {speed_limit_m_per_s:.3g} m/s at most"
-    return ""
-
-
-def _speeds_m_per_s(scene: Scene, last: _Sample, now: _Sample, interval_s: float) -> Iterator[tuple[str, float]]:
-    """Yield the largest speed along an axis of each dynamic or deformable body, reported or from displacements."""
     reported = np.abs(now.states[:, 7:10]).max(axis=1)
     between = np.abs(now.states[:, :3] - last.states[:, :3]).max(axis=1) / interval_s
     for body, speed in zip(scene.bodies, np.maximum(reported, between), strict=True):

@@ -54,7 +54,7 @@ from gauge_envs.tools.conformance.matrix_file import read_columns, write_columns
 from gauge_envs.tools.conformance.words import matrix_document
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.tools.dataset.trial import TrialError, parse_trial
-from gauge_envs.tools.leaderboard.statement import read_statement
+from gauge_envs.tools.leaderboard.submission import read_statement
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration

@@ -13,8 +13,6 @@ from gauge_envs.scene.geometry import vector
 from mutations.mutant import Fault, fault
 from mutations.scenes import change_contacts, change_deformables
 
-__all__ = ["FAULTS"]
-
 Array = NDArray[np.float64]
 
 

@@ -16,8 +16,6 @@ from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
 from mutations.rigid_scenes import _tilted
 
-__all__ = ["FAULTS"]
-
 
 def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
     """Return a simulation whose MuJoCo model is changed after it is built."""
@@ -148,103 +146,126 @@ class _GainsEnergy(Passed):
         self.inner.data.qvel[:] *= 1.02
 
 
+class _Blast(Passed):
+    """Throws fast bodies off with a speed that the scene cannot give, yet finite."""
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        speed = np.abs(self.inner.data.qvel)
+        self.inner.data.qvel[speed > 1.0] *= 1.5
+
+
+class _StartsTurning(Passed):
+    """Starts with a slow rotation."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        self.inner.data.qvel[3:4] = 0.01
+
+
+class _ResetForgetsVelocity(Passed):
+    """Starts with the velocities of the scene after build only."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        if not self.scene.body_hinges:
+            self.inner.data.qvel[:] = 0.0
+
+
+def _centre_elsewhere(model: Any, scene: Scene) -> None:
+    for one in _dynamic(scene, ConvexUnion):
+        model.body(one.name).ipos[0] += 0.005
+
+
+def _own(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[str, Fault]:
+    return fault(id, what, caught_by, says, engine="mujoco", **how)
+
+
 FAULTS: dict[str, Fault] = dict(
     (
-        fault(
+        _own(
             "box-inertia",
             "inertia of a box times 1.5",
             "inertia-box",
             "1.5, 1.5 and 1.5 times",
             simulation=_model(_inertia_times(Box, 1.5)),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "union-inertia",
             "inertia of a convex union times 2",
             "inertia-union",
             "2, 2 and 2 times",
             simulation=_model(_inertia_times(ConvexUnion, 2.0)),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "union-centre",
             "centre of a union at the mean of its vertices",
             "swing-union",
             "at the mean of the vertices",
             simulation=_model(_mean_of_vertices),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "gravity-tilted",
             "gravity tilted",
             "free-fall-drift",
             "gravity is tilted",
             simulation=_model(_gravity_tilted),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "union-unweighted",
             "pieces of a union weighted equally",
             "swing-union",
             "mean of the pieces' centres",
             simulation=_model(_mean_of_pieces),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "reset-velocity",
             "reset keeps velocities",
             "reset-start",
             "velocities are kept",
             simulation=_ResetKeepsVelocity,
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "restore-velocity",
             "restore forgets velocities",
             "restore",
             "velocities",
             simulation=_RestoreForgetsVelocity,
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "restore-warm-start",
             "restore forgets warm starts",
             "restore-impact",
             "warm starts",
             simulation=_RestoreForgetsWarmStart,
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "hinge-damping",
             "damped joints and bodies",
             "pendulum-period",
             "damping",
             simulation=_model(_damped),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "armature",
             "armature of joints and bodies",
             "pendulum-period",
             "armature",
             simulation=_model(_armature),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "hinged-axis",
             "axis of a hinge between bodies tilted by 3 degrees",
             "hinged-closed",
             "the axis in the frame of each body",
             simulation=_model(_hanging(_hinge_tilted)),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "hinged-anchor",
             "anchor of a hinge between bodies 2 mm off",
             "hinged-closed",
             "the anchor",
             simulation=_model(_hanging(_hinge_shifted)),
-            engine="mujoco",
         ),
         fault(
             "hinged-weightless",
@@ -253,45 +274,56 @@ FAULTS: dict[str, Fault] = dict(
             "gravity acts on both",
             simulation=_HangingWeightless,
         ),
-        fault(
+        _own(
             "hinged-inertia",
             "inertia of a body that hangs on another one times 1.5",
             "hinged-momentum",
             "the inertia of both",
             simulation=_model(_hanging(_hinge_heavy)),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "hinged-damping",
             "hinges between bodies are damped",
             "hinged-energy",
             "damping",
             simulation=_model(_hanging(_hinge_damped)),
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "hinged-backwards",
             "hinges between bodies start in the other direction",
             "hinged-angle",
             "it turns the other way",
             simulation=_HingeBackwards,
-            engine="mujoco",
         ),
-        fault(
+        _own(
             "soft-contacts",
             "contacts ten times too slow",
             "contact-listed",
             "so soft",
             settings={"sustained_solref": (0.2, 1.0)},
-            engine="mujoco",
         ),
-        fault(
+        _own("blast", "fast bodies thrown off", "time", "each call changes its speed", simulation=_Blast),
+        _own("starts-turning", "rotation at the start", "reset-start", "velocities", simulation=_StartsTurning),
+        _own(
+            "centre-elsewhere",
+            "centre of mass 5 mm off",
+            "swing-union",
+            "centre of mass does not follow",
+            simulation=_model(_centre_elsewhere),
+        ),
+        _own(
+            "reset-start-velocity",
+            "start velocity lost at reset",
+            "start-velocity",
+            "starts at rest",
+            simulation=_ResetForgetsVelocity,
+        ),
+        _own(
             "gains-energy",
             "2 % more speed in each interval",
             "time",
             "each call changes its speed",
             simulation=_GainsEnergy,
-            engine="mujoco",
         ),
     )
 )

@@ -14,8 +14,6 @@ from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.tools.conformance.model import CheckResult
 from gauge_envs.tools.conformance.run import run_checks
 
-__all__ = ["Fault", "Mutant", "Passed", "fault", "first_failure"]
-
 Array = NDArray[np.float64]
 
 

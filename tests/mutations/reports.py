@@ -13,8 +13,6 @@ from gauge_envs.scene import Motion, Rod, Rope, Scene
 from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
 
-__all__ = ["FAULTS"]
-
 Array = NDArray[np.float64]
 
 

@@ -26,10 +26,9 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
 from mutations.scenes import change_bodies, change_contacts, change_joints, change_shapes
-
-__all__ = ["FAULTS"]
 
 Array = NDArray[np.float64]
 
@@ -169,6 +168,46 @@ def _nothing_fixed(scene: Scene) -> Scene:
 
 def _tilted(axis: tuple[float, float, float], degrees: float) -> tuple[float, float, float]:
     return vector(Rotation.from_euler("x", degrees, degrees=True).apply(axis))
+
+
+def _gravity_twice(scene: Scene) -> Scene:
+    return replace(scene, gravity_m_per_s2=2.0 * scene.gravity_m_per_s2)
+
+
+def _scalar_read_last(one: RigidBody) -> RigidBody:
+    x, y, z, w = one.pose.quaternion
+    return replace(one, pose=replace(one.pose, quaternion=(w, x, y, z)))
+
+
+def _thrown(change: Callable[[RigidBody], RigidBody]) -> Callable[[Scene], Scene]:
+    """Return a change of the bodies that do not start at rest."""
+    changed = change_bodies(lambda one: one if one.starts_at_rest else change(one))
+    # Another start of one body opens a hinge between two.
+    return lambda scene: scene if scene.body_hinges else changed(scene)
+
+
+def _velocity_of_centre(one: RigidBody) -> RigidBody:
+    """Give the centre of mass the velocity that the scene states for the origin."""
+    arm = one.pose.rotation.apply(mass_properties(one.shape, one.mass_kg)[0])
+    linear = np.subtract(one.linear_velocity_m_per_s, np.cross(one.angular_velocity_rad_per_s, arm))
+    return replace(one, linear_velocity_m_per_s=vector(linear))
+
+
+def _spin_turned(one: RigidBody) -> RigidBody:
+    return replace(one, angular_velocity_rad_per_s=vector(one.pose.rotation.apply(one.angular_velocity_rad_per_s)))
+
+
+class _WithoutCylinder(Passed):
+    """Reports a body that it has left out as if it stood still."""
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        states = np.zeros((len(names), 13))
+        for row, name in zip(states, names, strict=True):
+            pose = self.scene.body(name).pose
+            row[:7] = [*pose.position_m, *pose.quaternion]
+            if name != "cylinder":
+                row[:] = super().body_states([name])[0]
+        return states
 
 
 class _AsIs(Passed):
@@ -380,6 +419,66 @@ FAULTS: dict[str, Fault] = dict(
             "slide",
             "has no contact",
             scene=_first_contact_only,
+        ),
+        fault(
+            "friction-product",
+            "friction of both bodies multiplied",
+            "slide",
+            "its square",
+            scene=change_contacts(friction=lambda mu: mu**2),
+        ),
+        fault(
+            "friction-holds",
+            "friction that holds everything",
+            "slide",
+            "friction were",
+            scene=change_contacts(friction=lambda mu: 5.0),
+        ),
+        fault("gravity-twice", "gravity twice", "free-fall", "gravity acts twice", scene=_gravity_twice),
+        fault(
+            "quaternion-inside",
+            "quaternion w, x, y, z read as x, y, z, w",
+            "start-orientation",
+            "scalar first",
+            scene=change_bodies(_scalar_read_last),
+        ),
+        fault(
+            "start-velocity-none",
+            "start velocity ignored",
+            "start-velocity",
+            "starts at rest",
+            scene=_thrown(lambda one: replace(one, linear_velocity_m_per_s=(0.0, 0.0, 0.0))),
+        ),
+        fault(
+            "start-velocity-millimetres",
+            "start velocity in mm/s",
+            "start-velocity",
+            "in mm/s",
+            scene=_thrown(
+                lambda one: replace(one, linear_velocity_m_per_s=vector(1e-3 * np.asarray(one.linear_velocity_m_per_s)))
+            ),
+        ),
+        fault(
+            "start-spin-frame",
+            "start spin in the body frame",
+            "start-spin",
+            "in the body frame",
+            scene=_thrown(_spin_turned),
+        ),
+        fault(
+            "start-velocity-centre",
+            "start velocity of the centre of mass",
+            "start-velocity-of-origin",
+            "to the centre of mass",
+            scene=_thrown(_velocity_of_centre),
+        ),
+        fault(
+            "cylinder-left-out",
+            "a body left out",
+            "all-bodies-move",
+            "the cylinder fell 0 m",
+            scene=lambda scene: replace(scene, bodies=tuple(one for one in scene.bodies if one.name != "cylinder")),
+            simulation=_WithoutCylinder,
         ),
         fault("all-collide", "all bodies collide", "contact-unlisted", "collision filter", scene=_all_collide),
         fault(

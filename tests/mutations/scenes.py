@@ -8,8 +8,6 @@ from typing import Any
 
 from gauge_envs.scene import Motion, RigidBody, Scene, Shape
 
-__all__ = ["change_bodies", "change_contacts", "change_deformables", "change_joints", "change_shapes"]
-
 
 def change_bodies(change: Callable[[RigidBody], RigidBody]) -> Callable[[Scene], Scene]:
     """Return a fault that changes each body."""

@@ -12,8 +12,6 @@ from gauge_envs.backends import Simulation
 from gauge_envs.scene import Pose, Scene
 from mutations.mutant import Fault, Passed, fault
 
-__all__ = ["FAULTS"]
-
 Array = NDArray[np.float64]
 
 
@@ -32,6 +30,13 @@ class _OneStepPerCall(Passed):
 
     def advance(self, seconds: float) -> None:
         super().advance(1.0 / 180.0)
+
+
+class _HalfTheTime(Passed):
+    """Simulates half the time."""
+
+    def advance(self, seconds: float) -> None:
+        super().advance(0.5 * seconds)
 
 
 class _ReadsFirst(Passed):
@@ -65,6 +70,15 @@ class _NoAcceleration(Passed):
 
     def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
         super().drive(body, pose, velocity, np.zeros(6))
+
+
+class _DrivenInDegrees(Passed):
+    """Takes the rates of driven bodies for degrees."""
+
+    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+        velocity, acceleration = np.array(velocity), np.array(acceleration)
+        velocity[3:], acceleration[3:] = np.degrees(velocity[3:]), np.degrees(acceleration[3:])
+        super().drive(body, pose, velocity, acceleration)
 
 
 class _DriveLate(Passed):
@@ -144,6 +158,14 @@ FAULTS: dict[str, Fault] = dict(
     (
         fault("step-short", "one step less in each call", "time", "count steps", simulation=_OneStepShort),
         fault("step-per-call", "1/180 s in each call", "time", "one step for each call", simulation=_OneStepPerCall),
+        fault("half-time", "half the time", "free-fall", "simulates 0.5 times the time", simulation=_HalfTheTime),
+        fault(
+            "driven-degrees",
+            "rates of driven bodies in degrees",
+            "driven-path",
+            "turns 57.3 times as far",
+            simulation=_DrivenInDegrees,
+        ),
         fault(
             "reads-first",
             "sample_positions reads before it advances",

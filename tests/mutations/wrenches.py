@@ -12,8 +12,6 @@ from gauge_envs.scene import Cylinder, Scene, Sphere
 from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
 
-__all__ = ["FAULTS"]
-
 Array = NDArray[np.float64]
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
-from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
@@ -123,9 +123,9 @@ class SettingsMuJoCo(SteppedSettings):
     sleep: bool = False
     sleep_tolerance: float = Field(default=1e-3, ge=0.0)
     speculative: bool = False
-    contact_solref: SolRef | None = None
-    contact_solreffriction: SolRef | None = None
-    contact_solimp: SolImp | None = None
+    contact_solref: Annotated[SolRef | None, Native("solref")] = None
+    contact_solreffriction: Annotated[SolRef | None, Native("solreffriction")] = None
+    contact_solimp: Annotated[SolImp | None, Native("solimp")] = None
     contact_margin_m: float | None = Field(default=None, ge=0.0)
     contact_gap_m: float | None = Field(default=None, ge=0.0)
     condim: Literal[1, 3, 4, 6] | None = None

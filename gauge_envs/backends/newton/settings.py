@@ -7,13 +7,13 @@ preset; scores have no influence.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
 from gauge_envs.backends.newton.stability import longest_timestep_s
-from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.errors import UnsupportedSceneError
@@ -65,16 +65,16 @@ class SettingsMuJoCoWarp(SettingsNewton):
     cone: Literal["pyramidal", "elliptic"] = "elliptic"
     impratio: float = Field(default=10.0, gt=0.0)
     iterations: int = Field(default=100, ge=1)
-    line_search_iterations: int = Field(default=50, ge=1)
+    line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(default=50, ge=1)
     tolerance: float = Field(default=1e-8, ge=0.0)
     sustained_solref: tuple[float, float] = (0.005, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
     impact_stiffness: float = Field(default=0.002, gt=0.0)
     impact_solimp: tuple[float, float, float] = (0.99, 0.99, 0.001)
     newton_material: bool = False
-    contact_solref: tuple[float, float] | None = None
-    contact_solimp: tuple[float, float, float, float, float] | None = None
-    contact_kf_n_s_per_m: float | None = None
+    contact_solref: Annotated[tuple[float, float] | None, Native("solref")] = None
+    contact_solimp: Annotated[tuple[float, float, float, float, float] | None, Native("solimp")] = None
+    contact_kf_n_s_per_m: Annotated[float | None, Native("kf")] = None
     mujoco_contacts: bool = False
     meshes: bool = False
 

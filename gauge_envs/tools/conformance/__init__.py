@@ -5,7 +5,7 @@
 The checks use only the contract of `gauge_envs.backends`, so they run on any engine. A fault that they find affects
 benchmark runs too. A check is one function that builds a scene and measures one number:
 
-    @check(
+    @Check(
         "free-fall",
         title="free fall",
         scene="a ball that falls from 3 m",
@@ -13,31 +13,38 @@ benchmark runs too. A check is one function that builds a scene and measures one
         law="a = g",
         source="Galilei",
         unit="m/s^2",
-        tolerance=Tolerance(relative=1e-3, rationale="a fall has no model error"),
+        tolerance=Tolerance("a fall has no model error", relative=1e-3),
         diagnosis="check gravity and damping",
     )
     def free_fall(lab: Lab) -> Measurement:
-        rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5), 0.5)
+        rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5))
         fit = np.polyfit(rollout.times_s, rollout.position("ball")[:, 2], 2)
         return Measurement(measured=-2.0 * fit[0], expected=GRAVITY_M_PER_S2)
 
-Add it to the module of its kind. The decorator registers it for the command, the table and the tests.
+Add it to the module of its kind. The decorator registers it for the command, the table and the tests. Several checks of
+one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once.
 """
 
-# The order of the checks is that of these imports.
-from gauge_envs.tools.conformance import contract, continuation, rigid, pairs, spin  # noqa: F401  # isort: skip
-from gauge_envs.tools.conformance import forces, contacts, shapes, slopes, momentum, hinged  # noqa: F401  # isort: skip
-from gauge_envs.tools.conformance import driven, collisions, cloth, air, soft, lines  # noqa: F401  # isort: skip
-from gauge_envs.tools.conformance import benchmark  # noqa: F401  # isort: skip
-from gauge_envs.runs.rollout import Rollout
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance
-from gauge_envs.tools.conformance.registry import check, checks
-from gauge_envs.tools.conformance.run import run_checks
+from typing import TYPE_CHECKING
 
-from gauge_envs.tools.conformance import start  # noqa: F401  # isort: skip
+from gauge_envs.tools import door
+
+if TYPE_CHECKING:
+    from gauge_envs.runs.rollout import Rollout
+    from gauge_envs.tools.conformance.cloth import (
+        BENT_FREE_M,
+        bending_stiffness,
+        cantilever_strip,
+        hanging_strip,
+        stretch_stiffness,
+    )
+    from gauge_envs.tools.conformance.lab import Lab
+    from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
+    from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
+    from gauge_envs.tools.conformance.run import run_checks
 
 __all__ = [
+    "BENT_FREE_M",
     "Check",
     "CheckResult",
     "Lab",
@@ -45,7 +52,17 @@ __all__ = [
     "Rollout",
     "Status",
     "Tolerance",
+    "bending_stiffness",
+    "cantilever_strip",
     "check",
     "checks",
+    "friction_of_slide",
+    "hanging_strip",
+    "hann_mean",
+    "pendulum_period_s",
     "run_checks",
+    "stretch_stiffness",
 ]
+
+if not TYPE_CHECKING:  # With it, a type checker would accept any name.
+    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth")

@@ -15,42 +15,41 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Air, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import passive_energy_gain
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, sheet
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
+from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, fabric, sheet
 
-G = GRAVITY_M_PER_S2
-
-SIDE_M, AREAL_DENSITY, DENSITY, COEFFICIENT = 0.15, 0.1, 1.2, 1.5
-RATE_PER_M = 0.5 * DENSITY * COEFFICIENT / AREAL_DENSITY
+DENSITY, COEFFICIENT = 1.2, 1.5
+FABRIC = fabric(0.1, 110.0, 1e-4)
+RATE_PER_M = 0.5 * DENSITY * COEFFICIENT / FABRIC.areal_density_kg_per_m2
 """k [1/m] of a sheet that moves along its normal: 9."""
 
 TOLERANCE = Tolerance(
-    relative=0.02, rationale="a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %"
+    "a tenth of what is known of drag coefficients; explicit steps of 1 ms are off by 0.7 %", relative=0.02
 )
 
 SOURCE = "quadratic drag, Newton's law of resistance"
 
 
-def _free_sheet(pose: Pose, air: Air, seconds: float, gravity_m_per_s2: float) -> Scene:
-    cloth = sheet(pose, (SIDE_M, SIDE_M), areal_density=AREAL_DENSITY, stretch_n_per_m=110.0, bend_n_m=1e-4)
-    return Scene(bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity_m_per_s2, air=air)
+def _free_sheet(lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float) -> Rollout:
+    cloth = sheet(FABRIC, pose, (0.15, 0.15))
+    scene = Scene(bodies=(FRAME,), deformables=(cloth,), duration_s=seconds, gravity_m_per_s2=gravity, air=air)
+    return lab.rollout(scene)
 
-
-# --- terminal velocity -----------------------------------------------------------------------------------------------
 
 FALL_S, SETTLED_S = 0.8, 0.6
 
 
-@check(
+@Check(
     "air-terminal",
     title="air, terminal velocity",
     scene="a free horizontal sheet of cloth, 0.15 m by 0.15 m, that falls through still air",
@@ -63,7 +62,7 @@ FALL_S, SETTLED_S = 0.8, 0.6
 )
 def _air_terminal(lab: Lab) -> Measurement:
     air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT)
-    rollout = lab.rollout(_free_sheet(Pose(position_m=(0.0, 0.0, 2.0)), air, FALL_S, G), FALL_S)
+    rollout = _free_sheet(lab, Pose(position_m=(0.0, 0.0, 2.0)), air, FALL_S, G)
     window = rollout.between(SETTLED_S, FALL_S)
     heights = rollout.nodes_m["cloth"][window][:, :, 2].mean(axis=1)
     speed = -float(np.polyfit(rollout.times_s[window], heights, 1)[0])
@@ -74,36 +73,30 @@ def _air_terminal(lab: Lab) -> Measurement:
     return Measurement(measured=speed, expected=expected, hint=f"the drag is {ratio:.3g} times that of the law")
 
 
-# --- wind ------------------------------------------------------------------------------------------------------------
-
 WIND_M_PER_S, INCIDENCE_DEG = 2.0, 40.0
-DRAG_S, LIFT_S = 0.25, 0.1
+DRAG_S = 0.25
 ALONG_M_PER_S = WIND_M_PER_S * math.cos(math.radians(INCIDENCE_DEG))
 ACROSS_M_PER_S = WIND_M_PER_S * math.sin(math.radians(INCIDENCE_DEG))
 
 
-def _in_wind(lab: Lab, air: Air, seconds: float) -> tuple[Rollout, NDArray[np.float64]]:
+def _in_wind(lab: Lab, seconds: float, **coefficients: Any) -> tuple[Rollout, NDArray[np.float64]]:
     """Record a sheet without gravity in wind along +x, which meets its plane at 40 degrees.
+
+    Args:
+        lab: The lab.
+        seconds: Time to simulate [s].
+        **coefficients: Coefficients of the air, of which the others are 0.
 
     Returns:
         The rollout, and the displacement of the sheet's mean along its first edge and its normal [m], shape
         [sample_count, 2]. The wind has positive components along both.
     """
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, INCIDENCE_DEG, 0.0))
-    rollout = lab.rollout(_free_sheet(pose, air, seconds, 0.0), seconds)
+    air = Air(density_kg_per_m3=DENSITY, normal_coefficient=0.0, wind_m_per_s=(WIND_M_PER_S, 0.0, 0.0))
+    rollout = _free_sheet(lab, pose, replace(air, **coefficients), seconds, 0.0)
     means = rollout.nodes_m["cloth"].mean(axis=1)
     moved = pose.rotation.apply(means - means[0], inverse=True)
     return rollout, moved[:, [0, 2]]
-
-
-def _wind_air(*, normal: float = 0.0, tangential: float = 0.0, lift: float = 0.0) -> Air:
-    return Air(
-        density_kg_per_m3=DENSITY,
-        normal_coefficient=normal,
-        tangential_coefficient=tangential,
-        lift_coefficient=lift,
-        wind_m_per_s=(WIND_M_PER_S, 0.0, 0.0),
-    )
 
 
 def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Measurement:
@@ -118,7 +111,7 @@ def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Me
     return Measurement(measured=1e3 * float(last[axis]), expected=1e3 * expected, hint=hint)
 
 
-@check(
+@Check(
     "air-pressure",
     title="air, pressure on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_n alone",
@@ -131,11 +124,11 @@ def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Me
     "the normal",
 )
 def _air_pressure(lab: Lab) -> Measurement:
-    _, moved = _in_wind(lab, _wind_air(normal=COEFFICIENT), DRAG_S)
+    _, moved = _in_wind(lab, DRAG_S, normal_coefficient=COEFFICIENT)
     return _carried(moved, 1, ACROSS_M_PER_S)
 
 
-@check(
+@Check(
     "air-friction",
     title="air, friction on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_t alone",
@@ -148,11 +141,11 @@ def _air_pressure(lab: Lab) -> Measurement:
     "counts both sides",
 )
 def _air_friction(lab: Lab) -> Measurement:
-    _, moved = _in_wind(lab, _wind_air(tangential=COEFFICIENT), DRAG_S)
+    _, moved = _in_wind(lab, DRAG_S, tangential_coefficient=COEFFICIENT)
     return _carried(moved, 0, ALONG_M_PER_S)
 
 
-@check(
+@Check(
     "air-lift",
     title="air, lift on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_l alone",
@@ -160,11 +153,11 @@ def _air_friction(lab: Lab) -> Measurement:
     law="tan a = tan a0 exp(-k w t), k = rho C_l / (2 mass per area)",
     source="lift of a flat plate, C_l sin a cos a (scene.Air)",
     unit="deg",
-    tolerance=Tolerance(relative=0.02, absolute=0.2, rationale="as for the drag; the speed is a difference of places"),
+    tolerance=Tolerance("as for the drag; the speed is a difference of places", relative=0.02, absolute=0.2),
     diagnosis="the lift is perpendicular to the relative velocity and does no work on it",
 )
 def _air_lift(lab: Lab) -> Measurement:
-    rollout, moved = _in_wind(lab, _wind_air(lift=COEFFICIENT), LIFT_S)
+    rollout, moved = _in_wind(lab, 0.1, lift_coefficient=COEFFICIENT)
     speeds = np.gradient(moved, rollout.times_s, axis=0)
     along, across = np.array([ALONG_M_PER_S, ACROSS_M_PER_S]) - speeds[-2]
     time_s = float(rollout.times_s[-2])
@@ -175,12 +168,7 @@ def _air_lift(lab: Lab) -> Measurement:
     return Measurement(measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint)
 
 
-# --- energy ----------------------------------------------------------------------------------------------------------
-
-STRIP_M, STRIP_S = (0.15, 0.075), 0.6
-
-
-@check(
+@Check(
     "air-energy",
     title="still air gives no energy",
     scene="a horizontal strip of cloth of 0.15 m in still air, held at one end, that falls and swings",
@@ -188,15 +176,14 @@ STRIP_M, STRIP_S = (0.15, 0.075), 0.6
     law="T + V <= initial T + V; no part of the force does positive work in still air",
     source="drag opposes the motion, lift is perpendicular to it",
     unit="%",
-    tolerance=Tolerance(absolute=5.0, rationale="masses and speeds of nodes are estimated from their positions"),
+    tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
     diagnosis="a force has the wrong sign, or explicit steps are too long for a light cloth",
 )
 def _air_energy(lab: Lab) -> Measurement:
-    pose = Pose(position_m=(0.0, 0.0, 1.0))
-    cloth = sheet(pose, STRIP_M, areal_density=AREAL_DENSITY, stretch_n_per_m=110.0, bend_n_m=1e-4)
-    scene = clamped(cloth, Region(axis="x", side="low"), duration_s=STRIP_S)
+    cloth = sheet(FABRIC, Pose(position_m=(0.0, 0.0, 1.0)), (0.15, 0.075))
+    scene = clamped(cloth, Region(axis="x", side="low"), duration_s=0.6)
     air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT, lift_coefficient=COEFFICIENT)
-    rollout = lab.rollout(replace(scene, air=air), STRIP_S)
+    rollout = lab.rollout(replace(scene, air=air))
     nodes = rollout.nodes_m["cloth"]
     shares = np.full(nodes.shape[1], 1.0 / nodes.shape[1])
     return passive_energy_gain(nodes, rollout.times_s, shares, G)

@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import closing
+from typing import Any, NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Hinge, Motion, Pose, Region, Scene, SoftBody
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
+from gauge_envs.tools.conformance.measurements import largest_mm
+from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.scene_parts import (
+    STRIP_ON_ROD,
     ball,
-    body,
     box,
     clamped,
+    contact,
+    driven_box,
     driver,
     fixed_box,
     ground,
@@ -23,20 +29,27 @@ from gauge_envs.tools.conformance.scene_parts import (
     strip_on_rod,
 )
 
-EXACT = Tolerance(absolute=0.0, rationale="the contract requires equality bit for bit")
-RANDOM_DIAGNOSIS = "unseeded random numbers, or sums in a changing order, such as atomic additions on a GPU"
+SAME_SEED: dict[str, Any] = {
+    "law": "same seed, same trajectory",
+    "source": "contract (Simulation.reset)",
+    "tolerance": EXACT,
+}
+SAME_SCENE: dict[str, Any] = {
+    "law": "same scene, same trajectory",
+    "source": "contract (Simulation.reset); a benchmark must be repeatable",
+    "tolerance": EXACT,
+    "diagnosis": "unseeded random numbers, or sums in a changing order, such as atomic additions on a GPU",
+}
 
 # --- finite states ---------------------------------------------------------------------------------------------------
 
 
 def _swinging_scene() -> Scene:
     """Return a ball on a hinge and one on a plane."""
-    hinge = Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0))
-    contact = Contact(first=("ball",), second=("ground",), friction=0.4, restitution=0.0)
     return Scene(
         bodies=(ball("bob", (0.2, 0.0, 1.0)), ball("ball", (0.0, 0.5, 0.03)), ground()),
-        joints=(hinge,),
-        contacts=(contact,),
+        joints=(Hinge(body="bob", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0)),),
+        contacts=(contact("ball", "ground", friction=0.4),),
         duration_s=1.0,
     )
 
@@ -54,10 +67,7 @@ def _foam_scene() -> Scene:
     return clamped(foam, Region(axis="z", side="high"), duration_s=1.0)
 
 
-FINITE_S = 0.05
-
-
-@check(
+@Check(
     "finite",
     title="states are finite",
     scene="five scenes in turn, as far as the backend builds them: free bodies of all motions, a tumbling brick, a "
@@ -65,8 +75,7 @@ FINITE_S = 0.05
     measures="number of scenes in which a state or a node is not finite within 0.05 s",
     law="every number is finite",
     source="contract (World.body_states, World.nodes)",
-    unit="1",
-    tolerance=Tolerance(absolute=0.0, rationale="it is a count"),
+    tolerance=COUNT,
     diagnosis="a mass, an inertia or a size that the engine received is 0 or NaN, or the first step diverges; the "
     "checks below that fail for the same reason are listed without a diagnosis of their own",
 )
@@ -75,14 +84,14 @@ def _finite(lab: Lab) -> Measurement:
     faults, declined = [], []
     for scene in scenes:
         try:
-            lab.rollout(scene, FINITE_S)
+            lab.rollout(scene, 0.05)
         except NotFiniteError as error:
             faults.append(str(error))
         except DeclinedError as error:
             declined.append(error)
     if len(declined) == len(scenes):
         raise declined[0]
-    return Measurement(measured=len(faults), expected=0.0, hint="; ".join(faults))
+    return Measurement(measured=len(faults), hint="; ".join(faults))
 
 
 # --- conventions -----------------------------------------------------------------------------------------------------
@@ -94,13 +103,7 @@ def _still_scene() -> Scene:
         bodies=(
             box("brick", (0.5, -0.3, 2.0), (0.1, 0.06, 0.03), euler_deg=(20.0, 50.0, -100.0)),
             fixed_box("wall", (-0.4, 0.2, 1.0), (0.1, 0.3, 0.2), euler_deg=(0.0, 0.0, 30.0)),
-            body(
-                "plate",
-                Box(size_m=(0.2, 0.2, 0.02)),
-                Pose.from_euler_deg((0.1, 0.7, 0.4), (10.0, 0.0, 60.0)),
-                mass_kg=1.0,
-                motion=Motion.KINEMATIC,
-            ),
+            driven_box("plate", (0.1, 0.7, 0.4), (0.2, 0.2, 0.02), euler_deg=(10.0, 0.0, 60.0)),
             ball("ball", (-0.2, -0.6, 1.5)),
         ),
         drivers=(driver("plate", "translate", (0.0, 0.0, 1.0), ramp(0.1, start_s=0.1, duration_s=0.4, ramp_s=0.1)),),
@@ -108,94 +111,87 @@ def _still_scene() -> Scene:
     )
 
 
-def _as_built(lab: Lab) -> tuple[Scene, NDArray[np.float64], NDArray[np.float64]]:
-    """Return the scene and its states right after build, read in the order of the names and in reversed order."""
+class _Built(NamedTuple):
+    """A scene and its states right after build, read in the order of the names and in the reversed order."""
+
+    scene: Scene
+    states: NDArray[np.float64]
+    backward: NDArray[np.float64]
+
+
+@recorded("a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts")
+def _as_built(lab: Lab) -> _Built:
     scene = _still_scene()
     names = [one.name for one in scene.bodies]
-    simulation = lab.build(scene)
-    try:
-        return scene, states_now(simulation, names), states_now(simulation, names[::-1])[::-1]
-    finally:
-        simulation.close()
+    with closing(lab.build(scene)) as simulation:
+        return _Built(scene, states_now(simulation, names), states_now(simulation, names[::-1])[::-1])
 
 
-@check(
+@_as_built.check(
     "order-of-names",
     title="rows are in the order of the names",
-    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest difference between states read in one order of names and in the reversed order",
     law="row i is the state of names[i]",
     source="contract (Simulation.body_states)",
-    unit="1",
     tolerance=EXACT,
     diagnosis="body_states must return one row for each name in the order asked for, not in the scene's order",
 )
-def _order_of_names(lab: Lab) -> Measurement:
-    _, forward, backward = lab.once(_as_built)
-    return Measurement(measured=float(np.abs(forward - backward).max()), expected=0.0)
+def _order_of_names(built: _Built) -> Measurement:
+    return Measurement(measured=float(np.abs(built.states - built.backward).max()))
 
 
-@check(
+@_as_built.check(
     "start-position",
     title="build starts at the scene's positions",
-    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest distance of a fixed, driven or dynamic body's origin from its start position, right after build",
     law="RigidBody.pose",
     source="contract (Backend.build)",
     unit="mm",
-    tolerance=Tolerance(absolute=1e-3, rationale="a float's rounding at 1 m is 0.1 um"),
+    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=1e-3),
     diagnosis="body_states must give the body origin in metres in the world frame before the first step",
 )
-def _start_position(lab: Lab) -> Measurement:
-    scene, states, _ = lab.once(_as_built)
-    expected = np.array([one.pose.position_m for one in scene.bodies])
-    hint = "positions are in mm" if np.allclose(states[:, :3], 1e3 * expected, atol=1.0) else ""
-    return Measurement(
-        measured=1e3 * float(np.linalg.norm(states[:, :3] - expected, axis=1).max()), expected=0.0, hint=hint
-    )
+def _start_position(built: _Built) -> Measurement:
+    positions, expected = built.states[:, :3], np.array([one.pose.position_m for one in built.scene.bodies])
+    hint = "positions are in mm" if np.allclose(positions, 1e3 * expected, atol=1.0) else ""
+    return Measurement(measured=largest_mm(positions - expected), hint=hint)
 
 
-@check(
+@_as_built.check(
     "start-orientation",
     title="build starts at the scene's orientations",
-    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest distance of a body's quaternion (w, x, y, z), of either sign, from its start, right after build",
     law="RigidBody.pose",
     source="contract (Simulation.body_states)",
-    unit="1",
-    tolerance=Tolerance(absolute=1e-5, rationale="a float's rounding is 1e-7"),
+    tolerance=Tolerance("a float's rounding is 1e-7", absolute=1e-5),
     diagnosis="columns 3 to 6 of body_states are a unit quaternion, scalar first, body to world",
 )
-def _start_orientation(lab: Lab) -> Measurement:
-    scene, states, _ = lab.once(_as_built)
-    expected = np.array([one.pose.quaternion for one in scene.bodies])
+def _start_orientation(built: _Built) -> Measurement:
+    expected = np.array([one.pose.quaternion for one in built.scene.bodies])
 
     def error(quaternions: NDArray[np.float64]) -> float:
         both = [np.linalg.norm(quaternions - sign * expected, axis=1) for sign in (1.0, -1.0)]
         return float(np.min(both, axis=0).max())
 
-    reported = states[:, 3:7]
+    reported = built.states[:, 3:7]
     explanations = {
         "it is x, y, z, w: the scalar comes last": np.roll(reported, 1, axis=1),
         "it is the inverse: world to body": reported * [1.0, -1.0, -1.0, -1.0],
     }
     hint = next((text for text, values in explanations.items() if error(values) < 1e-4), "")
-    return Measurement(measured=error(reported), expected=0.0, hint=hint)
+    return Measurement(measured=error(reported), hint=hint)
 
 
-@check(
+@_as_built.check(
     "start-rest",
     title="build starts at rest",
-    scene="a brick, a fixed wall, a driven plate and a ball, all turned differently, without contacts",
     measures="largest reported speed [m/s] or angular speed [rad/s] right after build",
     law="v = 0, omega = 0",
     source="contract (bodies of this scene start at rest)",
-    unit="1",
-    tolerance=Tolerance(absolute=1e-9, rationale="no body has moved yet"),
+    tolerance=Tolerance("no body has moved yet", absolute=1e-9),
     diagnosis="build must not step the engine, or must return to the start afterwards",
 )
-def _start_rest(lab: Lab) -> Measurement:
-    return Measurement(measured=float(np.abs(lab.once(_as_built)[1][:, 7:]).max()), expected=0.0)
+def _start_rest(built: _Built) -> Measurement:
+    return Measurement(measured=float(np.abs(built.states[:, 7:]).max()))
 
 
 # --- time ------------------------------------------------------------------------------------------------------------
@@ -207,18 +203,12 @@ def _bounce_scene() -> Scene:
         bodies=(
             box("brick", (0.0, 0.0, 0.2), (0.1, 0.06, 0.03), euler_deg=(25.0, 35.0, 10.0)),
             fixed_box("slab", (0.0, 0.0, -0.01), (1.0, 1.0, 0.02)),
-            body(
-                "plate",
-                Box(size_m=(0.3, 0.3, 0.02)),
-                Pose(position_m=(0.0, 0.0, 0.6)),
-                mass_kg=1.0,
-                motion=Motion.KINEMATIC,
-            ),
+            driven_box("plate", (0.0, 0.0, 0.6), (0.3, 0.3, 0.02)),
             ball("ball", (0.1, 0.0, 0.64)),
         ),
         contacts=(
-            Contact(first=("brick",), second=("slab",), friction=0.4, restitution=0.4, mode=ContactMode.IMPACT),
-            Contact(first=("ball",), second=("plate",), friction=0.4, restitution=0.0),
+            contact("brick", "slab", friction=0.4, restitution=0.4),
+            contact("ball", "plate", friction=0.4),
         ),
         drivers=(driver("plate", "rotate", (0.0, 1.0, 0.0), ramp(0.5, start_s=0.05, duration_s=0.5, ramp_s=0.1)),),
         duration_s=1.0,
@@ -227,54 +217,45 @@ def _bounce_scene() -> Scene:
 
 def bounces(lab: Lab) -> Scene:
     """Return that scene, or a ball on the ground when the backend cannot build it."""
-    contact = Contact(first=("ball",), second=("ground",), friction=0.4, restitution=0.6, mode=ContactMode.IMPACT)
-    simple = Scene(bodies=(ball("ball", (0.1, 0.2, 0.2)), ground()), contacts=(contact,), duration_s=1.0)
+    bounce = contact("ball", "ground", friction=0.4, restitution=0.6)
+    simple = Scene(bodies=(ball("ball", (0.1, 0.2, 0.2)), ground()), contacts=(bounce,), duration_s=1.0)
     return lab.first_supported(_bounce_scene(), simple)
 
 
-BOUNCE_S = 0.5
+BOUNCES = (
+    "a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball dropped on a "
+    "plane"
+)
 
 
-def _bounce(lab: Lab) -> Rollout:
-    return lab.rollout(bounces(lab), BOUNCE_S)
-
-
-@check(
+@Check(
     "time",
     title="advance simulates the given time",
     scene="a falling brick, advanced by 1/30 s at a time and by 1/180 s at a time",
     measures="fall of a brick in nine calls of advance(1/30), over its fall in 54 calls of advance(1/180)",
     law="advance(6 dt) = 6 advance(dt)",
     source="contract (Simulation.advance)",
-    unit="1",
-    tolerance=Tolerance(absolute=1e-4, rationale="the steps are the same; only rounding differs"),
+    tolerance=Tolerance("the steps are the same; only rounding differs", absolute=1e-4),
     diagnosis="advance(seconds) must simulate any given time: count steps, do not make one step for each call",
 )
 def _time(lab: Lab) -> Measurement:
     scene = Scene(bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0)
     fallen = []
     for interval, count in ((1 / 30, 9), (SAMPLE_INTERVAL_S, 54)):
-        simulation = lab.build(scene)
-        try:
+        with closing(lab.build(scene)) as simulation:
             simulation.reset(0)
             for _ in range(count):
                 simulation.advance(interval)
             fallen.append(3.0 - states_now(simulation, ["brick"])[0, 2])
-        finally:
-            simulation.close()
     if fallen[1] == 0.0:
         return Measurement(measured=float("nan"), expected=1.0, hint="the brick does not move")
-    law_m = 0.5 * GRAVITY_M_PER_S2 * (54 * SAMPLE_INTERVAL_S) ** 2
+    law_m = 0.5 * G * (54 * SAMPLE_INTERVAL_S) ** 2
     wrong = abs(abs(fallen[1]) - law_m) > 0.05 * law_m
-    hint = (
-        f"in 54 calls it fell by {fallen[1]:.3g} m instead of {law_m:.3g} m: each call changes its speed"
-        if wrong
-        else ""
-    )
-    return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint)
+    hint = f"in 54 calls it fell by {fallen[1]:.3g} m instead of {law_m:.3g} m: each call changes its speed"
+    return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
 
 
-@check(
+@Check(
     "sample-positions",
     title="sample_positions equals advance and body_states",
     scene="a falling ball and a falling brick",
@@ -292,8 +273,7 @@ def _sample_positions(lab: Lab) -> Measurement:
     names = ["brick", "ball"]
     read = []
     for in_one_call in (True, False):
-        simulation = lab.build(scene)
-        try:
+        with closing(lab.build(scene)) as simulation:
             simulation.reset(0)
             if in_one_call:
                 read.append(np.array(simulation.sample_positions(names, 12, SAMPLE_INTERVAL_S)))
@@ -303,9 +283,7 @@ def _sample_positions(lab: Lab) -> Measurement:
                 simulation.advance(SAMPLE_INTERVAL_S)
                 rows.append(states_now(simulation, names)[:, :3])
             read.append(np.array(rows))
-        finally:
-            simulation.close()
-    return Measurement(measured=1e3 * float(np.abs(read[0] - read[1]).max()), expected=0.0)
+    return Measurement(measured=1e3 * float(np.abs(read[0] - read[1]).max()))
 
 
 # --- repeatability ---------------------------------------------------------------------------------------------------
@@ -323,8 +301,7 @@ def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Rollout,
 
     The first sample of the first rollout is from before the first reset.
     """
-    simulation = lab.build(scene)
-    try:
+    with closing(lab.build(scene)) as simulation:
         built = record(simulation, scene, 0.0)
         simulation.reset(0)
         first = record(simulation, scene, seconds)
@@ -336,104 +313,73 @@ def _again_after_reset(lab: Lab, scene: Scene, seconds: float) -> tuple[Rollout,
         for name, nodes in built.nodes_m.items():
             first.nodes_m[name][0] = nodes[0]
         return first, record(simulation, scene, seconds)
-    finally:
-        simulation.close()
 
 
+@recorded(BOUNCES)
 def _bounce_again(lab: Lab) -> tuple[Rollout, Rollout]:
-    return _again_after_reset(lab, bounces(lab), BOUNCE_S)
+    return _again_after_reset(lab, bounces(lab), 0.5)
 
 
+@recorded(STRIP_ON_ROD)
 def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
     return _again_after_reset(lab, strip_on_rod(), 0.2)
 
 
-def _start_hint(first: Rollout, second: Rollout) -> str:
-    moved = max((np.abs(s[0, :7] - second.states[n][0, :7]).max() for n, s in first.states.items()), default=0.0)
-    speed = max((np.abs(s[0, 7:] - second.states[n][0, 7:]).max() for n, s in first.states.items()), default=0.0)
-    if moved == 0.0 and speed > 0.0:
-        return "velocities are kept"
-    return "reset does not restore all positions" if moved > 0.0 else ""
-
-
-@check(
+@_bounce_again.check(
     "reset-start",
     title="reset restores the start",
-    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
-    "dropped on a plane",
     measures="largest difference of any state [m, 1, m/s, rad/s] after a later reset from right after build",
     law="state after reset = state after build",
     source="contract (Simulation.reset)",
-    unit="1",
     tolerance=EXACT,
     diagnosis="reset must restore positions, orientations and velocities of all bodies, driven ones included",
 )
-def _reset_start(lab: Lab) -> Measurement:
-    first, second = lab.once(_bounce_again)
-    return Measurement(
-        measured=_difference(first.cut(0.0, 0.0), second.cut(0.0, 0.0)),
-        expected=0.0,
-        hint=_start_hint(first, second),
-    )
+def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
+    first, second = (rollout.cut(0.0, 0.0) for rollout in pair)
+    apart = np.abs([states[0] - second.states[name][0] for name, states in first.states.items()])
+    hint = "reset does not restore all positions" if apart[:, :7].any() else ""
+    if apart.any() and not hint:
+        hint = "velocities are kept"
+    return Measurement(measured=_difference(first, second), hint=hint)
 
 
-@check(
+@_bounce_again.check(
     "reset-course",
     title="the same seed gives the same trajectory",
-    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
-    "dropped on a plane",
     measures="largest difference of any state between the first 0.5 s after two resets",
-    law="same seed, same trajectory",
-    source="contract (Simulation.reset)",
-    unit="1",
-    tolerance=EXACT,
+    **SAME_SEED,
     diagnosis="reset does not restore velocities, warm starts, contact caches, forces on driven bodies, or time",
 )
-def _reset_course(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(*lab.once(_bounce_again)), expected=0.0)
+def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
+    return Measurement(measured=_difference(*pair))
 
 
-@check(
+@Check(
     "determinism",
     title="two builds give the same trajectory",
-    scene="a brick dropped by 0.2 m on a fixed slab, and a ball on a plate that turns by 0.5 rad; or a ball "
-    "dropped on a plane",
+    scene=BOUNCES,
     measures="largest difference of any state within 0.5 s between two simulations of one scene",
-    law="same scene, same trajectory",
-    source="contract (Simulation.reset); a benchmark must be repeatable",
-    unit="1",
-    tolerance=EXACT,
-    diagnosis=RANDOM_DIAGNOSIS,
+    **SAME_SCENE,
 )
 def _determinism(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(lab.once(_bounce), _bounce(lab)), expected=0.0)
+    return Measurement(measured=_difference(*(lab.rollout(bounces(lab), 0.5) for _ in range(2))))
 
 
-@check(
+_cloth_again.check(
     "cloth-reset",
     title="cloth: the same seed gives the same trajectory",
-    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
     measures="largest difference of any node [m] or state between the first 0.2 s after two resets",
-    law="same seed, same trajectory",
-    source="contract (Simulation.reset)",
-    unit="1",
-    tolerance=EXACT,
+    **SAME_SEED,
     diagnosis="reset must restore positions and velocities of the nodes, and all that the solver keeps between steps",
-)
-def _cloth_reset(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(*lab.once(_cloth_again)), expected=0.0)
+)(_reset_course)
 
 
-@check(
+@Check(
     "cloth-determinism",
     title="cloth: two builds give the same trajectory",
-    scene="a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad",
+    scene=STRIP_ON_ROD,
     measures="largest difference of any node [m] or state within 0.2 s between two simulations",
-    law="same scene, same trajectory",
-    source="contract (Simulation.reset); a benchmark must be repeatable",
-    unit="1",
-    tolerance=EXACT,
-    diagnosis=RANDOM_DIAGNOSIS,
+    **SAME_SCENE,
 )
 def _cloth_determinism(lab: Lab) -> Measurement:
-    return Measurement(measured=_difference(lab.once(_cloth_again)[0], lab.rollout(strip_on_rod(), 0.2)), expected=0.0)
+    return Measurement(measured=_difference(_cloth_again(lab)[0], lab.rollout(strip_on_rod(), 0.2)))

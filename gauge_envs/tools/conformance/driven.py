@@ -1,94 +1,81 @@
-"""Driven bodies: they follow their drivers, and carry what rests on them."""
+"""Driven bodies: they follow their drivers, carry what rests on them, and push balls that collide."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, Motion, Pose, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Scene
 from gauge_envs.scene.drivers import Driver, TrapezoidProfile
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, box, driver, ramp
+from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
+from gauge_envs.tools.conformance.scene_parts import ball, box, contact, driven_box, driver, ramp
 
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
-CARRY_S = 1.5
-STROKE_M, SPIN_RAD_PER_S = 0.3, 2.0
-PLATE = body("plate", Box(size_m=PLATE_M), Pose(position_m=(0.0, 0.0, 0.5)), mass_kg=1.0, motion=Motion.KINEMATIC)
 
 
-def _on_plate(lab: Lab, motion: Driver, *, friction: float, x_m: float, seconds: float) -> Rollout:
-    """Record a cube on a driven plate."""
+def _on_plate(motion: Driver, *, friction: float = 0.4, x_m: float, seconds: float = 1.5) -> Scene:
+    """Return a cube on a driven plate."""
     cube = box("cube", (x_m, 0.0, 0.5 + 0.5 * (PLATE_M[2] + CUBE_M)), (CUBE_M,) * 3)
-    scene = Scene(
-        bodies=(cube, PLATE),
-        contacts=(Contact(first=("cube",), second=("plate",), friction=friction, restitution=0.0),),
+    return Scene(
+        bodies=(cube, driven_box("plate", (0.0, 0.0, 0.5), PLATE_M)),
+        contacts=(contact("cube", "plate", friction=friction),),
         drivers=(motion,),
         duration_s=seconds,
     )
-    return lab.rollout(scene, seconds)
 
 
-def _carry(lab: Lab) -> Rollout:
-    """Record a plate that moves by 0.3 m in 1.2 s and accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
-    motion = driver("plate", "translate", (1.0, 0.0, 0.0), ramp(STROKE_M, start_s=0.0, duration_s=1.2, ramp_s=0.4))
-    return _on_plate(lab, motion, friction=0.4, x_m=-0.1, seconds=CARRY_S)
+_carry = rollout_of(
+    "a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
+    _on_plate(
+        driver("plate", "translate", (1.0, 0.0, 0.0), ramp(0.3, start_s=0.0, duration_s=1.2, ramp_s=0.4)), x_m=-0.1
+    ),
+)
+"""The plate accelerates by 0.94 m/s^2; friction can hold 3.9 m/s^2."""
+
+TURN = TrapezoidProfile(start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=19.5)
+_turntable = rollout_of(
+    "a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
+    _on_plate(driver("plate", "rotate", (0.0, 0.0, 1.0), TURN), x_m=0.05),
+)
+"""The centripetal acceleration is 0.2 m/s^2; friction can hold 3.9 m/s^2."""
 
 
-def _turntable(lab: Lab) -> Rollout:
-    """Record a plate that rotates at 2 rad/s: centripetal acceleration 0.2 m/s^2; friction can hold 3.9 m/s^2."""
-    rotation = TrapezoidProfile(
-        start_s=0.0, duration_s=10.0, accelerate_s=0.5, brake_s=0.0, amount=SPIN_RAD_PER_S * (10.0 - 0.25)
-    )
-    return _on_plate(lab, driver("plate", "rotate", (0.0, 0.0, 1.0), rotation), friction=0.4, x_m=0.05, seconds=CARRY_S)
-
-
-def _on_the_plate(rollout: Rollout) -> NDArray[np.float64]:
-    """Return displacements of the cube in the plate's prescribed frame [m], shape [sample_count, 3]."""
-    poses = driver_poses(rollout)
-    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
-    return np.array(places) - places[0]
-
-
-@check(
+@_carry.check(
     "driven-velocity",
     title="driven body has its driver's velocity",
-    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
     measures="reported speed of a plate at constant driven speed, over the prescribed speed",
     law="v = prescribed v",
     source="contract (Simulation.drive)",
-    unit="1",
-    tolerance=Tolerance(absolute=0.01, rationale="friction depends on this velocity; 1 % is the tolerance of a slide"),
+    tolerance=Tolerance("friction depends on this velocity; 1 % is the tolerance of a slide", absolute=0.01),
     diagnosis="the driven body is teleported: it has no velocity, and carries nothing",
 )
-def _driven_velocity(lab: Lab) -> Measurement:
-    rollout = lab.once(_carry)
+def _driven_velocity(rollout: Rollout) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
     speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
-@check(
+@_turntable.check(
     "driven-path",
     title="driven body follows its driver",
-    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
     measures="largest distance of a corner of a rotating plate with a cube on it from its prescribed position",
     law="pose = prescribed pose",
     source="contract (Simulation.drive)",
     unit="mm",
-    tolerance=Tolerance(absolute=0.1, rationale="a tenth of the real trials' scatter"),
+    tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
     diagnosis="the pose is set an interval too early or too late, contacts push the driven body, or the backend "
     "ignores the acceleration that drive() gives",
 )
-def _driven_path(lab: Lab) -> Measurement:
-    rollout = lab.once(_turntable)
+def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
     found = driver_error(rollout, rotated + rollout.position("plate")[:, None])
@@ -106,46 +93,41 @@ def _turn_hint(rollout: Rollout) -> str:
     return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
-CARRY_TOLERANCE = Tolerance(absolute=1.0, rationale="the real trials' scatter is about 1 mm")
+CARRY: dict[str, Any] = {
+    "source": "Coulomb",
+    "unit": "mm",
+    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
+}
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
     "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
 )
 
 
-@check(
-    "carry-line",
-    title="plate carries a cube in a line",
-    scene="a cube on a plate that is driven by 0.3 m within 1.2 s; friction 0.4",
-    measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
-    law="0 if acceleration < mu g",
-    source="Coulomb",
-    unit="mm",
-    tolerance=CARRY_TOLERANCE,
-    diagnosis=CARRY_DIAGNOSIS,
-)
-def _carry_line(lab: Lab) -> Measurement:
-    distance = np.linalg.norm(_on_the_plate(lab.once(_carry)), axis=1)
-    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
-
-
-@check(
+@_turntable.check(
     "carry-turn",
     title="turntable carries a cube",
-    scene="a cube 50 mm off the axis of a plate that turns at up to 2 rad/s; friction 0.4",
     measures="largest displacement of the cube on a plate that rotates by 2.5 rad at up to 2 rad/s, 50 mm off its axis",
     law="0 if omega^2 r < mu g",
-    source="Coulomb",
-    unit="mm",
-    tolerance=CARRY_TOLERANCE,
     diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
+    **CARRY,
 )
-def _carry_turn(lab: Lab) -> Measurement:
-    distance = np.linalg.norm(_on_the_plate(lab.once(_turntable)), axis=1)
-    return Measurement(measured=1e3 * float(distance.max()), expected=0.0)
+@_carry.check(
+    "carry-line",
+    title="plate carries a cube in a line",
+    measures="largest displacement of the cube on a plate that moves by 0.3 m and brakes",
+    law="0 if acceleration < mu g",
+    diagnosis=CARRY_DIAGNOSIS,
+    **CARRY,
+)
+def _slip(rollout: Rollout) -> Measurement:
+    """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
+    poses = driver_poses(rollout)
+    places = [pose.to_body(position) for pose, position in zip(poses, rollout.position("cube"), strict=True)]
+    return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
-@check(
+@Check(
     "carry-slip",
     title="plate slips under a cube",
     scene="a cube on a plate that accelerates with 2 m/s^2; friction 0.05",
@@ -154,13 +136,117 @@ def _carry_turn(lab: Lab) -> Measurement:
     source="Coulomb",
     unit="m/s^2",
     tolerance=Tolerance(
-        relative=0.02, rationale="1 % as for a slide, and 1 % because the plate's speed changes within an interval"
+        "1 % as for a slide, and 1 % because the plate's speed changes within an interval", relative=0.02
     ),
     diagnosis="friction on a driven body is not that of the pair, or acts on a velocity other than the prescribed one",
 )
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
-    rollout = _on_plate(lab, motion, friction=0.05, x_m=0.0, seconds=0.4)
+    rollout = lab.rollout(_on_plate(motion, friction=0.05, x_m=0.0, seconds=0.4))
     measured = acceleration_m_per_s2(rollout.times_s, rollout.position("cube")[:, 0])
-    return Measurement(measured=measured, expected=0.05 * GRAVITY_M_PER_S2)
+    return Measurement(measured=measured, expected=0.05 * G)
+
+
+# --- collisions ------------------------------------------------------------------------------------------------------
+
+# The contract has no start velocities, so a driven plate accelerates the first ball, then brakes and loses contact.
+
+LEFT_KG, RIGHT_KG, RESTITUTION = 0.1, 0.2, 0.6
+PUSH_M_PER_S = 0.5
+BEFORE_S, AFTER_S = 0.42, 0.75
+
+
+def _collide(slowdown: float) -> Scene:
+    """Return two balls, one of which a driven plate pushes; all times are longer by a factor."""
+    stroke = ramp(0.1, start_s=0.0, duration_s=0.3 * slowdown, ramp_s=0.1 * slowdown)
+    return Scene(
+        bodies=(
+            ball("left", (0.0, 0.0, 1.0), radius_m=0.02, mass_kg=LEFT_KG),
+            ball("right", (0.25, 0.0, 1.0), radius_m=0.02, mass_kg=RIGHT_KG),
+            driven_box("plate", (-0.03, 0.0, 1.0), (0.02, 0.1, 0.1)),
+        ),
+        contacts=(
+            contact("left", "plate", friction=0.0),
+            contact("left", "right", friction=0.0, restitution=RESTITUTION),
+        ),
+        drivers=(driver("plate", "translate", (1.0, 0.0, 0.0), stroke),),
+        duration_s=slowdown,
+        gravity_m_per_s2=0.0,
+    )
+
+
+PUSHED = "a driven plate pushes a ball of 0.1 kg at {} m/s against a resting one of 0.2 kg; no gravity"
+_collision = rollout_of(PUSHED.format(0.5), _collide(1.0))
+_slow_collision = rollout_of(PUSHED.format(0.1), _collide(5.0))
+
+
+def _speeds(rollout: Rollout, time_s: float) -> tuple[float, float]:
+    """Return the speeds of both balls at a time [s] of the fast collision."""
+    sample = rollout.sample_at(time_s * rollout.scene.duration_s)
+    return float(rollout.velocity("left")[sample, 0]), float(rollout.velocity("right")[sample, 0])
+
+
+def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float, float], float]) -> Measurement:
+    """Measure a collision by the first ball's speed before it and both speeds after it, if the second one rested."""
+    push = PUSH_M_PER_S / rollout.scene.duration_s
+    (before, still), (left, right) = _speeds(rollout, BEFORE_S), _speeds(rollout, AFTER_S)
+    if abs(before) > 0.2 * push and abs(still) < 0.01 * push:
+        return Measurement(measured=measure(before, left, right), expected=expected)
+    hint = f"before the collision the balls move at {before:.3g} and {still:.3g} m/s instead of {push:g} and 0"
+    return Measurement(measured=float("nan"), expected=expected, hint=hint)
+
+
+@_collision.check(
+    "pushed-ball",
+    title="driven plate pushes",
+    measures="speed of a ball after a driven plate has pushed it and braked",
+    law="v = largest speed of the plate",
+    source="no restitution, no friction",
+    unit="m/s",
+    tolerance=Tolerance("a stiff contact may release some elastic energy; 2 % is 1 cm/s", relative=0.02),
+    diagnosis="the driven body moves without velocity, or the contact sticks or rebounds",
+)
+def _pushed_ball(rollout: Rollout) -> Measurement:
+    return Measurement(measured=_speeds(rollout, BEFORE_S)[0], expected=PUSH_M_PER_S)
+
+
+@_collision.check(
+    "collision-momentum",
+    title="two balls, momentum",
+    measures="momentum of two floating balls of different mass after their collision, over that before",
+    law="m1 v1 + m2 v2 = const",
+    source="Newton",
+    tolerance=Tolerance("only rounding and damping can change it", absolute=1e-3),
+    diagnosis="the masses are not the scene's, bodies are damped, or the contact acts on one body only",
+)
+def _collision_momentum(rollout: Rollout) -> Measurement:
+    return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
+
+
+RELATIVE_SPEED = {
+    "measures": "relative speed of the two balls after their collision, over that before",
+    "source": "Newton's law of restitution",
+}
+
+
+@_slow_collision.check(
+    "collision-slow",
+    title="two balls, slow collision",
+    law="v2' - v1' = e (v1 - v2) at any speed",
+    tolerance=Tolerance("as for the fast collision", absolute=0.01),
+    diagnosis="the engine has a threshold speed below which bodies do not rebound: set it to 0",
+    **RELATIVE_SPEED,
+)
+@_collision.check(
+    "collision-rebound",
+    title="two balls, relative speed",
+    law="v2' - v1' = e (v1 - v2)",
+    tolerance=Tolerance(
+        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
+    ),
+    diagnosis="restitution is not that of the pair, or depends on the masses, which is possible for a damped contact",
+    **RELATIVE_SPEED,
+)
+def _relative_speed(rollout: Rollout) -> Measurement:
+    return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)

@@ -3,28 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.errors import BackendError
-from gauge_envs.runs.rollout import DeclinedError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere
+from gauge_envs.runs.rollout import states_now
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Vector
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.measurements import mean_period_s
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import body, vector
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tolerance
+from gauge_envs.tools.conformance.scene_parts import body
 
 
-def _block(low: tuple[float, float, float], high: tuple[float, float, float]) -> tuple[tuple[float, float, float], ...]:
+def _block(low: Vector, high: Vector) -> tuple[Vector, ...]:
     return tuple(vector((x, y, z)) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2]))
 
 
@@ -33,7 +32,7 @@ LOPSIDED = ConvexUnion(
         _block((0.0, 0.0, 0.0), (0.09, 0.03, 0.02)),
         _block((0.0, 0.03, 0.0), (0.02, 0.08, 0.02)),
         _block((0.0, 0.0, 0.02), (0.03, 0.03, 0.04)),
-        tuple(vector(point) for point in ((0.09, 0.0, 0.0), (0.09, 0.03, 0.0), (0.09, 0.0, 0.02), (0.12, 0.0, 0.0))),
+        ((0.09, 0.0, 0.0), (0.09, 0.03, 0.0), (0.09, 0.0, 0.02), (0.12, 0.0, 0.0)),
     )
 )
 """Four pieces of different volume about a corner, with the body origin at that corner."""
@@ -59,7 +58,9 @@ SHAPES: dict[str, Shape] = {
 }
 MASS_KG = 0.4
 EULER_DEG = (50.0, -20.0, 70.0)
+TURNED = Rotation.from_euler("xyz", EULER_DEG, degrees=True)
 PUSH_S = 0.1
+SECONDS = round(PUSH_S / SAMPLE_INTERVAL_S) * SAMPLE_INTERVAL_S
 TURN_RAD = 0.01
 """Rotation about the axis of a torque within `PUSH_S`; the inertia in the world changes by about as much."""
 
@@ -88,28 +89,22 @@ def _pushed_scene(shape: Shape) -> Scene:
     return Scene(bodies=bodies, duration_s=1.0, gravity_m_per_s2=0.0)
 
 
-def _push(lab: Lab, kind: str) -> _Push:
+def _push(lab: Lab, shape: Shape) -> _Push:
     """Push floating bodies by three forces and three torques, and read their velocities."""
-    scene = _pushed_scene(SHAPES[kind])
+    scene = _pushed_scene(shape)
     names = [one.name for one in scene.bodies]
-    centre_m, inertia = mass_properties(SHAPES[kind], MASS_KG)
+    centre_m, inertia = mass_properties(shape, MASS_KG)
     turned = scene.bodies[0].pose.rotation.as_matrix()
     inertia = turned @ inertia @ turned.T
     torque = 2.0 * TURN_RAD / PUSH_S**2 * float(np.linalg.eigvalsh(inertia)[0])
     wrenches = np.diag([MASS_KG] * 3 + [torque] * 3)
-    simulation = lab.build(scene)
-    try:
+    with closing(lab.build(scene)) as simulation:
         simulation.reset(0)
         for name, wrench in zip(names, wrenches, strict=True):
-            try:
-                simulation.apply_wrench(name, wrench)
-            except BackendError as error:
-                raise DeclinedError((str(error),)) from error
+            push(simulation, name, wrench)
         for _ in range(round(PUSH_S / SAMPLE_INTERVAL_S)):
             simulation.advance(SAMPLE_INTERVAL_S)
         states = states_now(simulation, names)
-    finally:
-        simulation.close()
     twists = states[:, 7:].copy()
     # The reported velocity is that of the body origin.
     arm = turned @ centre_m
@@ -117,63 +112,48 @@ def _push(lab: Lab, kind: str) -> _Push:
     return _Push(inertia, centre_m, wrenches, twists)
 
 
-def _box(lab: Lab) -> _Push:
-    return _push(lab, "box")
+def _pushes(shapes: str, shape: Shape) -> Recorded[_Push]:
+    scene = f"six floating turned {shapes} of 0.4 kg, each under a constant force or torque along one world axis"
+    return Recorded(scene, lambda lab: _push(lab, shape))
 
 
-def _sphere(lab: Lab) -> _Push:
-    return _push(lab, "sphere")
+PUSHES = {
+    kind: _pushes({"box": "boxes", "union": "lopsided unions"}.get(kind, f"{kind}s"), shape)
+    for kind, shape in SHAPES.items()
+}
 
 
-def _cylinder(lab: Lab) -> _Push:
-    return _push(lab, "cylinder")
-
-
-def _union(lab: Lab) -> _Push:
-    return _push(lab, "union")
-
-
-PUSHES = {"box": _box, "sphere": _sphere, "cylinder": _cylinder, "union": _union}
-SECONDS = round(PUSH_S / SAMPLE_INTERVAL_S) * SAMPLE_INTERVAL_S
-WRENCH_SCENE = "six floating turned {}s of 0.4 kg, each under a constant force or torque along one world axis"
-
-
-@check(
+@PUSHES["box"].check(
     "wrench-frame",
     title="wrench is in the world frame",
-    scene=WRENCH_SCENE.format("boxe"),
     measures="largest velocity of a box across its force after 0.1 s, over that along it",
     law="a parallel to F",
     source="contract (World.apply_wrench)",
     unit="%",
-    tolerance=Tolerance(absolute=1.0, rationale="nothing acts sideways; a wrong frame gives 30 % and more"),
+    tolerance=Tolerance("nothing acts sideways; a wrong frame gives 30 % and more", absolute=1.0),
     diagnosis="force and torque are in the world frame, force first",
 )
-def _wrench_frame(lab: Lab) -> Measurement:
-    push = lab.once(_box)
-    along = np.diag(push.twists[:3, :3])
-    across = push.twists[:3, :3] - np.diag(along)
-    forces, torques = push.twists[:3], push.twists[3:]
+def _wrench_frame(found: _Push) -> Measurement:
+    along = np.diag(found.twists[:3, :3])
+    across = found.twists[:3, :3] - np.diag(along)
+    forces, torques = found.twists[:3], found.twists[3:]
     swapped = np.abs(forces[:, :3]).max() < np.abs(torques[:, :3]).max()
     hint = "force and torque are swapped" if swapped else ""
     scale = max(float(np.abs(along).mean()), 1e-12)
-    return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, expected=0.0, hint=hint)
+    return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, hint=hint)
 
 
-@check(
+@PUSHES["box"].check(
     "wrench-force",
     title="force accelerates a body",
-    scene=WRENCH_SCENE.format("boxe"),
     measures="mean velocity of three boxes along their forces after 0.1 s, over force times time over mass",
     law="m a = F",
     source="Newton; contract (World.apply_wrench)",
-    unit="1",
-    tolerance=Tolerance(relative=1e-3, rationale="nothing else acts; 0.1 % allows for a step at the start or end"),
+    tolerance=Tolerance("nothing else acts; 0.1 % allows for a step at the start or end", relative=1e-3),
     diagnosis="apply_wrench is ignored, acts for one step or interval only, or the mass is not the scene's",
 )
-def _wrench_force(lab: Lab) -> Measurement:
-    push = lab.once(_box)
-    measured = float(np.diag(push.twists[:3, :3]).mean() / SECONDS)
+def _wrench_force(found: _Push) -> Measurement:
+    measured = float(np.diag(found.twists[:3, :3]).mean() / SECONDS)
     return Measurement(measured=measured, expected=1.0, hint=_force_hint(measured))
 
 
@@ -185,33 +165,28 @@ def _force_hint(measured: float) -> str:
     return f"it accelerates as if its mass were {1.0 / measured:.3g} times that of the scene"
 
 
-@check(
+@PUSHES["union"].check(
     "wrench-centre",
     title="force acts at the centre of mass",
-    scene=WRENCH_SCENE.format("lopsided union"),
     measures="largest rotation of a solid of four pieces under a force after 0.1 s",
     law="angle = 0",
     source="contract (World.apply_wrench); uniform density (scene.py)",
     unit="deg",
-    tolerance=Tolerance(absolute=0.05, rationale="a lever of 1 mm would rotate it by about 0.3 degrees"),
+    tolerance=Tolerance("a lever of 1 mm would rotate it by about 0.3 degrees", absolute=0.05),
     diagnosis="the force acts at the body origin, or the engine's centre of mass is not that of the volume",
 )
-def _wrench_centre(lab: Lab) -> Measurement:
-    spin = lab.once(_union).twists[:3, 3:]
-    angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(spin, axis=1).max())
-    return Measurement(measured=float(angle), expected=0.0, hint=_centre_hint(lab.once(_union)))
+def _wrench_centre(found: _Push) -> Measurement:
+    angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(found.twists[:3, 3:], axis=1).max())
+    return Measurement(measured=float(angle), hint=_centre_hint(found))
 
 
-def _centre_hint(push: _Push) -> str:
+def _centre_hint(found: _Push) -> str:
     """Return the place at which forces would have to act to give these spins, if it is a known wrong one."""
-    turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
-    levers = {text: place_m - push.centre_m for text, place_m in WRONG_CENTRES_M.items()}
-    spin = push.twists[:3, 3:]
-    for text, lever in levers.items():
+    for text, place_m in WRONG_CENTRES_M.items():
         for sign, what in ((1.0, "the force acts"), (-1.0, "the engine's centre of mass is")):
-            torque = np.cross(sign * turned.apply(lever), push.wrenches[:3, :3])
-            expected = SECONDS * torque @ np.linalg.inv(push.inertia)
-            if np.abs(spin - expected).max() < 0.1 * np.abs(expected).max():
+            torque = np.cross(sign * TURNED.apply(place_m - found.centre_m), found.wrenches[:3, :3])
+            expected = SECONDS * torque @ np.linalg.inv(found.inertia)
+            if np.abs(found.twists[:3, 3:] - expected).max() < 0.1 * np.abs(expected).max():
                 return f"{what} {text}"
     return ""
 
@@ -219,39 +194,33 @@ def _centre_hint(push: _Push) -> str:
 def _inertia_check(kind: str) -> None:
     title = {"union": "solid of four pieces"}.get(kind, kind)
 
-    @check(
+    @PUSHES[kind].check(
         f"inertia-{kind}",
         title=f"inertia of a {title}",
-        scene=WRENCH_SCENE.format({"box": "boxe", "union": "lopsided union"}.get(kind, kind)),
         measures=f"inertia tensor of a {title} from the angular velocities after 0.1 s under three torques, the entry "
         "furthest from that of a uniform solid, as a ratio to its largest moment",
         law="I = integral of density (r^2 1 - r r')",
         source="Euler; uniform density (scene.py)",
-        unit="1",
-        tolerance=Tolerance(
-            absolute=0.02, rationale="1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile"
-        ),
+        tolerance=Tolerance("1 % is the tolerance of a slide; the bodies rotate by 0.01 rad meanwhile", absolute=0.02),
         diagnosis="the inertia does not follow from shape and mass: check half and full sizes, the centre of mass to "
         "which it refers, rotated principal axes, and armature",
     )
-    def measure(lab: Lab) -> Measurement:
-        push = lab.once(PUSHES[kind])
-        rates = push.twists[3:, 3:] / SECONDS
-        torque = push.wrenches[3, 3]
-        largest = float(np.linalg.eigvalsh(push.inertia)[-1])
+    def measure(found: _Push) -> Measurement:
+        rates = found.twists[3:, 3:] / SECONDS
+        largest = float(np.linalg.eigvalsh(found.inertia)[-1])
         if not np.abs(rates).max() > 0.0:
-            return Measurement(measured=float("nan"), expected=0.0, hint="the torque is ignored: nothing rotates")
+            return Measurement(measured=float("nan"), hint="the torque is ignored: nothing rotates")
         if np.linalg.matrix_rank(rates) < 3:
-            return Measurement(measured=float("nan"), expected=0.0, hint="a torque does not rotate its body")
-        inertia = np.linalg.inv(rates / torque)
-        error = inertia - push.inertia
-        turned = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation.as_matrix()
-        own = np.diag(turned.T @ inertia @ turned) / np.diag(turned.T @ push.inertia @ turned)
-        hint = f"its inertia about body x, y, z is {own[0]:.3g}, {own[1]:.3g} and {own[2]:.3g} times what it should be"
-        hint += _size_hint(SHAPES[kind], turned.T @ inertia @ turned)
-        hint = _frame_hint(inertia, turned.T @ push.inertia @ turned) or hint
+            return Measurement(measured=float("nan"), hint="a torque does not rotate its body")
+        inertia = np.linalg.inv(rates / found.wrenches[3, 3])
+        error = inertia - found.inertia
+        turned = TURNED.as_matrix()
+        own, expected = turned.T @ inertia @ turned, turned.T @ found.inertia @ turned
+        x, y, z = np.diag(own) / np.diag(expected)
+        hint = f"its inertia about body x, y, z is {x:.3g}, {y:.3g} and {z:.3g} times what it should be"
+        hint = _frame_hint(inertia, expected) or hint + _size_hint(SHAPES[kind], own)
         worst = float(error.flat[int(np.abs(error).argmax())])
-        return Measurement(measured=worst / largest, expected=0.0, hint=hint)
+        return Measurement(measured=worst / largest, hint=hint)
 
 
 def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
@@ -261,11 +230,10 @@ def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
         inertia: Inertia in the world, as measured [kg m^2], shape [3, 3].
         own: Inertia in the body frame, as it should be [kg m^2], shape [3, 3].
     """
-    right = Pose.from_euler_deg((0.0, 0.0, 0.0), EULER_DEG).rotation
-    x, y, z, w = right.as_quat()
+    x, y, z, w = TURNED.as_quat()
     frames = {
         "its inertia is taken along the axes of the world instead of the body's": Rotation.identity(),
-        "its inertia is rotated from the world to the body instead of back": right.inv(),
+        "its inertia is rotated from the world to the body instead of back": TURNED.inv(),
         "its inertia is that of a body whose w, x, y, z was read as x, y, z, w": Rotation.from_quat([w, x, y, z]),
         "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat([y, z, w, x]),
     }
@@ -285,50 +253,27 @@ def _size_hint(shape: Shape, inertia: NDArray[np.float64]) -> str:
                 return f", as if it were {text}"
         return ""
     shares = np.diag(inertia) / MASS_KG
+    sizes: Sequence[float]
     if isinstance(shape, Box):
-        squares = 6.0 * (shares.sum() - 2.0 * shares)
-        return f", as if its edges were {_millimetres(squares)} mm instead of {_listed(shape.size_m)} mm"
-    if isinstance(shape, Cylinder):
+        what, sizes, squares = "edges", shape.size_m, 6.0 * (shares.sum() - 2.0 * shares)
+    elif isinstance(shape, Cylinder):
+        what, sizes = "radius and length", (shape.radius_m, shape.length_m)
         squares = np.array([2.0 * shares[2], 12.0 * shares[0] - 6.0 * shares[2]])
-        expected = _listed((shape.radius_m, shape.length_m))
-        return f", as if its radius and length were {_millimetres(squares)} mm instead of {expected} mm"
-    if isinstance(shape, Sphere):
-        squares = 2.5 * shares[:1]
-        return f", as if its radius were {_millimetres(squares)} mm instead of {_listed((shape.radius_m,))} mm"
-    return ""
-
-
-def _millimetres(squares_m2: NDArray[np.float64]) -> str:
-    return _listed(np.sqrt(np.clip(squares_m2, 0.0, None)).tolist())
-
-
-def _listed(sizes_m: Sequence[float]) -> str:
-    return ", ".join(f"{1e3 * size:.3g}" for size in sizes_m)
+    elif isinstance(shape, Sphere):
+        what, sizes, squares = "radius", (shape.radius_m,), 2.5 * shares[:1]
+    else:
+        return ""
+    found, expected = (
+        ", ".join(f"{1e3 * size:.3g}" for size in values) for values in (np.sqrt(np.clip(squares, 0.0, None)), sizes)
+    )
+    return f", as if its {what} were {found} mm instead of {expected} mm"
 
 
 for _kind in SHAPES:
     _inertia_check(_kind)
 
 
-def _after_reset(lab: Lab) -> float:
-    """Return the speed [m/s] of a floating box 0.1 s after a wrench and a reset."""
-    scene = _pushed_scene(SHAPES["box"])
-    simulation = lab.build(scene)
-    try:
-        simulation.reset(0)
-        try:
-            simulation.apply_wrench("body-0", np.array([MASS_KG, 0.0, 0.0, 0.0, 0.0, 0.0]))
-        except BackendError as error:
-            raise DeclinedError((str(error),)) from error
-        simulation.advance(SAMPLE_INTERVAL_S)
-        simulation.reset(0)
-        simulation.advance(PUSH_S)
-        return float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10]))
-    finally:
-        simulation.close()
-
-
-@check(
+@Check(
     "wrench-reset",
     title="reset removes the wrench",
     scene="a floating box under a force; it is reset and runs on for 0.1 s",
@@ -336,32 +281,33 @@ def _after_reset(lab: Lab) -> float:
     law="v = 0",
     source="contract (World.apply_wrench)",
     unit="m/s",
-    tolerance=Tolerance(absolute=1e-9, rationale="no force acts"),
+    tolerance=Tolerance("no force acts", absolute=1e-9),
     diagnosis="reset must clear applied forces and torques",
 )
 def _wrench_reset(lab: Lab) -> Measurement:
-    return Measurement(measured=_after_reset(lab), expected=0.0)
+    with closing(lab.build(_pushed_scene(SHAPES["box"]))) as simulation:
+        simulation.reset(0)
+        push(simulation, "body-0", [MASS_KG, 0.0, 0.0, 0.0, 0.0, 0.0])
+        simulation.advance(SAMPLE_INTERVAL_S)
+        simulation.reset(0)
+        simulation.advance(PUSH_S)
+        return Measurement(measured=float(np.linalg.norm(states_now(simulation, ["body-0"])[0, 7:10])))
 
 
 # --- swinging solids -------------------------------------------------------------------------------------------------
 # These need a hinge and no wrench, so that an engine without applied forces is checked too.
 
-SWING_S = 2.0
 AMPLITUDE_RAD = float(np.radians(40.0))
 ARM_M = 0.05
 AXES = {"x": (0.0, 1.0, 0.0), "y": (0.0, 0.0, 1.0), "z": (1.0, 0.0, 0.0)}
 """Body axis that is the hinge's, and the direction of the arm in the body frame."""
 
 
-class _Swing(NamedTuple):
-    """A solid that swings about one of its axes: rollout and expected period [s]."""
+def _period_ratio(lab: Lab, shape: Shape, axis: str) -> float:
+    """Return the period over the expected one, of a solid on a horizontal hinge along one of its axes.
 
-    rollout: Rollout
-    period_s: float
-
-
-def _swing(lab: Lab, shape: Shape, axis: str) -> _Swing:
-    """Record a solid on a horizontal hinge along one of its axes, 50 mm from its centre of mass."""
+    The hinge is 50 mm from the centre of mass, whose horizontal place gives the period.
+    """
     centre_m, inertia = mass_properties(shape, MASS_KG)
     own = np.eye(3)["xyz".index(axis)]
     arm = np.asarray(AXES[axis])
@@ -376,24 +322,13 @@ def _swing(lab: Lab, shape: Shape, axis: str) -> _Swing:
     scene = Scene(
         bodies=(body("solid", shape, pose, mass_kg=MASS_KG),),
         joints=(Hinge(body="solid", anchor_m=vector(anchor), axis=(0.0, 1.0, 0.0)),),
-        duration_s=SWING_S,
+        duration_s=2.0,
     )
-    simulation = lab.build(scene)
-    try:
-        simulation.reset(0)
-        rollout = record(simulation, scene, SWING_S)
-    finally:
-        simulation.close()
+    rollout = lab.rollout(scene)
     gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
     expected = pendulum_period_s(length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G)
-    return _Swing(rollout, expected)
-
-
-def _period_ratio(swing: _Swing, centre_m: NDArray[np.float64]) -> float:
-    """Return the period over the expected one, from the horizontal place of the centre of mass."""
-    rollout = swing.rollout
     places = rollout.position("solid") + rollout.rotation("solid").apply(centre_m)
-    return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / swing.period_s
+    return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / expected
 
 
 def _wrong_centre(ratios: Mapping[str, float]) -> str:
@@ -423,7 +358,7 @@ def _wrong_centre(ratios: Mapping[str, float]) -> str:
 def _swing_check(kind: str) -> None:
     title = {"union": "solid of four pieces"}.get(kind, kind)
 
-    @check(
+    @Check(
         f"swing-{kind}",
         title=f"{title} swings about each of its axes",
         scene=f"a {title} of 0.4 kg on a hinge 50 mm from its centre of mass, along its x, y and z axis in turn, "
@@ -431,14 +366,12 @@ def _swing_check(kind: str) -> None:
         measures="mean period over 2 s over the expected one, the worst of the three axes",
         law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2)), k^2 = I / m",
         source="physical pendulum, complete elliptic integral",
-        unit="1",
-        tolerance=Tolerance(absolute=3e-3, rationale="0.3 % of the period is 1 % of the inertia"),
+        tolerance=Tolerance("0.3 % of the period is 1 % of the inertia", absolute=3e-3),
         diagnosis="the inertia or the centre of mass does not follow from the shape, or the hinge's anchor or axis is "
         "elsewhere; check the half sizes, and pieces that are not weighted by volume",
     )
     def measure(lab: Lab) -> Measurement:
-        centre_m, _ = mass_properties(SHAPES[kind], MASS_KG)
-        ratios = {axis: _period_ratio(_swing(lab, SHAPES[kind], axis), centre_m) for axis in AXES}
+        ratios = {axis: _period_ratio(lab, SHAPES[kind], axis) for axis in AXES}
         worst = max(ratios, key=lambda axis: abs(np.nan_to_num(ratios[axis], nan=np.inf) - 1.0))
         text = ", ".join(f"{axis} {ratio:.4g}" for axis, ratio in ratios.items())
         hint = f"ratio about each body axis: {text}"

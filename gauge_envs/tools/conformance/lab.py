@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from gauge_envs.backends import Backend, Simulation
 from gauge_envs.backends.base import scene_support
-from gauge_envs.backends.settings import check_drive_interval
-from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.runs.episodes import settings_record
+from gauge_envs.backends.settings import check_drive_interval, settings_record
+from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
 from gauge_envs.scene import Scene
 
@@ -73,19 +76,16 @@ class Lab:
         """Return the first scene that the backend can build, or the last one when it can build none."""
         return next((scene for scene in scenes if scene_support(self.backend, scene)), scenes[-1])
 
-    def rollout(self, scene: Scene, seconds: float) -> Rollout:
+    def rollout(self, scene: Scene, seconds: float | None = None) -> Rollout:
         """Build a scene, reset it, drive it and record it.
 
         Args:
             scene: The scene.
-            seconds: Time to simulate [s].
+            seconds: Time to simulate [s]; None for the duration of the scene.
         """
-        simulation = self.build(scene)
-        try:
+        with closing(self.build(scene)) as simulation:
             simulation.reset(0)
-            return record(simulation, scene, seconds)
-        finally:
-            simulation.close()
+            return record(simulation, scene, scene.duration_s if seconds is None else seconds)
 
     def once(self, function: Callable[[Lab], T]) -> T:
         """Return the value of a function of the lab, which is called at its first use only.
@@ -108,3 +108,11 @@ class Lab:
             return function(self), None, self.settings_in_force
         except Exception as error:
             return None, error, self.settings_in_force
+
+
+def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
+    """Apply a wrench to a body; raise `DeclinedError` if the engine applies none."""
+    try:
+        simulation.apply_wrench(body, np.asarray(wrench))
+    except BackendError as error:
+        raise DeclinedError((str(error),)) from error

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
-from gauge_envs.scene import Box
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, RigidBody
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
 
 
-def box_inertia_kg_m2(shape: Box, mass_kg: float) -> NDArray[np.float64]:
+def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
     """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
-    x, y, z = np.square(shape.size_m)
-    return mass_kg / 12.0 * np.array([y + z, x + z, x + y])
+    assert isinstance(body.shape, Box), "the body is a box"
+    x, y, z = np.square(body.shape.size_m)
+    return body.mass_kg / 12.0 * np.array([y + z, x + z, x + y])
 
 
 def world_inertia_kg_m2(moments: NDArray[np.float64], rotation: Rotation) -> NDArray[np.float64]:
@@ -61,6 +65,18 @@ def torque_free_orientation(
     return Rotation.from_quat(last[:4], scalar_first=True)
 
 
+def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:
+    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos + b).
+
+    Args:
+        acceleration_m_per_s2: Acceleration a down the slope.
+        slope_rad: Slope [rad].
+        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
+            both have the same weights: a body that hops gets its friction from its impacts.
+    """
+    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad) + lift_m_per_s2)
+
+
 def spin_from_orientations(rotations: Rotation, interval_s: float) -> NDArray[np.float64]:
     """Return angular velocities in the world frame [rad/s] by central differences, shape [sample_count - 2, 3]."""
     return np.asarray((rotations[2:] * rotations[:-2].inv()).as_rotvec() / (2.0 * interval_s))
@@ -85,8 +101,12 @@ def cantilever_load_over_stiffness(
     free = s_m > -PLACE_TOLERANCE_M
     s, scale = s_m[free], np.sqrt(weights[free])
     columns = np.column_stack([(length_m - s) ** 4 / 24.0, np.ones(len(s)), s])
-    fit = np.linalg.lstsq(columns * scale[:, None], droop_m[free] * scale, rcond=None)[0]
-    return float(fit[0])
+    return coefficient(droop_m[free] * scale, columns * scale[:, None])
+
+
+def coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
+    """Return the coefficient of the first of the columns in a least-squares fit."""
+    return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
 
 def hann_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:

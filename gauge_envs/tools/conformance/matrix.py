@@ -15,8 +15,7 @@ from gauge_envs.errors import GaugeError, UnknownNameError
 from gauge_envs.files import versions
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
-from gauge_envs.tools.conformance.model import CheckResult
-from gauge_envs.tools.conformance.registry import checks
+from gauge_envs.tools.conformance.model import CheckResult, checks
 from gauge_envs.tools.conformance.run import run_checks
 
 CANONICAL = (

@@ -4,47 +4,35 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.files import MEGABYTE, json_document, json_ready, read_regular, write_whole
 from gauge_envs.tools.conformance.matrix import MatrixColumn
-from gauge_envs.tools.conformance.model import Check, CheckResult, Status
-from gauge_envs.tools.conformance.registry import checks
+from gauge_envs.tools.conformance.model import Check, CheckResult, Outcome, Status, checks
 
 KIND = "gauge-envs conformance matrix"
 
 MOST_BYTES = 32 * MEGABYTE
 """Largest size of a file."""
 
-TEXTS = ("title", "measures", "law", "source", "unit")
-"""Attributes of a result that are those of its check, and so are not in a file."""
 
-Finite = Annotated[float, Field(allow_inf_nan=False)]
+@dataclass(frozen=True, kw_only=True)
+class _Finding(Outcome):
+    """What one check gave; its texts are those of the check, whose fingerprint it has."""
+
+    __pydantic_config__ = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    fingerprint: str
 
 
 class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Finding(_Strict):
-    """What one check gave; its texts are those of the check, whose fingerprint it has."""
-
-    fingerprint: str
-    status: Status
-    expected: Finite | None = None
-    measured: Finite | None = None
-    width: Finite | None = None
-    diagnosis: str = ""
-    missing: tuple[str, ...] = ()
-    reported_by: str = ""
-    wall_s: Finite = 0.0
-    cpu_s: Finite | None = None
 
 
 class _Column(_Strict):
@@ -78,26 +66,21 @@ def write_columns(columns: Sequence[MatrixColumn], path: Path) -> Path:
 
 def _record(column: MatrixColumn) -> dict[str, Any]:
     """Return one column, JSON-ready."""
-    kept = set(_Finding.model_fields) - {"fingerprint"}
     findings = {
-        name: {"fingerprint": column.fingerprints[name]}
-        | {key: _short(value) for key, value in json_ready(asdict(finding)).items() if key in kept and _says(value)}
+        name: {"fingerprint": column.fingerprints[name]} | dict(_entries(finding))
         for name, finding in column.findings.items()
     }
-    facts = {name: getattr(column, name) for name in ("backend", "name", "settings", "gauge_envs", "made", "versions")}
-    values: dict[str, Any] = json_ready(
-        facts | {"reason": column.reason, "refused": column.refused, "findings": findings}
-    )
+    facts = {name: getattr(column, name) for name in _Column.model_fields if name != "findings"}
+    values: dict[str, Any] = json_ready(facts) | {"findings": findings}
     return values
 
 
-def _says(value: Any) -> bool:
-    return value not in (None, "", [], ())
-
-
-def _short(value: Any) -> Any:
-    """Return a number with nine significant digits, more than any tolerance asks for."""
-    return float(f"{value:.9g}") if isinstance(value, float) else value
+def _entries(outcome: Outcome) -> Iterator[tuple[str, Any]]:
+    """Yield what an outcome states; numbers with nine significant digits, more than any tolerance asks for."""
+    for one in fields(Outcome):
+        value = json_ready(getattr(outcome, one.name))
+        if value not in (None, "", []):
+            yield one.name, float(f"{value:.9g}") if isinstance(value, float) else value
 
 
 def read_columns(path: Path) -> list[MatrixColumn]:
@@ -109,16 +92,12 @@ def read_columns(path: Path) -> list[MatrixColumn]:
         found = _Document.model_validate(json_document(read_regular(path, MOST_BYTES)))
     except OSError as error:
         raise ResultFileError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(part) for part in first["loc"]) or "the document"
-        raise ResultFileError(
-            f"{path}: {place}: {first['msg']}; write it with gauge backend check 'NAME:*' --out FILE"
-        ) from None
     except ValueError as error:
-        raise ResultFileError(
-            f"{path}: is no JSON document ({error}); write it with gauge backend check 'NAME:*' --out FILE"
-        ) from None
+        reason = f"is no JSON document ({error})"
+        if isinstance(error, ValidationError):
+            first = error.errors()[0]
+            reason = f"{'.'.join(str(part) for part in first['loc']) or 'the document'}: {first['msg']}"
+        raise ResultFileError(f"{path}: {reason}; write it with gauge backend check 'NAME:*' --out FILE") from None
     if found.kind != KIND:
         raise ResultFileError(f"{path}: its kind is {found.kind!r}, expected {KIND!r}")
     known = {check.id: check for check in checks()}
@@ -126,25 +105,13 @@ def read_columns(path: Path) -> list[MatrixColumn]:
 
 
 def _column(one: _Column, known: Mapping[str, Check]) -> MatrixColumn:
-    column = MatrixColumn(
-        backend=one.backend,
-        name=one.name,
-        settings=one.settings,
-        refused=dict(one.refused),
-        reason=one.reason,
-        gauge_envs=one.gauge_envs,
-        made=one.made,
-    )
+    column = MatrixColumn(**one.model_dump(exclude={"versions", "findings"}))
     for name, finding in one.findings.items():
-        check = known.get(name)
-        values: dict[str, Any] = {text: "" if check is None else getattr(check, text) for text in TEXTS}
-        values |= {"rationale": "" if check is None else check.tolerance.rationale}
-        values |= finding.model_dump(exclude={"fingerprint"})
-        result = CheckResult(check=name, backend=one.backend, versions=one.versions, **values)
-        if result.status is Status.FAIL and result.measured is None:
-            # JSON has no number that is not finite.
-            result = replace(result, measured=math.nan)
-        column.findings[name] = result
+        values = {key: getattr(finding, key) for key in (entry.name for entry in fields(Outcome))}
+        if finding.status is Status.FAIL and finding.measured is None:
+            values["measured"] = math.nan  # JSON has no number that is not finite.
+        check = known.get(name, Check(name))
+        column.findings[name] = CheckResult(of=check, backend=one.backend, versions=one.versions, **values)
         column.fingerprints[name] = finding.fingerprint
     return column
 

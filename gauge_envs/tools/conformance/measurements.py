@@ -3,17 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M
-from gauge_envs.tools.conformance.model import Measurement
+from gauge_envs.tools.conformance.laws import (
+    PLACE_TOLERANCE_M,
+    box_inertia_kg_m2,
+    friction_of_slide,
+    world_inertia_kg_m2,
+)
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 SLIDE_SLOPE_DEG = 30.0
 """Slope of every slide [deg]."""
+
+NODES: dict[str, Any] = {
+    "source": "contract (Simulation.nodes)",
+    "unit": "mm",
+    "tolerance": Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
+}
+"""Texts of the checks of nodes at the start (`bounds_error`)."""
+
+ATTACHED: dict[str, Any] = {
+    "law": "position in the driven body's frame = const",
+    "source": "contract (scene.Attachment)",
+    "unit": "mm",
+    "tolerance": Tolerance("a tenth of the real trials' scatter", absolute=0.1),
+    "diagnosis": "attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+}
+"""Texts of the checks of attachments (`attachment_error`)."""
 
 
 def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> float:
@@ -21,10 +43,14 @@ def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.
     return float(2.0 * np.polyfit(times_s, positions_m, 2)[0])
 
 
-def fall_m(rollout: Rollout, name: str) -> float:
-    """Return the distance [m] by which a body has fallen at the end."""
-    height = rollout.position(name)[:, 2]
-    return float(height[0] - height[-1])
+def largest_mm(vectors_m: NDArray[np.float64]) -> float:
+    """Return the largest length of vectors [m], shape [..., 3], in millimetres."""
+    return 1e3 * float(np.linalg.norm(vectors_m, axis=-1).max())
+
+
+def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
+    """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
+    return world_inertia_kg_m2(box_inertia_kg_m2(rollout.scene.body(name)), rollout.rotation(name))
 
 
 def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
@@ -38,7 +64,7 @@ def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> f
 def slide_acceleration(measured: float, friction: float) -> Measurement:
     """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
     sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
-    effective = (sine - measured / GRAVITY_M_PER_S2) / cosine
+    effective = friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG))
     rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
     rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
     return Measurement(
@@ -46,6 +72,13 @@ def slide_acceleration(measured: float, friction: float) -> Measurement:
         expected=GRAVITY_M_PER_S2 * (sine - friction * cosine),
         hint=f"it slides as if the friction were {effective:.3g} instead of {friction:.3g}{rule}",
     )
+
+
+def bounds_error(nodes_m: NDArray[np.float64], size_m: tuple[float, ...]) -> Measurement:
+    """Measure the largest distance [mm] of the bounding box of nodes from that of a centred body of a size."""
+    half = 0.5 * np.array(size_m)
+    apart = np.concatenate([nodes_m.min(axis=0) + half, nodes_m.max(axis=0) - half])
+    return Measurement(measured=1e3 * float(np.abs(apart).max()))
 
 
 def stiffness(load: float, slope: float, expected: float, verb: str) -> Measurement:
@@ -99,13 +132,10 @@ def driver_error(rollout: Rollout, points_m: NDArray[np.float64]) -> Measurement
     places = rollout.scene.body(driver.body).pose.to_body(points_m[0])
     prescribed = np.array([pose.to_world(places) for pose in driver_poses(rollout)])
 
-    def largest_mm(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-        return 1e3 * float(np.linalg.norm(first - second, axis=2).max())
-
-    error = largest_mm(points_m, prescribed)
+    error = largest_mm(points_m - prescribed)
     shifted = {
-        "it comes one interval (1/180 s) late": largest_mm(points_m[1:], prescribed[:-1]),
-        "it comes one interval (1/180 s) early": largest_mm(points_m[:-1], prescribed[1:]),
+        "it comes one interval (1/180 s) late": largest_mm(points_m[1:] - prescribed[:-1]),
+        "it comes one interval (1/180 s) early": largest_mm(points_m[:-1] - prescribed[1:]),
     }
     hint = next((text for text, left in shifted.items() if left < 0.2 * error), "")
     return Measurement(measured=error, expected=0.0, hint=hint)
@@ -116,7 +146,7 @@ def attachment_error(rollout: Rollout, name: str) -> Measurement:
     nodes = rollout.nodes_m[name]
     attached = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M
     found = driver_error(rollout, nodes[:, attached])
-    jump_mm = 1e3 * float(np.linalg.norm(nodes[1] - nodes[0], axis=1).max())
+    jump_mm = largest_mm(nodes[1] - nodes[0])
     fallen_mm = 1e3 * float((nodes[0] - nodes[-1])[attached, 2].mean())
     free_mm = 500.0 * rollout.scene.gravity_m_per_s2 * float(rollout.times_s[-1]) ** 2
     if jump_mm > 10.0:

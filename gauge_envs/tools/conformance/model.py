@@ -1,16 +1,44 @@
-"""Define a check, its tolerance, and its result on a backend."""
+"""Define a check, its tolerance, and its result on a backend; find checks by id."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
-from typing import Any
+from fnmatch import fnmatchcase
+from functools import wraps
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.files import json_ready
-from gauge_envs.tools.conformance.lab import Lab
+
+if TYPE_CHECKING:
+    from gauge_envs.runs.rollout import Rollout
+    from gauge_envs.scene import Scene
+    from gauge_envs.tools.conformance.lab import Lab
+
+T = TypeVar("T")
+
+FAMILIES = (
+    "contract",
+    "continuation",
+    "rigid",
+    "spin",
+    "forces",
+    "contacts",
+    "shapes",
+    "momentum",
+    "driven",
+    "cloth",
+    "air",
+    "soft",
+    "benchmark",
+    "start",
+)
+"""Modules of the checks, in the order of the table. They are imported at the first use of a check."""
 
 
 class Status(StrEnum):
@@ -26,7 +54,7 @@ class Status(StrEnum):
     """The backend raised an exception, its process died, or it exceeded a limit."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Tolerance:
     """Largest difference between a measured and an expected value: `absolute + relative * |expected|`.
 
@@ -39,12 +67,17 @@ class Tolerance:
     """
 
     rationale: str
+    _: KW_ONLY
     absolute: float = 0.0
     relative: float = 0.0
 
     def width(self, expected: float) -> float:
         """Return the largest admissible distance from an expected value, in its unit."""
         return self.absolute + self.relative * abs(expected)
+
+
+EXACT = Tolerance("the contract requires equality bit for bit")
+COUNT = Tolerance("it is a count")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,13 +91,18 @@ class Measurement:
     """
 
     measured: float
-    expected: float
+    expected: float = 0.0
     hint: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
+def _unknown(_: Lab) -> Measurement:
+    """Stand for the measurement of a check that this version does not have."""
+    raise NotImplementedError
+
+
+@dataclass(frozen=True)
 class Check:
-    """One law that a backend must obey, measured by one number.
+    """One law that a backend must obey, measured by one number. It decorates the function that measures it.
 
     Attributes:
         id: Stable name.
@@ -80,15 +118,27 @@ class Check:
     """
 
     id: str
-    title: str
-    scene: str
-    measures: str
-    law: str
-    source: str
-    unit: str
-    tolerance: Tolerance
-    diagnosis: str
-    measure: Callable[[Lab], Measurement]
+    _: KW_ONLY
+    title: str = ""
+    scene: str = ""
+    measures: str = ""
+    law: str = ""
+    source: str = ""
+    unit: str = "1"
+    tolerance: Tolerance = COUNT
+    diagnosis: str = ""
+    measure: Callable[[Lab], Measurement] = _unknown
+
+    def __call__(self, measure: Callable[[Lab], Measurement]) -> Callable[[Lab], Measurement]:
+        """Register the check with the function that measures it.
+
+        Raises:
+            ParameterError: A check with this id exists already.
+        """
+        if self.id in _CHECKS:
+            raise ParameterError(f"check {self.id!r} exists already; choose another id")
+        _CHECKS[self.id] = replace(self, measure=measure)
+        return measure
 
     @property
     def fingerprint(self) -> str:
@@ -99,19 +149,11 @@ class Check:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CheckResult:
-    """Result of one check on one backend.
+class Outcome:
+    """What one run of a check gave.
 
     Attributes:
-        check: Id of the check.
-        backend: Name of the backend.
         status: Pass, fail, declined or error.
-        title: As in the check.
-        measures: As in the check.
-        law: As in the check.
-        source: As in the check.
-        unit: As in the check.
-        rationale: Reason for the width of the tolerance.
         expected: The value that the law gives; None when nothing was measured.
         measured: The measured value; None when nothing was measured. Infinity and NaN fail.
         width: Largest admissible difference; None when nothing was measured.
@@ -121,19 +163,9 @@ class CheckResult:
         wall_s: Time that the check took [s]; checks that share a rollout count it once.
         cpu_s: CPU time of the process of the check, all its threads, over the same span [s]. None if it is not known,
             as for a process that died.
-        settings: Numerical settings in force in the last scene of the check.
-        versions: Versions of the engine's packages.
     """
 
-    check: str
-    backend: str
     status: Status
-    title: str
-    measures: str
-    law: str
-    source: str
-    unit: str
-    rationale: str
     expected: float | None = None
     measured: float | None = None
     width: float | None = None
@@ -142,8 +174,28 @@ class CheckResult:
     reported_by: str = ""
     wall_s: float = 0.0
     cpu_s: float | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CheckResult(Outcome):
+    """Result of one check on one backend.
+
+    Attributes:
+        of: The check.
+        backend: Name of the backend.
+        settings: Numerical settings in force in the last scene of the check.
+        versions: Versions of the engine's packages.
+    """
+
+    of: Check
+    backend: str
     settings: Mapping[str, Any] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def check(self) -> str:
+        """Id of the check."""
+        return self.of.id
 
     @property
     def is_bad(self) -> bool:
@@ -151,6 +203,69 @@ class CheckResult:
         return self.status in (Status.FAIL, Status.ERROR)
 
     def to_dict(self) -> dict[str, Any]:
-        """Return all attributes, JSON-ready; a number that is not finite becomes null."""
-        values: dict[str, Any] = json_ready(asdict(self))
-        return values | {"status": self.status.value}
+        """Return the result and the texts of its check, JSON-ready; a number that is not finite becomes null."""
+        values = {"check": self.check, "backend": self.backend, "status": self.status.value}
+        values |= {text: getattr(self.of, text) for text in ("title", "measures", "law", "source", "unit")}
+        values["rationale"] = self.of.tolerance.rationale
+        outcome = {one.name: getattr(self, one.name) for one in fields(Outcome) if one.name != "status"}
+        ready: dict[str, Any] = json_ready(values | outcome | {"settings": self.settings, "versions": self.versions})
+        return ready
+
+
+check = Check
+"""The same, under a name that reads as a decorator."""
+
+_CHECKS: dict[str, Check] = {}
+
+
+@dataclass(frozen=True)
+class Recorded(Generic[T]):
+    """What several checks measure: a scene that a lab builds and records once for all of them.
+
+    Attributes:
+        scene: The scene in words, as in `Check.scene`.
+        record: Function that builds the scene in a lab and returns what it records.
+    """
+
+    scene: str
+    record: Callable[[Lab], T]
+
+    def __call__(self, lab: Lab) -> T:
+        """Return the record of a lab."""
+        return lab.once(self.record)
+
+    def check(self, id: str, **texts: Any) -> Callable[[Callable[[T], Measurement]], Callable[[T], Measurement]]:
+        """Return a decorator that registers a measurement of the record as a check; see `Check` for the texts."""
+
+        def register(measure: Callable[[T], Measurement]) -> Callable[[T], Measurement]:
+            Check(id, scene=self.scene, **texts)(wraps(measure)(lambda lab: measure(self(lab))))
+            return measure
+
+        return register
+
+
+def recorded(scene: str) -> Callable[[Callable[[Lab], T]], Recorded[T]]:
+    """Return a decorator that makes a function of a lab the record of a scene, which is stated in words."""
+    return lambda record: Recorded(scene, record)
+
+
+def rollout_of(scene: str, built: Scene) -> Recorded[Rollout]:
+    """Return the rollout of a scene, which is stated in words too, over its duration."""
+    return Recorded(scene, lambda lab: lab.rollout(built))
+
+
+def checks(only: Sequence[str] = ()) -> tuple[Check, ...]:
+    """Return all checks in a fixed order, or those whose id matches one of the patterns.
+
+    Raises:
+        UnknownNameError: A pattern matches no check.
+    """
+    places = {f"gauge_envs.tools.conformance.{family}": place for place, family in enumerate(FAMILIES)}
+    for module in places:
+        import_module(module)
+    # A module may have been imported before another one that precedes it in the table.
+    known = sorted(_CHECKS.values(), key=lambda one: places.get(one.measure.__module__, len(places)))
+    for pattern in only:
+        if not any(fnmatchcase(name, pattern) for name in _CHECKS):
+            raise UnknownNameError("check", pattern, [one.id for one in known])
+    return tuple(one for one in known if not only or any(fnmatchcase(one.id, pattern) for pattern in only))

@@ -6,9 +6,9 @@ import math
 import pickle
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from gauge_envs.backends import Backend
 from gauge_envs.backends import backend as find_backend
@@ -17,8 +17,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, raised_at
 from gauge_envs.tools.conformance.lab import Lab, RefusedSettingsError
-from gauge_envs.tools.conformance.model import Check, CheckResult, Status
-from gauge_envs.tools.conformance.registry import checks
+from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Outcome, Status, checks
 
 FINITE = "finite"
 """Id of the check that reports states that are not finite."""
@@ -27,20 +26,19 @@ CHECK_LIMIT_S = 600.0
 """Default time limit of a check in another process [s]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Outcome:
-    """What one run of a check gave.
+class _Run(NamedTuple):
+    """One run of a check.
 
     Attributes:
-        fields: Fields of the result that depend on the run.
+        outcome: What it gave; None if the backend refuses the settings.
         is_finite: Whether all states were finite.
         settings: Settings in force.
         refusal: Why the backend refuses the settings; empty if it does not.
     """
 
-    fields: Mapping[str, Any]
+    outcome: Outcome | None
     is_finite: bool = True
-    settings: Mapping[str, Any]
+    settings: Mapping[str, Any] = {}
     refusal: str = ""
 
 
@@ -73,53 +71,41 @@ def run_checks(
             versions = worker.call(versions_of, backend)
         except CrashError as error:
             raise CrashError(f"backend {backend!r} cannot be imported: {error}") from None
-        return _results(backend, versions, lambda one: _outcome_there(worker, task, one), chosen)
+        return _results(backend, versions, lambda one: _run_there(worker, task, one), chosen)
     engine = find_backend(backend) if isinstance(backend, str) else backend
     lab = Lab(engine, settings)
-    return _results(engine.name, engine.versions(), lambda one: _outcome(lab, one), chosen)
+    return _results(engine.name, engine.versions(), lambda one: _run(lab, one), chosen)
 
 
 def _results(
-    name: str, versions: Mapping[str, str], run: Callable[[Check], _Outcome], chosen: Sequence[Check]
+    name: str, versions: Mapping[str, str], run: Callable[[Check], _Run], chosen: Sequence[Check]
 ) -> Iterator[CheckResult]:
     reported_by = ""
     for one in chosen:
         started = time.perf_counter()
-        outcome = run(one)
-        if outcome.refusal:
-            raise RefusedSettingsError(outcome.refusal)
-        fields = dict(outcome.fields)
-        if not outcome.is_finite:
+        outcome, is_finite, settings, refusal = run(one)
+        if outcome is None:
+            raise RefusedSettingsError(refusal)
+        if not is_finite:
             if reported_by:
-                fields |= {"diagnosis": f"not finite: see the check {reported_by!r}", "reported_by": reported_by}
+                diagnosis = f"not finite: see the check {reported_by!r}"
+                outcome = replace(outcome, diagnosis=diagnosis, reported_by=reported_by)
             reported_by = reported_by or one.id
-        yield CheckResult(
-            check=one.id,
-            backend=name,
-            title=one.title,
-            measures=one.measures,
-            law=one.law,
-            source=one.source,
-            unit=one.unit,
-            rationale=one.tolerance.rationale,
-            wall_s=time.perf_counter() - started,
-            settings=outcome.settings,
-            versions=versions,
-            **fields,
-        )
+        fields = vars(outcome) | {"wall_s": time.perf_counter() - started}
+        yield CheckResult(of=one, backend=name, settings=settings, versions=versions, **fields)
 
 
-def _outcome_there(worker: Worker, task: bytes, one: Check) -> _Outcome:
-    """Return the outcome of a check in another process."""
+def _run_there(worker: Worker, task: bytes, one: Check) -> _Run:
+    """Run a check in another process."""
     try:
-        return worker.call(_outcome_of_task, task, one.id)
+        return worker.call(_run_of_task, task, one.id)
     except GaugeError as error:  # The process died, or the engine raised an error that no check expects.
-        return _Outcome(fields={"status": Status.ERROR, "diagnosis": str(error)}, settings={})
+        return _Run(Outcome(status=Status.ERROR, diagnosis=str(error)))
 
 
-def _outcome_of_task(task: bytes, name: str) -> _Outcome:
+def _run_of_task(task: bytes, name: str) -> _Run:
     (one,) = checks([name])
-    return _outcome(_lab_of_task(task), one)
+    return _run(_lab_of_task(task), one)
 
 
 @cache
@@ -129,37 +115,36 @@ def _lab_of_task(task: bytes) -> Lab:
     return Lab(find_backend(backend), settings)
 
 
-def _outcome(lab: Lab, one: Check) -> _Outcome:
-    """Return the outcome of a check."""
+def _run(lab: Lab, one: Check) -> _Run:
     started_s = time.process_time()
+    is_finite = True
     try:
-        fields, is_finite = _measured(lab, one)
-    except RefusedSettingsError as error:
-        return _Outcome(fields={}, settings={}, refusal=str(error))
-    fields["cpu_s"] = time.process_time() - started_s
-    return _Outcome(fields=fields, is_finite=is_finite, settings=lab.settings_in_force)
-
-
-def _measured(lab: Lab, one: Check) -> tuple[dict[str, Any], bool]:
-    """Return the fields of a result that depend on the run, and whether all states were finite."""
-    try:
-        measurement = one.measure(lab)
+        found = one.measure(lab)
     except DeclinedError as declined:
-        return {"status": Status.DECLINED, "missing": declined.missing}, True
-    except RefusedSettingsError:
-        raise
+        outcome = Outcome(status=Status.DECLINED, missing=declined.missing)
+    except RefusedSettingsError as error:
+        return _Run(None, refusal=str(error))
     # Any exception of a backend is a result, and the next check may still pass.
     except Exception as error:
-        finite = not isinstance(error, NotFiniteError)
-        return {"status": Status.ERROR, "diagnosis": f"{type(error).__name__}: {error}{raised_at(error)}"}, finite
-    expected, measured = float(measurement.expected), float(measurement.measured)
+        is_finite = not isinstance(error, NotFiniteError)
+        outcome = Outcome(status=Status.ERROR, diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}")
+    else:
+        outcome = _judged(one, found)
+        is_finite = not (math.isnan(found.measured) and not found.hint)
+        is_finite &= one.id != FINITE or outcome.status is Status.PASS
+    outcome = replace(outcome, cpu_s=time.process_time() - started_s)
+    return _Run(outcome, is_finite, lab.settings_in_force)
+
+
+def _judged(one: Check, found: Measurement) -> Outcome:
+    """Return the outcome of a measurement."""
+    expected, measured = float(found.expected), float(found.measured)
     width = one.tolerance.width(expected)
     passed = math.isfinite(measured) and abs(measured - expected) <= width
-    text = "; ".join(part for part in (measurement.hint, one.diagnosis) if part)
-    return {
-        "status": Status.PASS if passed else Status.FAIL,
-        "expected": expected,
-        "measured": measured,
-        "width": width,
-        "diagnosis": "" if passed else text,
-    }, not (math.isnan(measured) and not measurement.hint) and not (one.id == FINITE and not passed)
+    return Outcome(
+        status=Status.PASS if passed else Status.FAIL,
+        expected=expected,
+        measured=measured,
+        width=width,
+        diagnosis="" if passed else "; ".join(filter(None, (found.hint, one.diagnosis))),
+    )

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict, replace
 from typing import Literal
-
-import numpy as np
-from numpy.typing import ArrayLike
 
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
     Box,
     Cloth,
+    Contact,
+    ContactMode,
     Deformable,
     Motion,
     Plane,
@@ -21,19 +21,13 @@ from gauge_envs.scene import (
     Scene,
     Shape,
     Sphere,
+    Vector,
 )
 from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.fabrics import Fabric
 
 STRETCH_OVER_SHEAR = 2.7
 """K_s / K_sh of every sheet; an isotropic membrane can have any ratio between 2 and 4 (scene/fabrics.py)."""
-
-Vector = tuple[float, float, float]
-
-
-def vector(values: ArrayLike) -> Vector:
-    """Return three numbers as a vector of a scene."""
-    x, y, z = np.asarray(values, dtype=np.float64)
-    return float(x), float(y), float(z)
 
 
 def body(name: str, shape: Shape, pose: Pose, *, mass_kg: float = 0.1, motion: Motion = Motion.DYNAMIC) -> RigidBody:
@@ -58,9 +52,24 @@ def fixed_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vecto
     return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=1.0, motion=Motion.FIXED)
 
 
-def ground(height_m: float = 0.0) -> RigidBody:
-    """Return a horizontal plane."""
-    return body("ground", Plane(), Pose(position_m=(0.0, 0.0, height_m)), mass_kg=0.0, motion=Motion.FIXED)
+def driven_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+    """Return a box that a driver moves."""
+    return replace(fixed_box(name, position_m, size_m, euler_deg=euler_deg), motion=Motion.KINEMATIC)
+
+
+def ground() -> RigidBody:
+    """Return a horizontal plane at height 0."""
+    return body("ground", Plane(), Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0, motion=Motion.FIXED)
+
+
+def contact(
+    first: str | tuple[str, ...], second: str | tuple[str, ...], *, friction: float, restitution: float | None = None
+) -> Contact:
+    """Return a contact between bodies: an impact with a restitution, or a sustained one without."""
+    first, second = ((one,) if isinstance(one, str) else one for one in (first, second))
+    if restitution is None:
+        return Contact(first=first, second=second, friction=friction, restitution=0.0)
+    return Contact(first=first, second=second, friction=friction, restitution=restitution, mode=ContactMode.IMPACT)
 
 
 def ramp(amount: float, *, start_s: float, duration_s: float, ramp_s: float) -> TrapezoidProfile:
@@ -80,29 +89,31 @@ def driver(
     return Driver(body=name, motions=(motion,), provenance="nominal")
 
 
-def sheet(
-    pose: Pose, size_m: tuple[float, float], *, areal_density: float, stretch_n_per_m: float, bend_n_m: float
-) -> Cloth:
-    """Return a sheet of a fabric that every engine's membrane can represent.
+def fabric(areal_density: float, stretch_n_per_m: float, bend_n_m: float) -> Fabric:
+    """Return a fabric that every engine's membrane can represent; the shear stiffness follows from K_s.
 
     Args:
-        pose: Frame of the sheet, warp along x.
-        size_m: Edge lengths along x and y.
         areal_density: Mass per area [kg/m^2].
-        stretch_n_per_m: Stretch stiffness K_s [N/m]; the shear stiffness follows from it.
+        stretch_n_per_m: Stretch stiffness K_s [N/m].
         bend_n_m: Bending stiffness K_theta [N m/rad].
     """
-    return Cloth(
-        name="cloth",
-        pose=pose,
-        size_m=size_m,
-        mass_kg=areal_density * size_m[0] * size_m[1],
-        areal_density_kg_per_m2=areal_density,
-        thickness_m=1e-3,
+    return Fabric(
         stretch_stiffness_n_per_m=stretch_n_per_m,
         shear_stiffness_n_per_m=stretch_n_per_m / STRETCH_OVER_SHEAR,
         bend_stiffness_n_m_per_rad=bend_n_m,
+        thickness_m=1e-3,
+        areal_density_kg_per_m2=areal_density,
     )
+
+
+def sheet(made_of: Fabric, pose: Pose, size_m: tuple[float, float]) -> Cloth:
+    """Return a sheet of a fabric, warp along the x axis of its frame."""
+    mass_kg = made_of.areal_density_kg_per_m2 * size_m[0] * size_m[1]
+    return Cloth(name="cloth", pose=pose, size_m=size_m, mass_kg=mass_kg, **asdict(made_of))
+
+
+LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
+"""Fabric of sheets whose stiffness does not matter."""
 
 
 FRAME = fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1))
@@ -122,31 +133,23 @@ def clamped(
     )
 
 
+STRIP_ON_ROD = "a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad"
+
+
 def strip_on_rod() -> Scene:
     """Return a strip that hangs from a driven rod; the rod moves by 0.2 m and rotates by 0.6 rad within 0.4 s."""
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
-    cloth = sheet(pose, (0.15, 0.1), areal_density=0.2, stretch_n_per_m=110.0, bend_n_m=1e-4)
+    cloth = sheet(LIGHT_FABRIC, pose, (0.15, 0.1))
     top = 1.0 + 0.5 * 0.15
-    rod = body(
-        "rod",
-        Box(size_m=(0.01, 0.12, 0.01)),
-        Pose(position_m=(0.0, 0.0, top + 0.02)),
-        mass_kg=1.0,
-        motion=Motion.KINEMATIC,
-    )
-    translation = DriverMotion(
-        kind="translate", axis=(1.0, 0.0, 0.0), profiles=(ramp(0.2, start_s=0.0, duration_s=0.4, ramp_s=0.15),)
-    )
-    rotation = DriverMotion(
-        kind="rotate",
-        axis=(0.0, 0.0, 1.0),
-        profiles=(ramp(0.6, start_s=0.0, duration_s=0.4, ramp_s=0.15),),
-        point_m=(0.0, 0.0, top),
+    turn, move = (ramp(amount, start_s=0.0, duration_s=0.4, ramp_s=0.15) for amount in (0.6, 0.2))
+    motions = (
+        DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,), point_m=(0.0, 0.0, top)),
+        DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(move,)),
     )
     return Scene(
-        bodies=(rod,),
+        bodies=(driven_box("rod", (0.0, 0.0, top + 0.02), (0.01, 0.12, 0.01)),),
         deformables=(cloth,),
         attachments=(Attachment(deformable="cloth", region=Region(axis="x", side="high"), to="rod"),),
-        drivers=(Driver(body="rod", motions=(rotation, translation), provenance="nominal"),),
+        drivers=(Driver(body="rod", motions=motions, provenance="nominal"),),
         duration_s=1.0,
     )

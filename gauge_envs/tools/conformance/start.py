@@ -2,25 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import closing
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, Shape, Sphere
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, torque_free_orientation
-from gauge_envs.tools.conformance.model import Measurement, Tolerance
-from gauge_envs.tools.conformance.registry import check
-from gauge_envs.tools.conformance.scene_parts import vector
+from gauge_envs.tools.conformance.measurements import largest_mm
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
 ANGULAR_RAD_PER_S = (2.0, 5.0, -3.0)
 POSE = Pose.from_euler_deg((0.2, 0.1, 1.0), (50.0, -20.0, 70.0))
 BRICK = Box(size_m=(0.1, 0.06, 0.03))
-BRICK_KG = 0.4
 CENTRE_M = np.array([0.05, 0.03, 0.015])
 """Centre of mass of the brick as a convex solid, whose origin is one of its corners [m]."""
 CORNERS_M = tuple(vector(corner) for corner in BRICK.corners_m + CENTRE_M)
@@ -32,128 +32,118 @@ def _thrown_scene(shape: Shape) -> Scene:
         shape=shape,
         motion=Motion.DYNAMIC,
         pose=POSE,
-        mass_kg=BRICK_KG,
+        mass_kg=0.4,
         linear_velocity_m_per_s=LINEAR_M_PER_S,
         angular_velocity_rad_per_s=ANGULAR_RAD_PER_S,
     )
     return Scene(bodies=(thrown,), duration_s=FLIGHT_S, gravity_m_per_s2=0.0)
 
 
-def _thrown_ball(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(Sphere(radius_m=0.03)), FLIGHT_S)
+BALL = _thrown_scene(Sphere(radius_m=0.03))
+_thrown_ball = rollout_of("a ball thrown with rotation, without gravity and contacts", BALL)
+_thrown_brick = rollout_of(
+    "a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts", _thrown_scene(BRICK)
+)
+_thrown_solid = rollout_of(
+    "the same brick as a convex solid whose origin is one of its corners",
+    _thrown_scene(ConvexUnion(pieces_m=(CORNERS_M,))),
+)
 
 
-def _thrown_brick(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(BRICK), FLIGHT_S)
-
-
-def _thrown_solid(lab: Lab) -> Rollout:
-    return lab.rollout(_thrown_scene(ConvexUnion(pieces_m=(CORNERS_M,))), FLIGHT_S)
-
-
-def _hint(errors: Mapping[str, float], error: float) -> str:
-    """Return the explanation that leaves the smallest error, or nothing if it leaves more than 5 % of the error."""
+def _explained(
+    error: Callable[[NDArray[np.float64]], float],
+    right: NDArray[np.float64],
+    explanations: Mapping[str, NDArray[np.float64]],
+) -> Measurement:
+    """Measure the error of an assumed velocity, with an explanation by another one that leaves less than 5 % of it."""
+    errors = {text: error(assumed) for text, assumed in explanations.items()}
     text = min(errors, key=errors.__getitem__)
-    return text if errors[text] < 0.05 * error else ""
+    measured = error(right)
+    return Measurement(measured=measured, hint=text if errors[text] < 0.05 * measured else "")
 
 
-def _largest_mm(apart_m: NDArray[np.float64]) -> float:
-    return 1e3 * float(np.linalg.norm(apart_m, axis=1).max())
+def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[NDArray[np.float64]], float]:
+    """Return the function that gives the largest distance [mm] from a straight line with a velocity."""
+    return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
 
-@check(
+@_thrown_ball.check(
     "start-velocity",
     title="thrown ball flies straight",
-    scene="a ball thrown with rotation, without gravity and contacts",
     measures="largest distance of a thrown, spinning ball from its straight line within 0.5 s, without gravity",
     law="r = r0 + v0 t",
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=0.1, rationale="nothing acts; single precision rounds each of some hundred steps to 0.1 um"
-    ),
+    tolerance=Tolerance("nothing acts; single precision rounds each of some hundred steps to 0.1 um", absolute=0.1),
     diagnosis="build() and reset() must give each dynamic body the linear velocity of the scene, in the world frame",
 )
-def _start_velocity(lab: Lab) -> Measurement:
-    rollout = lab.once(_thrown_ball)
-    moved, times = rollout.displacement("thrown"), rollout.times_s
+def _start_velocity(rollout: Rollout) -> Measurement:
     velocity = np.array(LINEAR_M_PER_S)
-    error = _largest_mm(moved - np.outer(times, velocity))
     explanations = {
         "the ball starts at rest": np.zeros(3),
         "the velocity has the wrong sign": -velocity,
         "the velocity is taken in the body frame": POSE.rotation.apply(velocity),
         "the velocity is taken in mm/s": 1e-3 * velocity,
     }
-    errors = {text: _largest_mm(moved - np.outer(times, assumed)) for text, assumed in explanations.items()}
-    return Measurement(measured=error, expected=0.0, hint=_hint(errors, error))
+    return _explained(_off_line_mm(rollout.displacement("thrown"), rollout), velocity, explanations)
 
 
-@check(
+@_thrown_brick.check(
     "start-spin",
     title="spinning brick rotates freely",
-    scene="a leaning brick of 0.4 kg thrown with rotation, without gravity and contacts",
     measures="angle between a thrown, spinning brick after 0.5 s and Euler's equations from the scene's start",
     law="I domega/dt + omega x I omega = 0",
     source="Euler, integrated by scipy's DOP853; RigidBody.angular_velocity_rad_per_s (scene.py)",
     unit="deg",
     tolerance=Tolerance(
-        absolute=3.0, rationale="it rotates by 180 degrees; the tolerance is that of the free rotation after a hit"
+        "it rotates by 180 degrees; the tolerance is that of the free rotation after a hit", absolute=3.0
     ),
     diagnosis="build() and reset() must give each dynamic body the angular velocity of the scene, in the world frame; "
     "where start-velocity-reset passes, check the frame of the inertia and the gyroscopic term",
 )
-def _start_spin(lab: Lab) -> Measurement:
-    last = lab.once(_thrown_brick).rotation("thrown")[-1]
+def _start_spin(rollout: Rollout) -> Measurement:
+    last = rollout.rotation("thrown")[-1]
     spin = np.array(ANGULAR_RAD_PER_S)
 
     def error_deg(assumed: NDArray[np.float64]) -> float:
         expected = torque_free_orientation(
             start=POSE.rotation,
             spin_rad_per_s=assumed,
-            moments=box_inertia_kg_m2(BRICK, BRICK_KG),
+            moments=box_inertia_kg_m2(rollout.scene.body("thrown")),
             seconds=FLIGHT_S,
         )
         return float(np.degrees((last * expected.inv()).magnitude()))
 
-    error = error_deg(spin)
     explanations = {
         "the brick starts without rotation": np.zeros(3),
         "the angular velocity has the wrong sign": -spin,
         "the angular velocity is taken in the body frame": POSE.rotation.apply(spin),
         "the angular velocity is taken in degrees": np.radians(spin),
     }
-    errors = {text: error_deg(assumed) for text, assumed in explanations.items()}
-    return Measurement(measured=error, expected=0.0, hint=_hint(errors, error))
+    return _explained(error_deg, spin, explanations)
 
 
-@check(
+@_thrown_solid.check(
     "start-velocity-of-origin",
     title="start velocity is that of the body's origin",
-    scene="the same brick as a convex solid whose origin is one of its corners",
     measures="largest distance of the centre of mass of a thrown, spinning solid, whose origin is one of its corners, "
     "from its straight line within 0.5 s",
     law="r_c = r_c0 + (v0 + omega0 x R c) t",
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
     unit="mm",
-    tolerance=Tolerance(
-        absolute=0.5, rationale="the real trials' scatter is about 1 mm; a wrong point gives over 100 mm"
-    ),
+    tolerance=Tolerance("the real trials' scatter is about 1 mm; a wrong point gives over 100 mm", absolute=0.5),
     diagnosis="the scene's linear velocity is that of the body origin; engines often expect that of the centre of mass",
 )
-def _start_velocity_of_origin(lab: Lab) -> Measurement:
-    rollout = lab.once(_thrown_solid)
+def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)
     moved -= POSE.to_world(CENTRE_M)
     of_origin = np.array(LINEAR_M_PER_S)
     of_centre = of_origin + np.cross(ANGULAR_RAD_PER_S, POSE.rotation.apply(CENTRE_M))
-    error = _largest_mm(moved - np.outer(rollout.times_s, of_centre))
-    is_centre = _largest_mm(moved - np.outer(rollout.times_s, of_origin)) < 0.05 * error
-    hint = "the velocity is given to the centre of mass instead of the origin" if is_centre else ""
-    return Measurement(measured=error, expected=0.0, hint=hint)
+    explanations = {"the velocity is given to the centre of mass instead of the origin": of_origin}
+    return _explained(_off_line_mm(moved, rollout), of_centre, explanations)
 
 
-@check(
+@Check(
     "start-velocity-reset",
     title="reset restores the start velocity",
     scene="a ball thrown with rotation, reset after 0.1 s",
@@ -161,22 +151,17 @@ def _start_velocity_of_origin(lab: Lab) -> Measurement:
     "reset that follows 0.1 s of flight",
     law="v = v0, omega = omega0",
     source="contract (Simulation.reset)",
-    unit="1",
-    tolerance=Tolerance(absolute=1e-4, rationale="m/s and rad/s; single precision keeps seven digits"),
+    tolerance=Tolerance("m/s and rad/s; single precision keeps seven digits", absolute=1e-4),
     diagnosis="reset() must write the velocities of the scene again, and body_states must report them at once",
 )
 def _start_velocity_reset(lab: Lab) -> Measurement:
-    simulation = lab.build(_thrown_scene(Sphere(radius_m=0.03)))
-    try:
+    with closing(lab.build(BALL)) as simulation:
         simulation.reset(0)
         simulation.advance(0.1)
         simulation.reset(0)
         reported = simulation.body_states(["thrown"])[0, 7:]
-    finally:
-        simulation.close()
-    hint = _reported_hint(reported)
-    error = float(np.abs(reported - [*LINEAR_M_PER_S, *ANGULAR_RAD_PER_S]).max())
-    return Measurement(measured=error, expected=0.0, hint=hint)
+        error = float(np.abs(reported - [*LINEAR_M_PER_S, *ANGULAR_RAD_PER_S]).max())
+        return Measurement(measured=error, hint=_reported_hint(reported))
 
 
 def _reported_hint(reported: NDArray[np.float64]) -> str:

@@ -89,7 +89,7 @@ def findings_document(findings: Sequence[CheckResult]) -> Document:
     Markdown, for a README, has titles of the checks beside their ids.
     """
     notes = [Bullets(lines, title) for title, lines in _notes(findings)]
-    titled = _findings_table(findings, lambda one: f"{one.title} ({one.check})")
+    titled = _findings_table(findings, lambda one: f"{one.of.title} ({one.check})")
     return Document(
         parts=(_findings_table(findings, lambda one: one.check), *notes),
         rows=(finding.to_dict() for finding in findings),
@@ -114,7 +114,7 @@ def _findings_table(findings: Sequence[CheckResult], name: Callable[[CheckResult
     return Table(
         columns=(
             Column("", "check", first(name)),
-            Column("", "law", first(lambda one: one.law), wide_only=True),
+            Column("", "law", first(lambda one: one.of.law), wide_only=True),
             Column("", "expected", lambda row: expected_text(row.values(), exactly=True)),
             *(Column(backend, backend, measured, style=style) for backend in _backends(findings)),
         ),
@@ -149,7 +149,7 @@ def _what(finding: CheckResult) -> str:
     if finding.measured is None or finding.expected is None:
         return ""
     text = f"{measured_text(finding)} instead of {finding.expected:.4g}"
-    return f"{with_unit(text, finding.unit)} ({finding.measures}). "
+    return f"{with_unit(text, finding.of.unit)} ({finding.of.measures}). "
 
 
 def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
@@ -196,7 +196,7 @@ def expected_text(findings: Iterable[CheckResult | None], *, exactly: bool = Fal
             text = f"{finding.expected:.4g} +- {finding.width:.2g}"
             if exactly and not finding.width:
                 text = f"exactly {finding.expected:.4g}"
-            return with_unit(text, finding.unit)
+            return with_unit(text, finding.of.unit)
     return ""
 
 

@@ -13,9 +13,16 @@ No number of a submission is believed. Scores are computed anew from the traject
 episodes can be run again. `docs/leaderboard.md` states each rule.
 """
 
-from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
-from gauge_envs.tools.leaderboard.faults import Fault
-from gauge_envs.tools.leaderboard.reruns import Rerun
-from gauge_envs.tools.leaderboard.statement import Statement
+from typing import TYPE_CHECKING
+
+from gauge_envs.tools import door
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
+    from gauge_envs.tools.leaderboard.reruns import Rerun
+    from gauge_envs.tools.leaderboard.submission import Fault, Statement
 
 __all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard"]
+
+if not TYPE_CHECKING:  # With it, a type checker would accept any name.
+    __getattr__ = door(__name__, "submission", "reruns", "check")

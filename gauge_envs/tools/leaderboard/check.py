@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from gauge_envs.errors import GaugeError, ResultFileError
+from gauge_envs.errors import ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
@@ -16,12 +16,18 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name
-from gauge_envs.tools.leaderboard.faults import Fault
-from gauge_envs.tools.leaderboard.layout import SubmissionFiles, find_submissions, relative_name, submission_files
-from gauge_envs.tools.leaderboard.reruns import Rerun, RerunStatus, rerun, rerun_sample
-from gauge_envs.tools.leaderboard.scores import differing_scores, rescored
-from gauge_envs.tools.leaderboard.statement import STATEMENT_FILE, Statement, read_statement
-from gauge_envs.tools.leaderboard.trajectory import trajectory_faults
+from gauge_envs.tools.leaderboard.reruns import Rerun, rerun, rerun_sample
+from gauge_envs.tools.leaderboard.submission import (
+    STATEMENT_FILE,
+    Fault,
+    Statement,
+    SubmissionFiles,
+    find_submissions,
+    read_statement,
+    relative_name,
+    submission_files,
+)
+from gauge_envs.tools.leaderboard.trajectory import differing_scores, rescored, trajectory_faults
 
 Found = Iterator[tuple[str, str]]
 
@@ -120,20 +126,20 @@ def _check_submission(
     faults = list(files.faults)
     if files.statement is None:
         return SubmissionCheck(folder=name, faults=tuple(faults))
-    stated = read_statement(files.statement, relative_name(files.statement, root))
+    where = relative_name(files.statement, root)
+    stated = read_statement(files.statement, where)
     if isinstance(stated, Fault):
         return SubmissionCheck(folder=name, faults=(*faults, stated))
-    where = relative_name(files.statement, root)
     faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, stated)]
     results, seen, found = _checked_results(files, stated, root, advance)
     faults += found
     faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen)]
-    content = _content_sha256(files, folder)
+    content = files.sha256(folder)
     reruns: list[Rerun] = []
     if rerun_count:
         for result in rerun_sample(list(results.values()), rerun_count, content_sha256=content, salt=salt):
             advance(f"run {result.id}")
-            reruns.append(_rerun(result))
+            reruns.append(rerun(result))
     by_id = {result.id: file for file, result in results.items()}
     faults += [
         Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
@@ -148,20 +154,6 @@ def _check_submission(
         reruns=tuple(reruns),
         content_sha256=content,
     )
-
-
-def _rerun(result: Result) -> Rerun:
-    try:
-        return rerun(result)
-    except GaugeError as error:
-        return Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=result.score.unit, cause=str(error))
-
-
-def _content_sha256(files: SubmissionFiles, folder: Path) -> str:
-    try:
-        return files.sha256(folder)
-    except OSError:
-        return ""
 
 
 def _path_faults(folder: Path, stated: Statement) -> Found:
@@ -216,7 +208,7 @@ def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
     expected = {
         "backend": stated.engine,
         "parameters": stated.parameters,
-        "settings_given": stated.settings_given(),
+        "settings_given": stated.settings,
         "task_sha256": task_sha256(find_variant(result.id).family),
         "seed": 0,
         "jitter": {},
@@ -253,7 +245,7 @@ def _hints(stated: Statement) -> dict[str, str]:
 def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
     """Yield each experiment that has neither a result nor a reason, and each reason for none."""
     names = [variant.name for variant in variants()]
-    present = {identifier.removeprefix("GAUGE/") for identifier in seen}
+    present, left_out = {identifier.removeprefix("GAUGE/") for identifier in seen}, set[str]()
     for pattern in stated.left_out:
         stem = pattern.removeprefix("GAUGE/")
         matched = [name for name in names if fnmatchcase(name, stem)]
@@ -261,8 +253,8 @@ def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
             yield f"left_out.{pattern!r}", "matches no experiment of the benchmark"
         elif both := [name for name in matched if name in present]:
             yield f"left_out.{pattern!r}", f"also has a result: {', '.join(both)}"
-    stems = [pattern.removeprefix("GAUGE/") for pattern in stated.left_out]
-    missing = [n for n in names if n not in present and not any(fnmatchcase(n, stem) for stem in stems)]
+        left_out.update(matched)
+    missing = [name for name in names if name not in present | left_out]
     if missing:
         some = f"{', '.join(missing[:6])}{f' and {len(missing) - 6} more' if len(missing) > 6 else ''}"
         yield "left_out", f"no result and no reason for {some}: add the files, or the reason in left_out"

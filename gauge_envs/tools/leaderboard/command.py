@@ -47,7 +47,7 @@ def leaderboard_table(
     out.
     """
     from gauge_envs.pages.document import as_markdown, as_rows, save_file
-    from gauge_envs.tools.leaderboard.layout import GENERATED
+    from gauge_envs.tools.leaderboard.submission import GENERATED
     from gauge_envs.tools.leaderboard.words import leaderboard_document
 
     check = _checked(folder)

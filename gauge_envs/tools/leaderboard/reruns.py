@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.metrics import trajectory_rmse
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.batch import run_many
@@ -92,31 +93,8 @@ def rerun(result: Result) -> Rerun:
     Args:
         result: A result with a trajectory and without an asset.
     """
-    again = next(iter(run_many([_request_of(result)], isolate=None)))
-    unit = result.score.unit
-    if again.error is not None or again.trajectory is None or result.trajectory is None:
-        return Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=unit, cause=again.error or "no trajectory")
-    cause = _cause(result, again)
-    (_, stored), (_, repeated) = result.trajectory.arrays(later=True), again.trajectory.arrays(later=True)
-    if again.outcome is not result.outcome or stored.shape != repeated.shape:
-        lengths = (
-            f"{result.outcome.value} with {len(stored)} samples in the file, "
-            f"{again.outcome.value} with {len(repeated)} here"
-        )
-        return Rerun(id=result.id, status=RerunStatus.DIFFERENT, unit=unit, cause=f"{lengths}; {cause}")
-    settings = [key for key in {**result.settings, **again.settings} if _differ(result, again, key)]
-    if settings and result.versions == again.versions:
-        return Rerun(
-            id=result.id,
-            status=RerunStatus.DIFFERENT,
-            unit=unit,
-            cause=f"settings in force differ: {', '.join(sorted(settings))}",
-        )
-    return _compared(result, stored, repeated, cause)
-
-
-def _request_of(result: Result) -> RunRequest:
-    return RunRequest(
+    blank = Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=result.score.unit)
+    request = RunRequest(
         result.id,
         backend=result.backend or "",
         parameters=result.parameters,
@@ -124,35 +102,41 @@ def _request_of(result: Result) -> RunRequest:
         marker_proxy=result.marker_proxy,
         seed=result.seed or 0,
     )
-
-
-def _differ(result: Result, again: Result, key: str) -> bool:
+    try:
+        again = next(iter(run_many([request], isolate=None)))
+    except GaugeError as error:
+        return replace(blank, cause=str(error))
+    if again.error is not None or again.trajectory is None or result.trajectory is None:
+        return replace(blank, cause=again.error or "no trajectory")
+    cause, different = _cause(result, again), replace(blank, status=RerunStatus.DIFFERENT)
+    (_, stored), (_, repeated) = result.trajectory.arrays(later=True), again.trajectory.arrays(later=True)
+    if again.outcome is not result.outcome or stored.shape != repeated.shape:
+        lengths = (
+            f"{result.outcome.value} with {len(stored)} samples in the file, "
+            f"{again.outcome.value} with {len(repeated)} here"
+        )
+        return replace(different, cause=f"{lengths}; {cause}")
     missing = object()
-    return bool(result.settings.get(key, missing) != again.settings.get(key, missing))
-
-
-def _compared(result: Result, stored: NDArray[np.float64], repeated: NDArray[np.float64], cause: str) -> Rerun:
+    names = {**result.settings, **again.settings}
+    changed = [name for name in names if result.settings.get(name, missing) != again.settings.get(name, missing)]
+    if changed and result.versions == again.versions:
+        return replace(different, cause=f"settings in force differ: {', '.join(sorted(changed))}")
     both = np.isnan(stored) & np.isnan(repeated)
     apart = np.where(both, 0.0, np.nan_to_num(np.abs(stored - repeated), nan=np.inf))
-    frames = np.where(both, 0.0, stored)[::SAMPLES_PER_FRAME]
-    baseline = published_baselines(result.id.removeprefix("GAUGE/")).get("rmse")
-    motion = trajectory_rmse(frames, np.broadcast_to(frames[0], frames.shape))
-    allowed = RERUN_SHARE * (baseline.mean if baseline is not None and baseline.mean else motion)
     largest = float(apart.max())
     rmse = float(np.sqrt(np.square(apart[::SAMPLES_PER_FRAME]).sum(axis=1).mean()))
+    allowed = _allowed(result, np.where(both, 0.0, stored)[::SAMPLES_PER_FRAME])
+    status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
     if largest == 0.0:
         status, cause = RerunStatus.EQUAL, ""
-    else:
-        status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
-    return Rerun(
-        id=result.id,
-        status=status,
-        unit=result.score.unit,
-        largest_difference=largest,
-        rmse=rmse,
-        allowed=allowed,
-        cause=cause,
-    )
+    return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause)
+
+
+def _allowed(result: Result, frames: NDArray[np.float64]) -> float:
+    """Return the largest distance of a repeated trajectory that counts as the same."""
+    baseline = published_baselines(result.id.removeprefix("GAUGE/")).get("rmse")
+    motion = trajectory_rmse(frames, np.broadcast_to(frames[0], frames.shape))
+    return RERUN_SHARE * (baseline.mean if baseline is not None and baseline.mean else motion)
 
 
 def _cause(result: Result, again: Result) -> str:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.errors import ParameterError
@@ -55,13 +54,13 @@ class Aim:
     is_friction_asked: bool = True
 
     def __post_init__(self) -> None:
-        _check("friction", self.friction, *FRICTION_RANGE, "")
-        _check("mass", self.mass_kg, *MASS_RANGE_KG, " kg")
-        _check("timestep", self.timestep_s, *TIMESTEP_RANGE_S, " s")
+        check_measurable("friction", self.friction, FRICTION_RANGE)
+        check_measurable("mass", self.mass_kg, MASS_RANGE_KG, " kg")
+        check_measurable("timestep", self.timestep_s, TIMESTEP_RANGE_S, " s")
         if self.restitution is not None:
-            _check("restitution", self.restitution, 0.0, 1.0, "")
+            check_measurable("restitution", self.restitution, (0.0, 1.0))
         if self.penetration_m is not None:
-            _check("penetration", self.penetration_m, *PENETRATION_RANGE_M, " m")
+            check_measurable("penetration", self.penetration_m, PENETRATION_RANGE_M, " m")
         if self.stiffness_n_per_m is not None:
             self._check_stiffness(self.stiffness_n_per_m)
         if self.damping_n_s_per_m is not None:
@@ -69,14 +68,14 @@ class Aim:
                 raise ParameterError(
                     "damping: it determines the rebound beside a stiffness: give a stiffness and no restitution"
                 )
-            _check("damping", self.damping_n_s_per_m, 0.0, math.inf, " N s/m")
+            check_measurable("damping", self.damping_n_s_per_m, (0.0, math.inf), " N s/m")
 
     def _check_stiffness(self, stiffness: float) -> None:
         if self.penetration_m is not None:
             raise ParameterError("stiffness and penetration both state the depth at rest: give one of them")
         weight = self.mass_kg * GRAVITY_M_PER_S2
-        low, high = weight / PENETRATION_RANGE_M[1], weight / PENETRATION_RANGE_M[0]
-        _check("stiffness", stiffness, float(f"{low:.3g}"), float(f"{high:.3g}"), " N/m for this mass")
+        low, high = (float(f"{weight / depth_m:.3g}") for depth_m in reversed(PENETRATION_RANGE_M))
+        check_measurable("stiffness", stiffness, (low, high), " N/m for this mass")
 
     @property
     def depth_m(self) -> float | None:
@@ -84,6 +83,10 @@ class Aim:
         if self.stiffness_n_per_m is not None:
             return self.mass_kg * GRAVITY_M_PER_S2 / self.stiffness_n_per_m
         return self.penetration_m
+
+    def aimed_depth_m(self, margin: float) -> float | None:
+        """Return the depth at rest that settings aim at [m]: a share of an allowed one, or that of the stiffness."""
+        return None if self.depth_m is None else (margin if self.stiffness_n_per_m is None else 1.0) * self.depth_m
 
     @property
     def rebound(self) -> float | None:
@@ -102,20 +105,17 @@ class Aim:
             object.__setattr__(aim, name, value)
         return aim
 
-    def asked(self) -> Mapping[str, float | None]:
+    def asked(self) -> dict[str, float | None]:
         """Return the request, JSON-ready."""
-        return {
-            "friction": self.friction if self.is_friction_asked else None,
-            "restitution": self.restitution,
-            "penetration_m": self.penetration_m,
-            "stiffness_n_per_m": self.stiffness_n_per_m,
-            "damping_n_s_per_m": self.damping_n_s_per_m,
-            "mass_kg": self.mass_kg,
-            "timestep_s": self.timestep_s,
-        }
+        values = asdict(self)
+        return values | {"friction": self.friction if values.pop("is_friction_asked") else None}
 
 
-def _check(name: str, value: float, low: float, high: float, unit: str) -> None:
+def check_measurable(
+    name: str, value: float, limits: tuple[float, float], unit: str = "", *, what: str = "a recipe is"
+) -> None:
+    """Raise an error for a value that the scenes do not measure."""
+    low, high = limits
     if not low <= value <= high:
         upper = f" to {high:g}" if math.isfinite(high) else " or more"
-        raise ParameterError(f"{name} {value:g}{unit}: a recipe is measured for {low:g}{upper}{unit}")
+        raise ParameterError(f"{name} {value:g}{unit}: {what} measured for {low:g}{upper}{unit}")

@@ -1,4 +1,4 @@
-"""Closed forms of contacts: a slide, and MuJoCo's contact constraint."""
+"""MuJoCo's contact constraint in closed form."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 from scipy.optimize import brentq
 
-from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 
-G = GRAVITY_M_PER_S2
+Solimp = tuple[float, float, float, float, float]
+"""Impedance: d0, dwidth, width [m], midpoint, power."""
 
 DEEPEST_M = 1e3
 """Depth at which a contact counts as none [m]."""
@@ -18,19 +19,7 @@ LONGEST_IMPACT_S = 2.0
 """Time after which an impact counts as a rest [s]."""
 
 
-def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:
-    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos + b).
-
-    Args:
-        acceleration_m_per_s2: Acceleration a down the slope.
-        slope_rad: Slope [rad].
-        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
-            both have the same weights: a body that hops gets its friction from its impacts.
-    """
-    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad) + lift_m_per_s2)
-
-
-def mujoco_impedance(solimp: tuple[float, float, float, float, float], depth_m: float) -> float:
+def mujoco_impedance(solimp: Solimp, depth_m: float) -> float:
     """Return MuJoCo's impedance d(r) at a depth [m]; `solimp` is d0, dwidth, width [m], midpoint, power."""
     d0, dwidth, width, midpoint, power = solimp
     x = min(abs(depth_m) / width, 1.0) if width > 0.0 else 1.0
@@ -46,17 +35,17 @@ class ContactForm:
     """What MuJoCo's documented contact equation gives for a body with one coordinate, without the engine.
 
     Attributes:
+        restitution: Mean over the phases of the impact within a step.
         penetration_m: Depth at rest [m].
+        creep_m_s: Speed on a slope below the friction angle [m/s].
         time_constant_s: Twice the inverse of the damping per mass [s], as MuJoCo defines it; None if one step stops the
             body or more, or without damping.
-        restitution: Mean over the phases of the impact within a step.
-        creep_m_s: Speed on a slope below the friction angle [m/s].
     """
 
-    penetration_m: float
-    time_constant_s: float | None
     restitution: float
+    penetration_m: float
     creep_m_s: float
+    time_constant_s: float | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,7 +69,7 @@ class MuJoCoContact:
     """
 
     solref: tuple[float, float]
-    solimp: tuple[float, float, float, float, float]
+    solimp: Solimp
     solreffriction: tuple[float, float]
     friction: float
     impratio: float

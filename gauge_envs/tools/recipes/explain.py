@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from pydantic import ValidationError
@@ -12,10 +13,10 @@ from pydantic import ValidationError
 from gauge_envs.errors import ParameterError, first_fault, nearest
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.tools.recipes.aim import FRICTION_RANGE, MASS_RANGE_KG, TIMESTEP_RANGE_S
+from gauge_envs.tools.recipes.aim import FRICTION_RANGE, MASS_RANGE_KG, TIMESTEP_RANGE_S, check_measurable
 from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.measure import Measured, measured, scatter_texts
+from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text, measured, scatter_texts
 
 MEASURED_IN = (
     "Drops from 0.2 m onto one contact; a plate of 0.12 m rests on four, creeps on a slope of half the friction, and "
@@ -52,32 +53,13 @@ class Meaning:
     @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
-        names = ("friction", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
-        if self.found is None:
-            return dict.fromkeys(names)
-        rest = self.found.rest
-        values = (
-            self.found.slide.friction,
-            self.found.rebound.mean,
-            rest.penetration_m,
-            self.found.creep_m_s,
-            rest.time_constant_s,
-        )
-        return dict(zip(names, values, strict=True))
+        return dict.fromkeys(REACHED) if self.found is None else self.found.values
 
     @property
     def expected(self) -> dict[str, float | None] | None:
         """Values of the closed form by the same names; None without one."""
         form = self.closed_form
-        if form is None:
-            return None
-        return {
-            "friction": self.settings.sliding_friction,
-            "restitution": form.restitution,
-            "penetration_m": form.penetration_m,
-            "creep_m_s": form.creep_m_s,
-            "time_constant_s": form.time_constant_s,
-        }
+        return None if form is None else {"friction": self.settings.sliding_friction, **asdict(form)}
 
     def json(self) -> dict[str, Any]:
         """Return the meaning as one JSON-ready object."""
@@ -127,17 +109,16 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
 
 
 def _values(text: str) -> Any:
-    parts = [_value(part) for part in re.split(r"[\s,]+", text.strip("[]() \t")) if part]
-    return parts[0] if len(parts) == 1 else tuple(parts)
+    """Return a number, a text, or several of them, as a text states them."""
 
+    def value(part: str) -> int | float | str:
+        for kind in (int, float):
+            with suppress(ValueError):
+                return kind(part)
+        return part
 
-def _value(text: str) -> Any:
-    for kind in (int, float):
-        try:
-            return kind(text)
-        except ValueError:
-            continue
-    return text
+    parts = tuple(value(part) for part in re.split(r"[\s,]+", text.strip("[]() \t")) if part)
+    return parts[0] if len(parts) == 1 else parts
 
 
 def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
@@ -147,14 +128,10 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
         settings: The settings.
         mass_kg: Mass of the body [kg].
     """
-    ranges = (
-        ("mass", mass_kg, MASS_RANGE_KG, " kg"),
-        ("timestep", settings.timestep_s, TIMESTEP_RANGE_S, " s"),
-        ("friction", settings.sliding_friction, FRICTION_RANGE, ""),
-    )
-    for name, value, (low, high), unit in ranges:
-        if not low <= value <= high:
-            raise ParameterError(f"{name} {value:g}{unit}: contacts are measured for {low:g} to {high:g}{unit}")
+    what = "contacts are"
+    check_measurable("mass", mass_kg, MASS_RANGE_KG, " kg", what=what)
+    check_measurable("timestep", settings.timestep_s, TIMESTEP_RANGE_S, " s", what=what)
+    check_measurable("friction", settings.sliding_friction, FRICTION_RANGE, what=what)
     versions = settings.backend().versions()
     try:
         form = settings.closed_form()
@@ -167,7 +144,7 @@ def explain(settings: ContactSettings, mass_kg: float) -> Meaning:
         found = measured(settings, mass_kg)
         text = " ".join([MEASURED_IN, *scatter_texts(found)])
     except DivergedError as error:
-        text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
+        text = divergence_text(error)
     return Meaning(
         engine=settings.engine,
         versions=versions,

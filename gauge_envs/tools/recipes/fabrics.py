@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from gauge_envs.backends.registry import backend
@@ -22,11 +22,12 @@ from gauge_envs.scene.fabrics import (
     shear_stiffness,
     uniaxial_stiffness,
 )
-from gauge_envs.tools.conformance import Lab, Measurement, checks
-from gauge_envs.tools.conformance.cloth_strips import (
+from gauge_envs.tools.conformance import (
     BENT_FREE_M,
+    Lab,
     bending_stiffness,
     cantilever_strip,
+    checks,
     hanging_strip,
     stretch_stiffness,
 )
@@ -70,14 +71,14 @@ class FabricRecipe:
     """
 
     engine: str
-    versions: Mapping[str, str]
+    versions: Mapping[str, str] = field(default_factory=dict)
     name: str
     mapped: EngineConstants
-    stretch_n_per_m: float | None
-    bend_n_m: float | None
-    timestep_s: float | None
-    faults: tuple[str, ...]
-    wall_s: float
+    stretch_n_per_m: float | None = None
+    bend_n_m: float | None = None
+    timestep_s: float | None = None
+    faults: tuple[str, ...] = ()
+    wall_s: float = 0.0
 
     @property
     def asked(self) -> dict[str, float]:
@@ -97,14 +98,9 @@ class FabricRecipe:
         """Stiffness of the simulated strips by name; None for what was not simulated."""
         length = None
         if self.bend_n_m is not None and self.bend_n_m > 0.0:
-            weight = self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2
-            length = math.cbrt(self.bend_n_m / weight)
-        return {
-            "stretch_n_per_m": self.stretch_n_per_m,
-            "shear_n_per_m": None,
-            "bend_n_m": self.bend_n_m,
-            "bending_length_m": length,
-        }
+            length = math.cbrt(self.bend_n_m / (self.mapped.fabric.areal_density_kg_per_m2 * GRAVITY_M_PER_S2))
+        values = (self.stretch_n_per_m, None, self.bend_n_m, length)
+        return dict(zip(("stretch_n_per_m", "shear_n_per_m", "bend_n_m", "bending_length_m"), values, strict=True))
 
     @property
     def mapping_gives(self) -> dict[str, float]:
@@ -120,12 +116,11 @@ class FabricRecipe:
     @property
     def misses(self) -> tuple[str, ...]:
         """Simulated values beyond the tolerances of the conformance checks of cloth."""
-        widths = {"stretch_n_per_m": "cloth-stretch", "bend_n_m": "cloth-bending"}
         found: list[str] = []
-        for key, name in widths.items():
+        for key, name in (("stretch_n_per_m", "cloth-stretch"), ("bend_n_m", "cloth-bending")):
             value, target = self.reached[key], self.asked[key]
-            tolerance = checks((name,))[0].tolerance
-            if value is not None and not abs(value - target) <= tolerance.relative * target:
+            width = checks((name,))[0].tolerance.width(target)
+            if value is not None and not abs(value - target) <= width:
                 found.append(key)
         return tuple(found)
 
@@ -183,71 +178,66 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     key = fabric_engine(engine)
     mapped = MAPPINGS[key](fabric)
     if key in NOT_SIMULATED:
-        return FabricRecipe(
-            engine=key,
-            versions={},
-            name=name,
-            mapped=mapped,
-            stretch_n_per_m=None,
-            bend_n_m=None,
-            timestep_s=None,
-            faults=(NOT_SIMULATED[key],),
-            wall_s=0.0,
-        )
+        return FabricRecipe(engine=key, name=name, mapped=mapped, faults=(NOT_SIMULATED[key],))
     simulated = backend(key)
     given = dict(SETTINGS.get(key, {})) | ({} if timestep_s is None else {"timestep_s": timestep_s})
     start = time.perf_counter()
     free_m = BENT_SHARE * BENT_FREE_M
     hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
     faults: list[str] = []
-    values: list[float | None] = []
+    values: dict[str, float] = {}
     steps: list[float] = []
     for quantity, scene, cell, measure in (
         ("stretch_n_per_m", hung, {}, stretch_stiffness),
         ("bend_n_m", bent, {"cell_m": free_m / CELLS}, bending_stiffness),
     ):
         lab = Lab(simulated, given | cell)
-        measured: Measurement | None = None
         try:
-            measured = measure(lab.rollout(scene, scene.duration_s))
+            found = measure(lab.rollout(scene))
         except DivergedError as error:
             faults.append(f"{quantity}: the simulation diverges: {error}")
-        if measured is not None and not math.isfinite(measured.measured):
-            faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {measured.hint}")
-            measured = None
-        values.append(None if measured is None else measured.measured)
+        else:
+            if math.isfinite(found.measured):
+                values[quantity] = found.measured
+            else:
+                faults.append(f"{quantity}: the strip was simulated for {scene.duration_s:.3g} s, and {found.hint}")
         steps.append(float(lab.settings_in_force.get("timestep_s", math.nan)))
     return FabricRecipe(
         engine=key,
         versions=simulated.versions(),
         name=name,
         mapped=mapped,
-        stretch_n_per_m=values[0],
-        bend_n_m=values[1],
         timestep_s=steps[0],
         faults=tuple(faults),
         wall_s=time.perf_counter() - start,
+        **values,
     )
+
+
+SNIPPETS = {
+    "newton": """\
+builder.add_cloth_mesh(
+    ...,
+    density={density},
+    tri_ke={tri_ke},
+    tri_ka={tri_ka},
+    edge_ke={edge_ke_times_mean_edge_length} / mean_edge_length,  # mean length of the edges of your mesh [m]
+)
+""",
+    "mujoco": """\
+<elasticity young="{young}" poisson="{poisson}" thickness="{thickness}" elastic2d="both"/>
+<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->
+""",
+    "genesis": "material = gs.materials.PBD.Cloth(rho={density}, {constants})\n",
+}
+"""Constants in the engine's own language."""
 
 
 def fabric_snippet(mapped: EngineConstants) -> str:
     """Return the constants of a fabric in the engine's own language."""
     given = {name: f"{value:.6g}" for name, value in mapped.constants.items()}
-    if mapped.engine == "newton":
-        bend = given["edge_ke_times_mean_edge_length"]
-        return (
-            "builder.add_cloth_mesh(\n"
-            f"    ...,\n    density={mapped.fabric.areal_density_kg_per_m2:.6g},\n"
-            f"    tri_ke={given['tri_ke']},\n    tri_ka={given['tri_ka']},\n"
-            f"    edge_ke={bend} / mean_edge_length,  # mean length of the edges of your mesh [m]\n)\n"
-        )
-    if mapped.engine == "mujoco":
-        return (
-            f'<elasticity young="{given["young"]}" poisson="{given["poisson"]}" thickness="{given["thickness"]}" '
-            'elastic2d="both"/>\n'
-            "<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->\n"
-        )
-    if mapped.engine == "genesis":
-        names = ", ".join(f"{name}={value}" for name, value in given.items())
-        return f"material = gs.materials.PBD.Cloth(rho={mapped.fabric.areal_density_kg_per_m2:.6g}, {names})\n"
-    return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
+    if mapped.engine not in SNIPPETS:
+        return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
+    constants = ", ".join(f"{name}={value}" for name, value in given.items())
+    density = f"{mapped.fabric.areal_density_kg_per_m2:.6g}"
+    return SNIPPETS[mapped.engine].format(density=density, constants=constants, **given)

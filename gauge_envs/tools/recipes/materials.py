@@ -40,73 +40,40 @@ class MaterialPair:
     uncertainty_source: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Place:
-    """Where the numbers of a pair stand.
-
-    Attributes:
-        what: The two bodies.
-        family: Family of the task file.
-        body: Body whose constants are those of the pair.
-        material: Material of the body.
-        recorded: Whether the restitution is that of recorded trials, set `effective` of the task file.
-        has_friction: Whether the friction was measured.
-        is_calibrated: Whether the friction has the uncertainty of the benchmark's calibration.
-    """
-
-    what: str
-    family: str
-    body: str
-    material: str
-    recorded: bool = False
-    has_friction: bool = True
-    is_calibrated: bool = True
-
-
-PLACES = {
-    **{
-        f"{material}-on-wood": _Place(
-            what=f"{material} cube on a tilted wooden board", family="SlopeSlider", body="cube", material=material
-        )
-        for material in ("wood", "plastic", "metal")
-    },
-    **{
-        f"{material}-on-wood-plate": _Place(
-            what=f"{material} cube on a turning wooden plate", family="Turntable", body="cube", material=material
-        )
-        for material in ("wood", "plastic", "metal")
-    },
-    "wood-on-wood-block": _Place(
-        what="wooden tetrahedron on the seam of a wooden block", family="SlopeContact", body="teh", material="wood"
-    ),
-    "plastic-on-plastic-block": _Place(
-        what="plastic tetrahedron on the seam of a plastic block", family="SlopeContact", body="teh", material="plastic"
-    ),
-    "rubber-on-wood": _Place(
-        what="rubber ball on a wooden plank", family="BouncingBall", body="ball", material="rubber"
-    ),
-    "rubber-on-wood-recorded": _Place(
-        what="rubber ball on a wooden plank, restitution of the recorded drops",
-        family="BouncingBall",
-        body="ball",
-        material="rubber",
-        recorded=True,
-    ),
-    "metal-on-metal": _Place(
-        what="balls of a cradle", family="NewtonsCradle", body="ball-1", material="metal", has_friction=False
-    ),
-    "metal-on-metal-recorded": _Place(
-        what="balls of a cradle, restitution that transfers the recorded momentum",
-        family="NewtonsCradle",
-        body="ball-1",
-        material="metal",
-        recorded=True,
-        has_friction=False,
-    ),
-    "acrylic-on-table": _Place(
-        what="acrylic cube tossed on a table", family="CubeToss", body="cube", material="acrylic", is_calibrated=False
-    ),
+CUBES = {
+    f"{material}-on-wood{suffix}": (f"{material} cube on a {support}", family, "cube", material)
+    for suffix, support, family in (
+        ("", "tilted wooden board", "SlopeSlider"),
+        ("-plate", "turning wooden plate", "Turntable"),
+    )
+    for material in ("wood", "plastic", "metal")
 }
+DROP = ("BouncingBall", "ball", "rubber")
+CRADLE = ("NewtonsCradle", "ball-1", "metal")
+PLACES = CUBES | {
+    "wood-on-wood-block": ("wooden tetrahedron on the seam of a wooden block", "SlopeContact", "teh", "wood"),
+    "plastic-on-plastic-block": (
+        "plastic tetrahedron on the seam of a plastic block",
+        "SlopeContact",
+        "teh",
+        "plastic",
+    ),
+    "rubber-on-wood": ("rubber ball on a wooden plank", *DROP),
+    "rubber-on-wood-recorded": ("rubber ball on a wooden plank, restitution of the recorded drops", *DROP),
+    "metal-on-metal": ("balls of a cradle", *CRADLE),
+    "metal-on-metal-recorded": ("balls of a cradle, restitution that transfers the recorded momentum", *CRADLE),
+    "acrylic-on-table": ("acrylic cube tossed on a table", "CubeToss", "cube", "acrylic"),
+}
+"""The two bodies of each pair in words; then the family of the task file, and the body and material in it."""
+
+RECORDED = ("rubber-on-wood-recorded", "metal-on-metal-recorded")
+"""Pairs whose restitution is that of recorded trials, set `effective` of the task file."""
+
+WITHOUT_FRICTION = ("metal-on-metal", "metal-on-metal-recorded")
+"""Pairs whose friction was not measured."""
+
+NOT_CALIBRATED = ("acrylic-on-table",)
+"""Pairs whose friction does not have the uncertainty of the benchmark's calibration."""
 
 
 def material_pairs() -> tuple[MaterialPair, ...]:
@@ -123,32 +90,32 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     """
     if name not in PLACES:
         raise UnknownNameError("material", name, [*PLACES, *also])
-    place = PLACES[name]
-    spec = task_spec(place.family)
-    constants = spec.constants_of(place.body, place.material, None)
+    what, family, body, material = PLACES[name]
+    spec = task_spec(family)
+    constants = spec.constants_of(body, material, None)
     uncertain = input_uncertainties()
-    restitution = constants["restitution"]
-    origin = spec.provenance_of(f"constants.{place.body}.{place.material}")
+    friction, restitution, mass_kg = (constants[key] for key in ("friction", "restitution", "mass_kg"))
+    origin = spec.provenance_of(f"constants.{body}.{material}")
     std = None
-    if place.recorded:
-        restitution = spec.parameters["effective"].values[f"{place.body}.restitution"]
+    if name in RECORDED:
+        restitution = spec.parameters["effective"].values[f"{body}.restitution"]
         origin += f"; restitution: {spec.provenance_of('parameters.effective')}"
         # Only the drops of the ball were measured more than once.
-        std = uncertain.restitution.std if place.family == "BouncingBall" else None
-    mass_kg = constants["mass_kg"]
+        std = uncertain.restitution.std if family == DROP[0] else None
+    if name in WITHOUT_FRICTION:
+        friction = None
+    friction_std = None if friction is None or name in NOT_CALIBRATED else uncertain.friction.std
     assert restitution is not None and mass_kg is not None, "task files state both"
-    friction_std = uncertain.friction.std if place.has_friction and place.is_calibrated else None
-    whence = [f"friction: {uncertain.friction.source}" if friction_std is not None else ""]
-    whence.append(f"restitution: {uncertain.restitution.source}" if std is not None else "")
-    files = ", ".join(filter(None, (spec.source.metadata, spec.source.paper)))
+    whence = [f"friction: {uncertain.friction.source}"] if friction_std is not None else []
+    whence += [f"restitution: {uncertain.restitution.source}"] if std is not None else []
     return MaterialPair(
         name=name,
-        what=place.what,
-        friction=constants["friction"] if place.has_friction else None,
+        what=what,
+        friction=friction,
         friction_std=friction_std,
         restitution=restitution,
         restitution_std=std,
         mass_kg=mass_kg,
-        source=f"{origin} ({files})",
-        uncertainty_source="; ".join(filter(None, whence)),
+        source=f"{origin} ({', '.join(filter(None, (spec.source.metadata, spec.source.paper)))})",
+        uncertainty_source="; ".join(whence),
     )

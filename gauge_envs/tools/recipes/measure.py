@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
 from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
 
@@ -23,6 +24,10 @@ LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
 
 
+REACHED = ("friction", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
+"""Names of the measured values."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Measured:
     """What settings give.
@@ -38,6 +43,13 @@ class Measured:
     rebound: Rebound
     rest: Rest
     creep_m_s: float
+
+    @property
+    def values(self) -> dict[str, float | None]:
+        """Values by their names in `REACHED`; None for a time constant that is not resolved."""
+        rest = self.rest
+        values = (self.slide.friction, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
+        return dict(zip(REACHED, values, strict=True))
 
 
 def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
@@ -64,6 +76,11 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
     )
+
+
+def divergence_text(error: DivergedError) -> str:
+    """Return why nothing was measured, and what to change."""
+    return f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
 
 
 def scatter_texts(found: Measured) -> list[str]:

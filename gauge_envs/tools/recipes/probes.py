@@ -7,7 +7,7 @@ through the contract of backends alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Any
@@ -19,11 +19,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.runs.rollout import Rollout, record
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.recipes.closed_forms import friction_of_slide
-
-G = GRAVITY_M_PER_S2
+from gauge_envs.tools.conformance import friction_of_slide
 
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only where friction exceeds 4."""
@@ -127,24 +126,12 @@ class Rest:
     time_constant_s: float | None
 
 
-def slide_slope_rad(friction: float) -> float:
-    """Return the slope of the slide [rad]."""
-    return math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
-
-
 def creep_slope_rad(friction: float) -> float:
     """Return the slope of the creep [rad]."""
     return math.atan(CREEP_SHARE * friction)
 
 
-def _plane(lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
-    pose = Pose.from_rotation((0.0, 0.0, 0.0), _lean(lean_rad, turn_deg))
-    return RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0)
-
-
-def _lean(lean_rad: float, turn_deg: float) -> Rotation:
-    """Return the rotation of a plane that falls along x, with its own axes turned about its normal."""
-    return Rotation.from_euler("zy", [math.radians(turn_deg), lean_rad])
+LEVEL = Rotation.identity()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,7 +158,7 @@ class Probe:
             build: The contact.
             friction: Friction that is expected, for the slope.
         """
-        slope = slide_slope_rad(friction)
+        slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
         found, lifts_m = [], []
         for turn_deg in (0.0, TURN_DEG):
             times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
@@ -190,7 +177,7 @@ class Probe:
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
-        rollout = self._rollout((self._plate(), _plane()), ("plate",), build, REST_S)
+        rollout = self._rollout([self._plate(LEVEL)], LEVEL, build, REST_S)
         depth_m = 0.5 * PLATE_M[2] - rollout.position("plate")[:, 2]
         seen = rollout.times_s >= REST_FROM_S
         drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
@@ -203,52 +190,54 @@ class Probe:
     def drop(self, build: Build) -> Rebound:
         """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
         speed = math.sqrt(2.0 * G * DROP_M)
-        balls = tuple(
+        later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
+        balls = [
             RigidBody(
                 name=f"ball-{index}",
                 shape=Sphere(radius_m=BALL_RADIUS_M),
                 motion=Motion.DYNAMIC,
                 pose=Pose(
-                    position_m=(
-                        (index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M,
-                        0.0,
-                        BALL_RADIUS_M + DROP_M + speed * self.timestep_s * index / BALL_COUNT,
-                    )
+                    position_m=((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M, 0.0, BALL_RADIUS_M + DROP_M + later)
                 ),
                 mass_kg=self.mass_kg,
             )
-            for index in range(BALL_COUNT)
-        )
-        names = tuple(ball.name for ball in balls)
-        rollout = self._rollout((*balls, _plane()), names, build, 2.6 * speed / G)
-        found = [first_rebound(rollout.position(name)[:, 2] - BALL_RADIUS_M, rollout.interval_s) for name in names]
+            for index, later in enumerate(later_m)
+        ]
+        rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
+        heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
+        found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
         return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
 
     def _downhill(
         self, build: Build, slope_rad: float, seconds: float, turn_deg: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Return times [s] of a plate on a slope, and its displacements down the slope and off it [m]."""
-        rollout = self._rollout(
-            (self._plate(slope_rad, turn_deg), _plane(slope_rad, turn_deg)), ("plate",), build, seconds
-        )
+        # The plane falls along x; its own axes and those of the plate are turned about its normal.
+        lean = Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
+        rollout = self._rollout([self._plate(lean)], lean, build, seconds)
         sine, cosine = math.sin(slope_rad), math.cos(slope_rad)
         moved = rollout.displacement("plate")
         return rollout.times_s, moved @ np.array([cosine, 0.0, -sine]), moved @ np.array([sine, 0.0, cosine])
 
-    def _plate(self, lean_rad: float = 0.0, turn_deg: float = 0.0) -> RigidBody:
-        rotation = _lean(lean_rad, turn_deg)
-        place = vector(rotation.apply([0.0, 0.0, 0.5 * PLATE_M[2]]))
-        pose = Pose.from_rotation(place, rotation)
+    def _plate(self, lean: Rotation) -> RigidBody:
+        pose = Pose.from_rotation(vector(lean.apply([0.0, 0.0, 0.5 * PLATE_M[2]])), lean)
         return RigidBody(
             name="plate", shape=Box(size_m=PLATE_M), motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg
         )
 
-    def _rollout(self, bodies: tuple[RigidBody, ...], names: tuple[str, ...], build: Build, seconds: float) -> Rollout:
+    def _rollout(self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float) -> Rollout:
+        """Record bodies on a leaning plane."""
         interval_s = self.timestep_s * max(1, round(SAMPLE_S / self.timestep_s))
+        pose = Pose.from_rotation((0.0, 0.0, 0.0), lean)
+        ground = RigidBody(name="ground", shape=Plane(), motion=Motion.FIXED, pose=pose, mass_kg=0.0)
         contact = Contact(
-            first=names, second=("ground",), friction=build.friction, restitution=build.restitution, mode=build.mode
+            first=tuple(body.name for body in bodies),
+            second=("ground",),
+            friction=build.friction,
+            restitution=build.restitution,
+            mode=build.mode,
         )
-        scene = Scene(bodies=bodies, contacts=(contact,), duration_s=seconds)
+        scene = Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=seconds)
         if missing := scene_support(self.backend, scene).missing:
             raise UnsupportedSceneError(f"{self.backend.name} cannot simulate the recipe: {'; '.join(missing)}")
         given = {**build.settings, "timestep_s": self.timestep_s, "drive_interval_s": interval_s}

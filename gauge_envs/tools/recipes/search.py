@@ -13,7 +13,7 @@ from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.aim import TIMESTEP_RANGE_S, Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.measure import Measured, measured, probe_of, scatter_texts
+from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text, measured, probe_of, scatter_texts
 
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
@@ -62,14 +62,7 @@ class Recipe:
     @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
-        if self.found is None:
-            return dict.fromkeys(("friction", "restitution", "penetration_m", "creep_m_s"))
-        return {
-            "friction": self.found.slide.friction,
-            "restitution": self.found.rebound.mean,
-            "penetration_m": self.found.rest.penetration_m,
-            "creep_m_s": self.found.creep_m_s,
-        }
+        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:4]}
 
     @property
     def error(self) -> dict[str, float | None]:
@@ -85,21 +78,17 @@ class Recipe:
     @property
     def detail(self) -> dict[str, float | None]:
         """What the reached values leave out, by name: both plates, the hop, and the range of single drops."""
-        found = self.found
-        if found is None:
-            return dict.fromkeys(("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high"))
-        return {
-            "friction_along": found.slide.along,
-            "friction_turned": found.slide.turned,
-            "hop_m": found.slide.lift_m,
-            "restitution_low": found.rebound.low,
-            "restitution_high": found.rebound.high,
-        }
+        names = ("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high")
+        if self.found is None:
+            return dict.fromkeys(names)
+        slide, rebound = self.found.slide, self.found.rebound
+        return dict(zip(names, (slide.along, slide.turned, slide.lift_m, rebound.low, rebound.high), strict=True))
 
     @property
     def misses(self) -> tuple[str, ...]:
         """Names of the asked values that are not reached; empty after a divergence."""
-        return () if self.found is None else misses(self.aim, self.found)
+        names = ("friction", "restitution", "penetration_m")
+        return tuple(name for name in names if self.found and _is_missed(self.aim, name, self.found.values[name]))
 
     def json(self) -> dict[str, Any]:
         """Return the recipe as one JSON-ready object."""
@@ -121,17 +110,8 @@ class Recipe:
         return ready
 
 
-def misses(aim: Aim, found: Measured) -> tuple[str, ...]:
-    """Return the names of the asked values that are not reached."""
-    values = {
-        "friction": found.slide.friction,
-        "restitution": found.rebound.mean,
-        "penetration_m": found.rest.penetration_m,
-    }
-    return tuple(name for name, value in values.items() if _is_missed(aim, name, value))
-
-
-def _is_missed(aim: Aim, name: str, value: float) -> bool:
+def _is_missed(aim: Aim, name: str, value: float | None) -> bool:
+    assert value is not None, "it was measured"
     if name == "friction":
         return aim.is_friction_asked and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
     if name == "restitution":
@@ -158,73 +138,66 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     """
     versions = engine.backend().versions()
     start = time.perf_counter()
-    settings = engine.aimed(aim)
+    settings, found = engine.aimed(aim), None
     try:
         settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump())
         found = measured(settings, aim.mass_kg, friction=aim.friction)
+        text = ""
     except DivergedError as error:
-        text = f"the simulation diverges: {error}. Choose a shorter time step or a softer contact."
-        return Recipe(
-            engine=engine.engine,
-            versions=versions,
-            aim=aim,
-            settings=settings,
-            found=None,
-            explanation=text,
-            wall_s=time.perf_counter() - start,
-        )
+        text = divergence_text(error)
     recipe = Recipe(
-        engine=engine.engine,
-        versions=versions,
-        aim=aim,
-        settings=settings,
-        found=found,
-        explanation="",
-        wall_s=0.0,
+        engine=engine.engine, versions=versions, aim=aim, settings=settings, found=found, explanation=text, wall_s=0.0
     )
-    text = _explanation(engine, recipe, found)
-    return replace(recipe, explanation=text, wall_s=time.perf_counter() - start)
+    if found is not None:
+        recipe = replace(recipe, explanation=_explanation(engine, recipe, found))
+    return replace(recipe, wall_s=time.perf_counter() - start)
 
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
-    """Return settings after the searches for what the proposal misses."""
+    """Return settings after the searches for what the proposal misses, along one number of the aim each."""
     target = aim
-    settings = engine.aimed(target)
-    if engine.is_soft and aim.stiffness_n_per_m is not None and aim.depth_m is not None:
-        stiffness = aim.stiffness_n_per_m
 
-        def depth_error(factor: float) -> float:
-            tried = engine.aimed(target.changed(stiffness_n_per_m=factor * stiffness))
-            depth_m = probe_of(tried, aim.mass_kg).rest(tried.build(aim.mass_kg)).penetration_m
-            return 1.0 - depth_m / (aim.depth_m or 1.0)
+    def stiffer(factor: float) -> Aim:
+        return target if factor == 1.0 else target.changed(stiffness_n_per_m=factor * (aim.stiffness_n_per_m or 0.0))
 
-        factor = _root(depth_error, 1.0, 1.0 / STIFFER, STIFFER, DEPTH_SHARE)
-        if factor != 1.0:
-            target = target.changed(stiffness_n_per_m=factor * stiffness)
-    if aim.rebound is not None:
-        target = _aimed_restitution(engine, target, aim.rebound)
-    settings = engine.aimed(target)
-    if not aim.is_friction_asked:
-        return settings
+    def rebounding(value: float) -> Aim:
+        return target if value == aim.rebound else target.changed(restitution=value)
 
-    def friction_error(value: float) -> float:
-        tried = engine.aimed(target.changed(friction=value))
-        return probe_of(tried, aim.mass_kg).slide(tried.build(aim.mass_kg), aim.friction).friction / aim.friction - 1.0
+    def rubbing(value: float) -> Aim:
+        return target if value == aim.friction else target.changed(friction=value)
 
-    friction = _root(friction_error, aim.friction, 0.5 * aim.friction, 2.0 * aim.friction, FRICTION_SHARE)
-    return settings if friction == aim.friction else engine.aimed(target.changed(friction=friction))
+    def tuned(
+        name: str,
+        changed: Callable[[float], Aim],
+        error: Callable[[float], float],
+        start: float,
+        ends: tuple[float, float],
+        tolerance: float,
+    ) -> Aim:
+        def error_with(value: float) -> float:
+            return error(_reached(engine.aimed(changed(value)), aim, name))
+
+        return changed(_root(error_with, start, *ends, tolerance))
+
+    asked_m, rebound, friction = aim.depth_m, aim.rebound, aim.friction
+    if engine.is_soft and aim.stiffness_n_per_m is not None and asked_m is not None:
+        ends = (1.0 / STIFFER, STIFFER)
+        target = tuned("penetration_m", stiffer, lambda depth_m: 1.0 - depth_m / asked_m, 1.0, ends, DEPTH_SHARE)
+    if rebound is not None:
+        tolerance = RESTITUTION_TOLERANCE
+        target = tuned("restitution", rebounding, lambda mean: mean - rebound, rebound, engine.aims, tolerance)
+    if aim.is_friction_asked:
+        ends = (0.5 * friction, 2.0 * friction)
+        target = tuned("friction", rubbing, lambda found: found / friction - 1.0, friction, ends, FRICTION_SHARE)
+    return engine.aimed(target)
 
 
-def _aimed_restitution(engine: type[ContactSettings], target: Aim, restitution: float) -> Aim:
-    """Return an aim whose settings give a restitution, or come nearest to it."""
-
-    def error(value: float) -> float:
-        tried = engine.aimed(target if value == restitution else target.changed(restitution=value))
-        return probe_of(tried, target.mass_kg).drop(tried.build(target.mass_kg)).mean - restitution
-
-    low, high = engine.aims
-    value = _root(error, restitution, low, high, RESTITUTION_TOLERANCE)
-    return target if value == restitution else target.changed(restitution=value)
+def _reached(settings: ContactSettings, aim: Aim, name: str) -> float:
+    """Return what settings reach in one quantity, by its scene alone."""
+    probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
+    if name == "friction":
+        return probe.slide(build, aim.friction).friction
+    return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m
 
 
 def _root(error: Callable[[float], float], start: float, low: float, high: float, tolerance: float) -> float:
@@ -265,13 +238,13 @@ def _explanation(engine: type[ContactSettings], recipe: Recipe, found: Measured)
         reached, error = recipe.reached[name], recipe.error[name]
         unit = " m" if name == "penetration_m" else ""
         texts.append(f"{name}: {reached:.3g}{unit} is reached, {error:+.2g} from what is asked.")
-        if limit := engine.limits(name):
+        if limit := engine.limits.get(name):
             texts.append(f"{limit[0].upper()}{limit[1:]}.")
         if name != "penetration_m" or engine.is_soft:
             texts.append(_step_text(engine, aim, name))
     if aim.rebound and (other := recipe.settings.other_body()) is not None:
         text, settings = other
-        mean = probe_of(settings, aim.mass_kg).drop(settings.build(aim.mass_kg)).mean
+        mean = _reached(settings, aim, "restitution")
         texts.append(f"{text} the same settings give a restitution of {mean:.3f}.")
     texts += scatter_texts(found)
     return " ".join(texts if recipe.misses else ["All values that are asked are reached.", *texts])
@@ -286,19 +259,10 @@ def _step_text(engine: type[ContactSettings], aim: Aim, name: str) -> str:
             break
         finer = aim.changed(timestep_s=step_s)
         try:
-            value = _reached_alone(engine.searched_on(), finer, name)
+            value = _reached(_searched(engine.searched_on(), finer), finer, name)
         except DivergedError:
             return f"With a time step of {step_s:.3g} s the simulation diverges."
         if not _is_missed(finer, name, value):
             return f"With a time step of {step_s:.3g} s the same search reaches {value:.3g}."
         text = f"A time step of {step_s:.3g} s does not reach it either ({value:.3g})."
     return text
-
-
-def _reached_alone(engine: type[ContactSettings], aim: Aim, name: str) -> float:
-    """Return what a search reaches in one quantity."""
-    settings = _searched(engine, aim)
-    probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
-    if name == "friction":
-        return probe.slide(build, aim.friction).friction
-    return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m

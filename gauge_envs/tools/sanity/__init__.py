@@ -7,6 +7,9 @@ Example:
     ['inside']
 """
 
+from typing import TYPE_CHECKING
+
+from gauge_envs.tools import door
 from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.model import (
     Cause,
@@ -26,7 +29,11 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.target import Target, configuration
 
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+
 __all__ = [
+    "BackendMuJoCoWarp",
     "Cause",
     "ContactGroup",
     "Cure",
@@ -45,3 +52,6 @@ __all__ = [
     "check",
     "configuration",
 ]
+
+if not TYPE_CHECKING:  # With it, a type checker would accept any name.
+    __getattr__ = door(__name__, "mujoco_warp_run")

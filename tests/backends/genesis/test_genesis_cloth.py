@@ -28,7 +28,7 @@ from gauge_envs.backends.genesis.pbd_springs import (
 )
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.tools.conformance import Status, run_checks
-from gauge_envs.tools.conformance.scene_parts import clamped, sheet
+from gauge_envs.tools.conformance.scene_parts import clamped, fabric, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 
@@ -172,7 +172,7 @@ def test_a_vibration_decays_as_the_step_says(rate_hz: int) -> None:
     """A hanging strip bobs at w = (pi / 2 L) sqrt(K_s / rho), and its amplitude falls at the rate w^2 h / 2."""
     length_m, width_m, density, stretch = 0.3, 0.075, 0.2, 110.0
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
-    strip = sheet(pose, (length_m, width_m), areal_density=density, stretch_n_per_m=stretch, bend_n_m=1e-4)
+    strip = sheet(fabric(density, stretch, 1e-4), pose, (length_m, width_m))
     simulation = backend("genesis").build(
         clamped(strip, Region(axis="x", side="high"), duration_s=0.8), {"timestep_s": 1 / rate_hz}
     )

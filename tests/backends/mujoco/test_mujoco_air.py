@@ -18,7 +18,7 @@ from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.scene_parts import clamped, sheet
+from gauge_envs.tools.conformance.scene_parts import clamped, fabric, sheet
 
 FLING = "TextileFlinging-satin"
 ZERO = np.zeros(1)
@@ -82,7 +82,7 @@ def test_vertex_velocities_are_those_of_mujoco() -> None:
 
 def test_cloth_that_drifts_with_the_wind_feels_no_force() -> None:
     wind = (0.5, -1.0, 0.25)
-    cloth = sheet(Pose(position_m=(0.0, 0.0, 1.0)), (0.1, 0.1), areal_density=0.1, stretch_n_per_m=110.0, bend_n_m=1e-4)
+    cloth = sheet(fabric(0.1, 110.0, 1e-4), Pose(position_m=(0.0, 0.0, 1.0)), (0.1, 0.1))
     air = Air(density_kg_per_m3=1.2, normal_coefficient=1.0, tangential_coefficient=0.1, lift_coefficient=1.0)
     scene = replace(clamped(cloth, duration_s=1.0, gravity_m_per_s2=0.0), air=replace(air, wind_m_per_s=wind))
     simulation = BackendMuJoCo().build(scene)
@@ -93,6 +93,7 @@ def test_cloth_that_drifts_with_the_wind_feels_no_force() -> None:
     assert simulation.nodes("cloth") - start == pytest.approx(np.tile(0.1 * np.array(wind), (len(start), 1)), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
     """One stiff cell that hangs from an edge: theta'' = -w^2 theta - b |theta'| theta'.
 
@@ -102,7 +103,7 @@ def test_a_hanging_plate_loses_amplitude_by_quadratic_damping() -> None:
     """
     side, density, coefficient, amplitude = 0.1, 0.1, 1.5, 0.2
     pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
-    cloth = sheet(pose, (side, side), areal_density=density, stretch_n_per_m=110.0, bend_n_m=0.1)
+    cloth = sheet(fabric(density, 110.0, 0.1), pose, (side, side))
     air = Air(density_kg_per_m3=1.2, normal_coefficient=coefficient)
     scene = replace(clamped(cloth, Region(axis="x", side="high"), duration_s=3.0), air=air)
 

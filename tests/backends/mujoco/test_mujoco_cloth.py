@@ -19,7 +19,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Cloth, Contact, 
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
+OTHERS = ("rayon", "uniform", "nylon", "oxford", "leather")
+FABRICS = ("satin", *OTHERS)
 CELL_M = 0.025
 ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
@@ -113,18 +114,6 @@ def test_a_pulled_strip_stretches_by_its_stiffness(name: str, axis: str) -> None
     moved = rig.settle() - rig.part.rest_m
     assert moved[np.isclose(rig.part.rest_m[:, along], 0.1), along] / 0.2 == pytest.approx(strain, rel=1e-4)
     assert np.abs(moved[:, 1 - along]).max() < 1e-7  # no Poisson effect
-
-
-@pytest.mark.parametrize("name", FABRICS)
-def test_a_sheet_hangs_by_its_own_weight(name: str) -> None:
-    hanging = Pose.from_euler_deg((0.0, 0.0, 0.0), (0.0, -90.0, 0.0))
-    cloth = fabric(name, (0.2, 0.1), hanging)
-    rig = Rig(cloth, [pinned("x", "high")], gravity=0.05 * GRAVITY_M_PER_S2).compile()
-    low = rig.part.rest_m[:, 2] < -0.0999
-    sag = (rig.part.rest_m - rig.settle())[low, 2]
-    weight = cloth.areal_density_kg_per_m2 * 0.05 * GRAVITY_M_PER_S2
-    # Lumped at vertices, the weight below each cell is that below its middle: exact to first order in strain.
-    assert sag == pytest.approx(weight * 0.2**2 / (2.0 * cloth.stretch_stiffness_n_per_m), rel=0.01)
 
 
 @pytest.mark.parametrize("axis", ["x", "y"])
@@ -274,21 +263,11 @@ class Fling:
         return miss, strain
 
 
-@pytest.mark.parametrize("name", FABRICS)
+@pytest.mark.parametrize("name", ["satin", *(pytest.param(name, marks=pytest.mark.slow) for name in OTHERS)])
 def test_a_flung_cloth_stays_on_its_rod_and_in_one_piece(name: str) -> None:
     miss_m, strain = Fling(name, timestep_s=1 / 180).swing(2.0)
     assert miss_m < 1e-4
     assert 0.0 < strain < 0.01
-
-
-def test_a_reset_repeats_the_swing_bit_for_bit() -> None:
-    fling = Fling("satin", timestep_s=1 / 180)
-    fling.swing(0.5)
-    first = fling.simulation.nodes("textile")
-    fling.simulation.reset(0)
-    assert np.array_equal(fling.simulation.nodes("textile"), fling.rest_m)
-    fling.swing(0.5)
-    assert np.array_equal(fling.simulation.nodes("textile"), first)
 
 
 @pytest.mark.slow
@@ -438,7 +417,12 @@ NYLON = load_experiment("TableclothPulling-metal").scene.deformables[0]
 assert isinstance(NYLON, Cloth)
 
 
-@pytest.mark.parametrize("cloth", [NYLON, *(fabric(name, (0.3, 0.15)) for name in ("satin", "oxford", "leather"))])
+STRIPS = [
+    pytest.param(fabric(name, (0.3, 0.15)), marks=pytest.mark.slow, id=name) for name in ("satin", "oxford", "leather")
+]
+
+
+@pytest.mark.parametrize("cloth", [NYLON, *STRIPS])
 def test_a_cube_on_cloth_holds_while_the_slope_is_less_than_friction(cloth: Cloth) -> None:
     scene = on_a_slope(cloth)
     simulation = BackendMuJoCo().build(scene)

@@ -214,22 +214,26 @@ def test_ledger_closes_where_nothing_rubs() -> None:
     assert book.unpaid_j[-1] > -0.02 * book.work_j[-1]
 
 
+@pytest.mark.slow
 def test_finer_steps_lose_less() -> None:
     """What the implicit integrator takes away is of first order in the step."""
     coarse, fine = (ledger("TextileFlinging-rayon", 10, settings={"timestep_s": step}) for step in (1 / 900, 1 / 1800))
     assert coarse.unpaid_j[-1] < fine.unpaid_j[-1] < 0.0
 
 
+@pytest.mark.slow
 def test_rope_winding() -> None:
     """Balls pushed off their posts. The rope's jerk stores 4 mJ, 1 % of the work, in its constraints and returns 3."""
     check(ledger("RopeWinding-rubber", 60))
 
 
+@pytest.mark.slow
 def test_cloth_on_a_turning_ball() -> None:
     """The ball turns from the start instead of after a second."""
     check(ledger("RotatingBall-rayon", 16, clock_s=1.0))
 
 
+@pytest.mark.slow
 def test_ball_pushes_cloth_into_a_hole() -> None:
     """The ball starts just above the cloth, at the speed that it has after one second."""
     check(
@@ -237,6 +241,7 @@ def test_ball_pushes_cloth_into_a_hole() -> None:
     )
 
 
+@pytest.mark.slow
 def test_cloth_is_lifted_out_of_the_board_once() -> None:
     """As published, cloth and board touch; the push onto its contact layer is the only energy from nowhere."""
     book = ledger("Funnel-rayon", 8)

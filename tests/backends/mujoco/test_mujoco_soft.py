@@ -95,6 +95,7 @@ def test_tension_is_exact_without_lateral_contraction() -> None:
     assert bench.reaction([0.0, 0.0, 1e-3])[2] == pytest.approx(YOUNG_PA * AREA_M2 / 0.1743 * 1e-3, rel=1e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.23, 0.34])
 def test_tension_and_contraction_away_from_the_ends(poisson: float) -> None:
     """The difference of two lengths leaves out what the clamps add, 1.3 % and 3.5 % of the 174 mm foam's stiffness."""
@@ -107,6 +108,7 @@ def test_tension_and_contraction_away_from_the_ends(poisson: float) -> None:
     assert (EDGE_M - np.ptp(sides[:, 0])) / EDGE_M / (1e-3 / 0.4) == pytest.approx(poisson, rel=0.02)
 
 
+@pytest.mark.slow
 def test_torsion_of_a_square_bar() -> None:
     """Saint-Venant's 0.1406 G a^4, as the difference of two lengths: clamps keep the ends from warping."""
     poisson, angle = 0.23, 0.02
@@ -118,7 +120,7 @@ def test_torsion_of_a_square_bar() -> None:
     assert 1 / np.diff(compliance)[0] == pytest.approx(0.1406 * shear_pa * EDGE_M**4 / 0.1743, rel=0.03)
 
 
-@pytest.mark.parametrize("poisson", [0.0, 0.23])
+@pytest.mark.parametrize("poisson", [0.0, pytest.param(0.23, marks=pytest.mark.slow)])
 def test_shear_of_a_clamped_and_guided_bar(poisson: float) -> None:
     """Timoshenko; clamps that keep the ends from contracting add up to 4 %."""
     force = static(block(poisson=poisson), depth_m=0.01285).reaction([1e-3, 0.0, 0.0])[0]
@@ -127,6 +129,7 @@ def test_shear_of_a_clamped_and_guided_bar(poisson: float) -> None:
     assert force == pytest.approx(1e-3 / compliance, rel=0.05)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("axis", "limit"), [(0, 0.05), (2, 0.02)], ids=["shear", "tension"])
 @pytest.mark.parametrize("poisson", [0.23, 0.34])
 def test_clamped_bar_agrees_with_fine_finite_elements(poisson: float, axis: int, limit: float) -> None:
@@ -184,6 +187,7 @@ def ramp(time: float, seconds: float) -> float:
     return min(time / seconds, 1.0)
 
 
+@pytest.mark.slow
 def test_quarter_turn() -> None:
     bench = Bench(block(poisson=0.34), depth_m=0.01285)
     middle = bench.part.track([[0.02, 0.0, 0.0], [0.0, 0.02, 0.0]])
@@ -193,6 +197,7 @@ def test_quarter_turn() -> None:
     assert np.abs(bench.data.qvel).max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "move_m", [(0.06, 0.0, -0.0015), (0.0, 0.0, 0.009), (0.0, 0.0, -0.009)], ids=["shear", "stretch", "compress"]
 )
@@ -204,6 +209,7 @@ def test_large_motions_leave_the_middle_half_way(move_m: tuple[float, float, flo
     assert np.abs(bench.data.qvel).max() < 0.05
 
 
+@pytest.mark.slow
 def test_pressed_cube_does_not_sink_in() -> None:
     def add_cube(spec: mujoco.MjSpec) -> None:
         cube = spec.worldbody.add_body(name="cube", pos=[0.0, 0.0, 0.05])
@@ -257,6 +263,7 @@ def cantilever(**options) -> Bench:
     return hanging(cubes, **options)
 
 
+@pytest.mark.slow
 def test_droop_of_a_row_of_four() -> None:
     """Timoshenko with the stiffness and weight of each block; rubber that keeps foam from contracting adds 4 %."""
     bench = cantilever(damping_s=0.02)
@@ -277,6 +284,7 @@ def test_droop_of_a_row_of_four() -> None:
     assert -tip()[0, 2] == pytest.approx(droop, rel=0.05)
 
 
+@pytest.mark.slow
 def test_row_of_four_swings_without_gaining_energy() -> None:
     bench = cantilever()
     assert bench.part.names == ("cube-1", "cube-2", "cube-3", "cube-4")

@@ -242,7 +242,8 @@ def heavy_elastica_sag_m(load_per_bending: float, length_m: float, bare_m: float
     return float(state[2, -1])
 
 
-@pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), pytest.param("y", 0.035, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize(("axis", "tolerance"), [("x", 0.01), ("y", 0.035)])
 def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None:
     """A strip clamped at one end, by more than half its length.
 
@@ -261,16 +262,6 @@ def test_a_cantilever_sags_like_an_elastica(axis: str, tolerance: float) -> None
     expected = heavy_elastica_sag_m(weight_n_per_m2(cloth) / bending, free_m + 0.5 * CELL_M, 0.5 * CELL_M)
     assert expected > 0.5 * free_m
     assert -rig.moved_m[tip, 2].mean() == pytest.approx(expected, rel=tolerance)
-
-
-def test_a_sheet_falls_freely() -> None:
-    rig = Rig(fabric("satin", (0.1, 0.1)))
-    rig.stepper.advance(0.5)
-    # Implicit Euler falls by half a step's way more.
-    expected = 0.5 * GRAVITY_M_PER_S2 * 0.5 * (0.5 + 1 / 1440)
-    # Single precision rounds positions by a tenth of the way that the last step's acceleration makes.
-    np.testing.assert_allclose(rig.moved_m[:, 2], -expected, rtol=2e-3)
-    np.testing.assert_allclose(rig.moved_m[:, :2], 0.0, atol=2e-5)
 
 
 def energy_j(rig: Rig) -> float:
@@ -300,7 +291,8 @@ def energy_j(rig: Rig) -> float:
     )
 
 
-@pytest.mark.parametrize("name", ["rayon", pytest.param("nylon", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rayon", "nylon"])
 def test_a_falling_sheet_gains_no_energy(name: str) -> None:
     """Held at one edge it drops, swings through and snaps; the stiffest fabrics for their mass are the ones at risk."""
     cloth = fabric(name, (0.4, 0.2))
@@ -331,6 +323,7 @@ def test_too_few_iterations_for_the_stiffness_are_an_error() -> None:
 # --- held edges ------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_flung_cloth_stays_on_its_rod() -> None:
     bench = Bench(load_experiment("TextileFlinging-satin").scene)
     part, start = bench.parts[0]["textile"], bench.scene.body("rod").pose
@@ -350,6 +343,7 @@ def test_a_flung_cloth_stays_on_its_rod() -> None:
     np.testing.assert_allclose(state.body_qd.numpy()[0], velocity, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_reset_and_restore_repeat_bit_for_bit() -> None:
     bench = Bench(load_experiment("TextileFlinging-satin").scene)
     first = bench.play(0.1)
@@ -363,6 +357,7 @@ def test_reset_and_restore_repeat_bit_for_bit() -> None:
     assert np.array_equal(bench.play(0.1), later)
 
 
+@pytest.mark.slow
 def test_two_worlds_are_alike_and_do_not_touch() -> None:
     alone = Bench(load_experiment("TextileFlinging-satin").scene).play(0.1)
     both = Bench(load_experiment("TextileFlinging-satin").scene, worlds=2)
@@ -405,21 +400,9 @@ def on_a_slope(friction: float, angle_deg: float) -> Scene:
     )
 
 
-@pytest.mark.parametrize("friction", [0.3, 0.45])
-def test_cloth_slides_down_a_slope_as_coulomb_says(friction: float) -> None:
-    scene = on_a_slope(friction, 30.0)
-    bench = Bench(scene)
-    start = bench.nodes()
-    board = scene.body("board").pose
-    way = (board.to_body(bench.play(0.4)) - board.to_body(start)).mean(axis=0)
-    expected = 0.5 * GRAVITY_M_PER_S2 * (np.sin(np.pi / 6) - friction * np.cos(np.pi / 6)) * 0.4 * (0.4 + 1 / 1440)
-    assert way[0] == pytest.approx(expected, rel=0.02)
-    assert abs(way[2]) < 1e-4
-
-
+@pytest.mark.slow
 def test_cloth_stays_on_a_slope_that_holds_it() -> None:
-    scene = on_a_slope(0.8, 30.0)
-    bench = Bench(scene)
+    bench = Bench(on_a_slope(0.8, 30.0))
     start = bench.play(0.1)
     assert np.abs(bench.play(0.3) - start).max() < 1e-4
 
@@ -433,6 +416,7 @@ def test_cloth_passes_through_what_it_has_no_contact_with() -> None:
     assert bench.nodes()[:, 2].max() < -0.15
 
 
+@pytest.mark.slow
 def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
     ball = body("ball", Sphere(radius_m=0.008), Pose(position_m=(0.0125, 0.006, -0.0085)))
     scene = Scene(
@@ -459,6 +443,7 @@ def test_a_narrow_body_meets_cloth_between_its_vertices() -> None:
     assert sag_m(scene, full_surface=False) == pytest.approx(free, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_cloth_rests_on_cloth() -> None:
     """A sheet falls on a taut one; both are of particles, which meet where the scene lists them with each other."""
     corners = body("frame", Box(size_m=(0.01, 0.01, 0.01)), Pose(position_m=(0.0, 0.0, 1.0)))

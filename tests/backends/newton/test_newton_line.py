@@ -125,6 +125,7 @@ def strain(nodes: NDArray[np.float64]) -> NDArray[np.float64]:
 # --- rope ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_rope_carries_a_ball() -> None:
     """Its springs bounce about the length that the load asks for; at a held end they are twice as stiff."""
     scene = ball_on_rope((0.0, 0.0, -1.0))
@@ -154,6 +155,7 @@ def test_ball_swings_from_level_like_a_pendulum() -> None:
     assert np.linalg.norm(state[7:10]) == pytest.approx((ROPE_M + BALL_M) * fall.y[1, -1], rel=0.02)
 
 
+@pytest.mark.slow
 def test_rope_follows_a_driven_body() -> None:
     simulation = build(ball_on_rope((0.0, 0.0, -1.0), Motion.KINEMATIC), **QUICK)
     for index in range(36):
@@ -254,6 +256,7 @@ def test_segments_have_the_mass_and_inertia_of_their_pieces() -> None:
     assert bench.part.pins == ()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("young_pa", "motion", "damping_s", "slack"),
     [
@@ -289,6 +292,7 @@ def test_large_deflection_is_the_elastica() -> None:
     assert nodes[0, 0] == pytest.approx(across, rel=0.01)
 
 
+@pytest.mark.slow
 def test_points_on_the_surface_turn_with_the_rod() -> None:
     bench = Bench(SOFT_PA, Motion.FIXED, damping_s=0.02)
     rest = np.array([[0.005, 0.0, -0.14], [0.0, 0.0, -0.14], [0.0, -0.005, -0.05]])
@@ -363,6 +367,7 @@ def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str)
 # --- contacts, attachments, worlds ------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_rope_slides_down_a_slope(friction: float) -> None:
     angle = np.radians(30.0)
@@ -387,6 +392,7 @@ def test_rope_slides_down_a_slope(friction: float) -> None:
     assert way == pytest.approx([expected, 0.0, 0.0], abs=0.005 * expected)
 
 
+@pytest.mark.slow
 def test_a_lines_course_repeats_bit_for_bit() -> None:
     scene = load_experiment("StickStack-soft").scene
     simulation = build(scene)
@@ -402,6 +408,7 @@ def test_a_lines_course_repeats_bit_for_bit() -> None:
     assert np.array_equal(run(simulation, simulation.advance, scene, 6, "rod"), first)
 
 
+@pytest.mark.slow
 def test_worlds_are_as_single_ones() -> None:
     scene = load_experiment("StickStack-soft").scene
     lower = replace(scene.deformables[0], pose=Pose(position_m=(0.26265, 0.41963, 0.08915)))
@@ -422,6 +429,7 @@ def test_worlds_are_as_single_ones() -> None:
         assert world.nodes("rod") == pytest.approx(nodes, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_presets_are_for_lines_or_not() -> None:
     scene = load_experiment("StickStack-soft").scene
     settings = build(scene).settings

@@ -12,7 +12,6 @@ import pytest
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (
@@ -32,7 +31,6 @@ pytest.importorskip("newton")
 
 from gauge_envs.backends import backend
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.tools.conformance import Status, run_checks
 
 NEWTON = backend("newton")
 
@@ -41,36 +39,7 @@ def solid(name: str, shape: object, position_m: tuple, *, motion: Motion = Motio
     return RigidBody(name=name, shape=shape, motion=motion, pose=Pose(position_m=position_m), mass_kg=mass_kg)
 
 
-@pytest.mark.parametrize(
-    "patterns",
-    [
-        ["free-*", "start-*", "pendulum-*", "hinge-*"],
-        ["reset-*", "determinism", "restore", "restore-impact", "restore-rest", "restore-edge", "restore-hinge"],
-        pytest.param(["restore-benchmark-*"], marks=pytest.mark.slow),
-    ],
-)
-def test_laws_without_contact_and_the_contract(patterns: list[str]) -> None:
-    findings = list(run_checks("newton", only=patterns))
-    assert [f"{f.check}: {f.measured}" for f in findings if f.status is not Status.PASS] == []
-
-
-def test_laws_of_contact() -> None:
-    only = ["slide*", "hold", "rebound-*", "collision-*", "carry-*", "driven-*", "pile-*", "spin-*", "contact-*"]
-    findings = list(run_checks("newton", only=only))
-    assert len(findings) > 20
-    assert [f"{f.check}: {f.measured}" for f in findings if f.status is not Status.PASS] == []
-
-
-@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
-def test_slide_has_coulombs_acceleration(material: str) -> None:
-    result = run_episode(RunRequest(f"SlopeSlider-2-{material}", backend="newton"))
-    times, samples = result.trajectory.arrays()
-    friction = load_experiment(result.id).scene.contacts[0].friction
-    downhill = 1e-3 * (samples[:60] - samples[0]) @ [np.cos(np.pi / 6), 0.0, -0.5]
-    expected = GRAVITY_M_PER_S2 * (0.5 - friction * np.cos(np.pi / 6))
-    assert fitted_acceleration(times[:60], downhill) == pytest.approx(expected, rel=0.01)
-
-
+@pytest.mark.slow
 def test_the_same_scene_in_two_engines_moves_alike() -> None:
     for name in ("Turntable-2-metal", "NonsmoothContact-1-wood", "Pendulum-metal"):
         courses = []
@@ -93,6 +62,7 @@ def test_worlds_are_the_single_simulation_bit_for_bit() -> None:
     ] == [single] * 3
 
 
+@pytest.mark.slow
 def test_worlds_start_apart_and_do_not_meet() -> None:
     results = run_repeats(RunRequest("SlopeSlider-2-wood", repeats=6, backend="newton", seed=1))
     singles = run_repeats(RunRequest("SlopeSlider-2-wood", repeats=1, backend="newton", seed=4))
@@ -226,6 +196,7 @@ def test_meshes_that_touch_in_one_point_creep_as_published() -> None:
     assert scores["out_of_box"] < 0.5
 
 
+@pytest.mark.slow
 def test_importing_the_package_does_not_import_the_engine() -> None:
     code = (
         "import sys, gymnasium, gauge_envs, gauge_envs.cli, gauge_envs.backends\n"

@@ -108,6 +108,7 @@ def test_a_declined_experiment_names_a_backend_that_can() -> None:
 # --- courses ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_stretched_foam_goes_as_in_mujoco() -> None:
     """Both solve the same elasticity, on cells of their own: where 1.5 mm are moved they differ by 0.01 mm."""
     ours, theirs = (run("FoamStretching-soft", 8, engine=one, proxy="material") for one in ("newton", "mujoco"))
@@ -141,6 +142,7 @@ def strains(env: GaugeEnv) -> NDArray[np.float64]:
     return np.concatenate(along) - 1.0
 
 
+@pytest.mark.slow
 def test_a_flung_cloth_keeps_to_its_rod_and_goes_as_in_mujoco() -> None:
     """The meshes are alike and the membranes' small-strain limits too; the rest is a step that is 3 times as short."""
     ours, theirs = (run("TextileFlinging-satin", 15, engine=one, proxy="material") for one in ("newton", "mujoco"))
@@ -175,6 +177,7 @@ def test_markers_start_where_they_are_attached(name: str, proxy: str) -> None:
 # --- beams of foam and rubber ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_beam_of_foam_and_rubber_drops_as_in_mujoco() -> None:
     """Rubber, a hundred times as stiff as the foam, is rigid here and elastic there."""
     ours, theirs = (run("CantileverBeam-soft", 4, engine=one, proxy="material") for one in ("newton", "mujoco"))
@@ -269,6 +272,7 @@ def test_a_beam_of_foam_and_rubber_swings_at_mujocos_rate() -> None:
 # --- presets ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_material_points_stretch_as_tetrahedra_do() -> None:
     points = run("FoamStretching-soft", 2, settings={"preset": "mpm"}, proxy="material")
     tetrahedra = run("FoamStretching-soft", 2, proxy="material")
@@ -393,6 +397,7 @@ def test_worlds_equal_their_single_runs(name: str) -> None:
 # --- pictures --------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @needs_opengl
 def test_pictures_show_the_cloth_where_newton_has_it() -> None:
     env = gymnasium.make(

@@ -213,6 +213,7 @@ def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict
 # --- vertex block descent --------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("poisson", [0.0, 0.34])
 def test_sag_and_contraction_under_own_weight(poisson: float) -> None:
     """rho g L^2 / 2 E, and half way down nu times half the largest strain; the clamp takes 1 to 4 % of the sag."""
@@ -261,6 +262,7 @@ def test_damping_of_an_axial_swing() -> None:
     assert -np.log(tips[back] / tips[0]) / (2 * np.pi) == pytest.approx(0.5 * rate * (0.002 + 1 / 900), rel=0.05)
 
 
+@pytest.mark.slow
 def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), young_pa=3 * YOUNG_PA)
     soft = block("soft", length_m=0.1, centre_m=(0, 0, 0.05))
@@ -269,6 +271,7 @@ def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
     assert bench.moved([0.0, 0.0, 0.0])[0, 2] == pytest.approx(0.25e-3, rel=0.01)
 
 
+@pytest.mark.slow
 def test_quarter_turn() -> None:
     bench = Bench(block(poisson=0.34), depth_m=0.01285, high=Motion.KINEMATIC, cell_m=COARSE_M)
     bench.run(0.5, lambda time: ((0.0, 0.0, 0.0), Rotation.from_rotvec([0, 0, np.pi / 2 * ramp(time, 0.4)])))
@@ -279,6 +282,7 @@ def test_quarter_turn() -> None:
     assert speeds.max() < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "move_m", [(0.06, 0.0, -0.0015), (0.0, 0.0, 0.009), (0.0, 0.0, -0.009)], ids=["shear", "stretch", "compress"]
 )
@@ -321,6 +325,7 @@ def test_worlds_do_not_mix() -> None:
         assert np.allclose(part.nodes(both.stepper.now), alone.nodes(), atol=2e-6)
 
 
+@pytest.mark.slow
 def test_pressed_cube_does_not_sink_in() -> None:
     body = block(poisson=0.23, euler_deg=(90.0, 0.0, 0.0))
     bench = Bench(body, depth_m=0.01285, high=Motion.FIXED, cube_at_m=(0.0, 0.0, 0.0525))
@@ -355,6 +360,7 @@ def timoshenko_droop(place_m: float, gravity: float) -> float:
     return float(np.sum((curvature * (place_m - places) + slant)[nearer]) * piece)
 
 
+@pytest.mark.slow
 def test_droop_of_a_row_of_four_with_rigid_rubber() -> None:
     """The mean over a swing. Cells of a quarter of the width are 11 % too stiff; bonded foam cannot contract, 4 %."""
     bench = cantilever(gravity=(0.0, 0.098, 0.0))
@@ -371,6 +377,7 @@ def test_droop_of_a_row_of_four_with_rigid_rubber() -> None:
     assert min(droops) > -1e-5
 
 
+@pytest.mark.slow
 def test_rigid_blocks_and_soft_ones_stay_together() -> None:
     bench = cantilever(gravity=(0.0, 9.81, 0.0))
     bench.run(0.15)

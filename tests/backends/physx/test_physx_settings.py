@@ -113,6 +113,7 @@ def test_impossible_settings_are_errors(changes: dict, message: str) -> None:
         PHYSX.build(BALL, changes)
 
 
+@pytest.mark.slow
 def test_simulations_with_other_tolerances_do_not_share_a_process() -> None:
     first = PHYSX.build(BALL)
     with pytest.raises(BackendError, match=r"one engine per process.*Close the other one first"):
@@ -165,6 +166,7 @@ def test_published_scores_of_isaac_sim_follow_if_frames_are_late(name: str, para
     assert on_time.rmse_normalized != pytest.approx(published, rel=0.03)
 
 
+@pytest.mark.slow
 def test_many_simulations_do_not_fill_the_memory() -> None:
     scene = load_experiment("NonsmoothContact-3-wood").scene
 

@@ -39,7 +39,6 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 from gauge_envs.backends.pybullet.world import BulletWorld
-from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.tools.conformance import Status, run_checks
 
 ENGINE = backend("pybullet")
@@ -79,33 +78,6 @@ def failures(*only: str) -> list[str]:
     return [f"{one.check}: {one.measured} {one.diagnosis}" for one in results if one.status is not Status.PASS]
 
 
-def test_laws_without_contact_and_the_contract() -> None:
-    only = ("free-*", "pendulum-*", "hinge-*", "tether-*", "rope-*", "reset-*", "restore-hinge", "determinism")
-    assert failures(*only) == []
-
-
-def test_laws_of_contact() -> None:
-    only = (
-        "slide*",
-        "hold",
-        "velocity-of-origin",
-        "start-velocity-of-origin",
-        "rebound-0.5",
-        "rebound-slow",
-        "rebound-sustained",
-        "carry-*",
-        "contact-*",
-        "rest-convex",
-    )
-    assert failures(*only) == []
-
-
-@pytest.mark.slow
-def test_no_check_fails() -> None:
-    bad = [one.check for one in run_checks("pybullet") if one.is_bad]
-    assert bad == []
-
-
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
 @pytest.mark.parametrize("restitution", [0.2, 0.577, 0.95])
 def test_rebound_is_the_pairs_on_fixed_and_on_driven_bodies(motion: Motion, restitution: float) -> None:
@@ -114,16 +86,6 @@ def test_rebound_is_the_pairs_on_fixed_and_on_driven_bodies(motion: Motion, rest
 
 def test_velocity_correction_of_penetrations_would_add_to_the_rebound() -> None:
     assert rebound(dropped_ball(Motion.FIXED, 0.5), split_impulse="none") > 0.55
-
-
-def test_slide_has_coulombs_acceleration() -> None:
-    result = run_episode(RunRequest("SlopeSlider-2-wood", backend="pybullet"))
-    times, samples = result.trajectory.arrays()
-    expected = G * (np.sin(np.radians(30.0)) - 0.273673 * np.cos(np.radians(30.0)))
-    along_mm = np.linalg.norm(samples - samples[0], axis=1)
-    assert 1e-3 * fitted_acceleration(times, along_mm) == pytest.approx(expected, rel=0.01)
-    assert result.settings["units_per_m"] == 100.0
-    assert result.versions.keys() >= {"pybullet"}
 
 
 @pytest.mark.parametrize("motion", [Motion.FIXED, Motion.KINEMATIC])
@@ -231,20 +193,6 @@ def test_gravity_does_not_move_a_driven_body_within_a_step() -> None:
     # The plate would yield at g h = 54 mm/s, and the cube would sink until the correction of its depth is as fast.
     assert simulation.body_states(["cube"])[0, 2] == pytest.approx(0.05, abs=2e-5)
     simulation.close()
-
-
-def test_string_pulls_at_its_length_and_does_not_push() -> None:
-    ball = solid("bob", Sphere(radius_m=0.02), (0.1, 0.0, 0.8))
-    scene = Scene(bodies=(ball,), joints=(Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=0.3),), duration_s=2.0)
-    simulation = ENGINE.build(scene)
-    simulation.reset(0)
-    lengths = []
-    for _ in range(360):
-        simulation.advance(1 / 180)
-        lengths.append(np.linalg.norm(simulation.body_states(["bob"])[0, :3] - [0.0, 0.0, 1.0]))
-    simulation.close()
-    assert max(lengths) < 0.3 * 1.005
-    assert min(lengths) < 0.24  # Slack at the start, at a distance of 0.224 m.
 
 
 ROPE = Rope(

@@ -64,6 +64,7 @@ def test_settings_that_no_scene_takes_are_the_reason_of_a_column() -> None:
     assert "no_such_setting" in column.reason
 
 
+@pytest.mark.slow
 def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None], tmp_path: Path) -> None:
     installed("contact-crash", "at-import")
     page = tmp_path / "page.html"

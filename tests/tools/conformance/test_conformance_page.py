@@ -26,19 +26,7 @@ CHECK = Check(
     measure=lambda lab: Measurement(measured=0.0, expected=0.0),
 )
 PASSED = CheckResult(
-    check="slide",
-    backend=EVIL,
-    status=Status.PASS,
-    title=EVIL,
-    measures=EVIL,
-    law=EVIL,
-    source=EVIL,
-    unit="m/s^2",
-    rationale=EVIL,
-    expected=2.0,
-    measured=2.01,
-    width=0.02,
-    versions={EVIL: EVIL},
+    of=CHECK, backend=EVIL, status=Status.PASS, expected=2.0, measured=2.01, width=0.02, versions={EVIL: EVIL}
 )
 
 

@@ -31,7 +31,7 @@ def checked(name: str, *options: str) -> tuple[list[dict[str, Any]], Result]:
     [
         ("contact-crash", "the engine's process died with signal 11 (segmentation fault)"),
         ("contact-exit", "SystemExit: 5"),
-        ("contact-hard-exit", "the engine ended its process with exit code 6"),
+        pytest.param("contact-hard-exit", "the engine ended its process with exit code 6", marks=pytest.mark.slow),
         pytest.param(
             "contact-hang",
             "the engine did not finish within the time limit of 10 s and was stopped",
@@ -48,6 +48,7 @@ def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], nam
     assert "3 checks, 1 failed" in result.stderr
 
 
+@pytest.mark.slow
 def test_a_memory_limit_costs_one_check(installed: Callable[..., None]) -> None:
     installed("contact-greedy")
     rows, _ = checked("contact-greedy", "--limits", "60s,0.8GB")

@@ -51,7 +51,7 @@ def test_a_column_comes_back_whole(column: MatrixColumn, tmp_path: Path) -> None
     assert tally(found) == tally(column) == "2 of 2"
     for name, finding in column.findings.items():
         again = found.findings[name]
-        assert (again.status, again.law, again.unit) == (finding.status, finding.law, finding.unit)
+        assert (again.status, again.of) == (finding.status, finding.of)
         assert again.measured == pytest.approx(finding.measured, rel=1e-8)
         assert again.cpu_s == pytest.approx(finding.cpu_s, rel=1e-8)
         assert again.cpu_s

@@ -24,8 +24,7 @@ from gauge_envs.runs.result_file import load_result, result_file_name, write_res
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
 from gauge_envs.tools.leaderboard.reruns import rerun_sample
-from gauge_envs.tools.leaderboard.scores import rescored
-from gauge_envs.tools.leaderboard.trajectory import copied_reference, start_values
+from gauge_envs.tools.leaderboard.trajectory import copied_reference, rescored, start_values
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "NonsmoothContact-1-wood")
 

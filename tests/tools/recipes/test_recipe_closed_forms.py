@@ -10,7 +10,8 @@ from scipy.integrate import solve_ivp
 
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of, spring_damper_restitution
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.recipes.closed_forms import friction_of_slide, mujoco_impedance
+from gauge_envs.tools.conformance import friction_of_slide
+from gauge_envs.tools.recipes.closed_forms import mujoco_impedance
 from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings
 from gauge_envs.tools.recipes.measure import probe_of
 from gauge_envs.tools.recipes.probes import first_rebound

@@ -261,7 +261,7 @@ def test_a_wrong_request_ends_with_its_reason(word: str, message: str) -> None:
     ("text", "message"),
     [
         ("solrf=0.02 1", "'solrf': unknown setting"),
-        ("solref=0.02 -1", "both numbers must be positive, or neither"),
+        ("solref=0.02 -1", "both numbers must be positive"),
         ("solref=0.02", "solref"),
         ("0.02 1", "expected settings as name=values"),
         ("solref=0.02 1 solref=0.01 1", "stated twice"),

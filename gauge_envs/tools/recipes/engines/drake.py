@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Self
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from pydantic import Field
@@ -11,10 +12,10 @@ from scipy.optimize import brentq
 
 from gauge_envs.backends.drake.impacts import rebound
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
-from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.probes import DROP_M, Build
+from gauge_envs.tools.recipes.probes import DROP_M
 
 RATES = np.geomspace(0.5, 0.01, 60)
 """Natural frequency of a contact times the step, from hard to soft. Above 0.5 a rebound depends on its phase most."""
@@ -43,6 +44,34 @@ class DrakeSettings(ContactSettings):
 
     engine: ClassVar[str] = "drake"
     is_soft: ClassVar[bool] = True
+    preset: ClassVar[str] = "point"
+    limits: ClassVar[dict[str, str]] = {
+        "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
+        "dissipate the more, the stiffer the spring is for the step",
+        "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
+        "rebound needs a soft spring",
+        "friction": "on a contact that is soft for the step, the plate has not settled within the slide",
+    }
+    template: ClassVar[str] = """\
+from pydrake.geometry import AddContactMaterial, ProximityProperties
+from pydrake.multibody.plant import ContactModel, CoulombFriction, DiscreteContactApproximation
+
+TIME_STEP = {timestep_s}  # AddMultibodyPlantSceneGraph(builder, TIME_STEP)
+
+def properties(point_count=1, is_ground=False):
+    # Drake gives a pair of geometries one contact point: put spheres at the corners of a box.
+    friction = CoulombFriction({friction}, {friction})
+    stiffness = 1e20 if is_ground else {point_contact_stiffness} / point_count
+    found = ProximityProperties()
+    AddContactMaterial(found, point_stiffness=stiffness, friction=friction)
+    relaxation = 0.0 if is_ground else {relaxation_time}  # those of a pair add up
+    found.AddProperty("material", "relaxation_time", relaxation)
+    return found
+
+def set_contact(plant):
+    plant.set_contact_model(ContactModel.kPoint)
+    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)
+"""
 
     friction: float = Field(default=0.0, ge=0.0)
     point_contact_stiffness: float = Field(default=1e6, gt=0.0)
@@ -52,10 +81,8 @@ class DrakeSettings(ContactSettings):
     def aimed(cls, aim: Aim) -> Self:
         """Return the hardest contact that rebounds enough in Drake's implicit steps, with the dissipation left."""
         step = aim.timestep_s
-        hardness = 0.0
-        if aim.depth_m is not None:
-            share = MARGIN if aim.stiffness_n_per_m is None else 1.0
-            hardness = step * math.sqrt(GRAVITY_M_PER_S2 / (share * aim.depth_m))
+        depth_m = aim.aimed_depth_m(MARGIN)
+        hardness = 0.0 if depth_m is None else step * math.sqrt(GRAVITY_M_PER_S2 / depth_m)
         if aim.rebound is None:
             rate, relaxation = max(RIGID_RATE, hardness), 1.0
             if aim.stiffness_n_per_m is not None:
@@ -68,59 +95,20 @@ class DrakeSettings(ContactSettings):
             given = hardness if aim.stiffness_n_per_m is not None else None
             least = max(hardness, math.pi * step / LONGEST_IMPACT_S)
             rate, relaxation = _rebounding(aim.rebound, weight, least=least, given=given)
-        return cls(
+        return cls.of(
             timestep_s=step,
             friction=aim.friction,
             point_contact_stiffness=aim.mass_kg * (rate / step) ** 2,
             relaxation_time=relaxation * step,
         )
 
-    @property
-    def sliding_friction(self) -> float:
-        """Coefficient of friction of the pair."""
-        return self.friction
-
-    def build(self, mass_kg: float) -> Build:
+    def further(self, mass_kg: float) -> Mapping[str, Any]:
         """Return point contact with SAP; the stiffness is that of the mass."""
-        rate = self.timestep_s * math.sqrt(self.point_contact_stiffness / mass_kg)
-        given = {
-            "preset": "point",
+        return {
             "approximation": "sap",
-            "sustained_rate": rate,
+            "sustained_rate": self.timestep_s * math.sqrt(self.point_contact_stiffness / mass_kg),
             "sustained_relaxation_steps": self.relaxation_time / self.timestep_s,
         }
-        return Build(friction=self.friction, restitution=0.0, mode=ContactMode.SUSTAINED, settings=given)
-
-    def snippet(self, mass_kg: float) -> str:
-        """Return Python for Drake; `properties(n)` is for a body on n contact points."""
-        return (
-            "from pydrake.geometry import AddContactMaterial, ProximityProperties\n"
-            "from pydrake.multibody.plant import ContactModel, CoulombFriction, DiscreteContactApproximation\n\n"
-            f"TIME_STEP = {self.timestep_s:.9g}  # AddMultibodyPlantSceneGraph(builder, TIME_STEP)\n\n"
-            "def properties(point_count=1, is_ground=False):\n"
-            "    # Drake gives a pair of geometries one contact point: put spheres at the corners of a box.\n"
-            f"    friction = CoulombFriction({self.friction:g}, {self.friction:g})\n"
-            f"    stiffness = 1e20 if is_ground else {self.point_contact_stiffness:g} / point_count\n"
-            "    found = ProximityProperties()\n"
-            "    AddContactMaterial(found, point_stiffness=stiffness, friction=friction)\n"
-            f"    relaxation = 0.0 if is_ground else {self.relaxation_time:g}  # those of a pair add up\n"
-            '    found.AddProperty("material", "relaxation_time", relaxation)\n'
-            "    return found\n\n"
-            "def set_contact(plant):\n"
-            "    plant.set_contact_model(ContactModel.kPoint)\n"
-            "    plant.set_discrete_contact_approximation(DiscreteContactApproximation.kSap)\n"
-        )
-
-    @classmethod
-    def limits(cls, quantity: str) -> str:
-        """Return what Drake's discrete contact limits."""
-        return {
-            "restitution": "Drake has no coefficient of restitution: a rebound is a spring, and Drake's implicit steps "
-            "dissipate the more, the stiffer the spring is for the step",
-            "penetration_m": "Drake's contact is a spring: its depth at rest is the weight over the stiffness, and a "
-            "rebound needs a soft spring",
-            "friction": "on a contact that is soft for the step, the plate has not settled within the slide",
-        }.get(quantity, "")
 
 
 def _rebounding(restitution: float, weight: float, *, least: float, given: float | None) -> tuple[float, float]:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal, Self
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
 
 from pydantic import Field, field_validator, model_validator
 from scipy.optimize import brentq
 
+from gauge_envs.backends.genesis.settings import PRESETS
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
-from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.closed_forms import ContactForm, MuJoCoContact
-from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers_text
-from gauge_envs.tools.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
+from gauge_envs.tools.recipes.closed_forms import MuJoCoContact
+from gauge_envs.tools.recipes.engines.base import ContactSettings, stated_by
+from gauge_envs.tools.recipes.engines.mujoco import RESOLVED_RATE, load_s2
+from gauge_envs.tools.recipes.probes import DROP_M, PLATE_CONTACTS
 
 IMPACT_STEPS = (4, 5, 6, 7, 8, 9, 10, 12, 14, 16, 18, 20, 24, 28, 32, 40, 50, 60)
 """Steps that half a period of a contact's spring lasts, from hard to soft."""
@@ -42,39 +44,56 @@ without end, and creeps at 3.5 mm/s."""
 LEAST_RATIO = 1e-4
 """Smallest damping ratio."""
 
-RESOLVED_RATE = 0.3
-"""Largest natural frequency times the step of a contact that is a spring; its impact then lasts ten steps."""
-
 LEAST_TIME_STEPS = 2.0
 """Time constant to which Genesis raises shorter ones [steps]."""
-
-MARGIN = 0.8
-"""Share of the allowed depth that settings aim at."""
 
 PHASES = 8
 """Moments within a step over which restitutions are compared."""
 
 
+@stated_by(PRESETS["out_of_box"])
 class GenesisSettings(ContactSettings):
     """Options of Genesis's rigid solver, the friction of both materials, and the constants of all geoms.
 
     Attributes:
         friction: Coefficient of friction.
         sol_params: Time constant [s], damping ratio, and impedance: least, greatest, width [m], midpoint, power.
-        friction_cone: Friction cone.
-        contact_resolution: `signorini` bounds friction by the normal force; `convex` lets sliding raise that force.
-            The pyramidal cone needs `convex`.
-        impratio: Ratio of frictional to normal impedance.
     """
 
     engine: ClassVar[str] = "genesis"
     is_soft: ClassVar[bool] = True
+    limits: ClassVar[dict[str, str]] = {
+        "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to two "
+        "steps: a rebound is a damped spring that lasts several steps",
+        "penetration_m": "Genesis's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
+        "impedance d is at most 0.9999",
+    }
+    template: ClassVar[str] = """\
+import genesis as gs
+
+gs.init(backend=gs.cpu, precision="64")
+
+DT = {timestep_s}  # gs.options.SimOptions(dt=DT)
+
+def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)
+    return gs.options.RigidOptions(
+        friction_cone=gs.friction_cone.{friction_cone},
+        contact_resolution=gs.contact_resolution.{contact_resolution},
+        impratio={impratio},
+    )
+
+def material():  # of both entities
+    return gs.materials.Rigid(friction={friction})
+
+def set_contact(scene):  # after scene.build()
+    scene.rigid_solver.set_global_sol_params(({sol_params}))
+"""
 
     friction: float = Field(default=1.0, ge=0.01, le=5.0)
     sol_params: tuple[float, float, float, float, float, float, float] = (0.01, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0)
-    friction_cone: Literal["pyramidal", "elliptic"] = "pyramidal"
-    contact_resolution: Literal["convex", "signorini"] = "convex"
-    impratio: float = Field(default=1.0, gt=0.0)
+    friction_cone: str
+    contact_resolution: str
+    impratio: float
 
     @model_validator(mode="before")
     @classmethod
@@ -106,7 +125,7 @@ class GenesisSettings(ContactSettings):
         if aim.stiffness_n_per_m is not None:
             constants = _spring(aim, aim.stiffness_n_per_m)
         time_s, ratio, impedance = constants or _impact(aim)
-        return cls(
+        return cls.of(
             timestep_s=aim.timestep_s,
             friction=aim.friction,
             sol_params=(time_s, ratio, impedance, impedance, 0.001, 0.5, 2.0),
@@ -115,57 +134,20 @@ class GenesisSettings(ContactSettings):
             impratio=100.0,
         )
 
-    @property
-    def sliding_friction(self) -> float:
-        """Coefficient of friction of the pair."""
-        return self.friction
-
-    def build(self, mass_kg: float) -> Build:
-        """Return Genesis's defaults with these settings, which do not depend on the mass, in double precision."""
-        given = {
-            "preset": "out_of_box",
+    def further(self, mass_kg: float) -> Mapping[str, Any]:
+        """Return the constants of sustained contacts, in double precision."""
+        time_s, ratio, *impedance = self.sol_params[:5]
+        return {
             "precision": 64,
             "tolerance": 1e-8,
-            "friction_cone": self.friction_cone,
-            "contact_resolution": self.contact_resolution,
-            "impratio": self.impratio,
-            "sustained_timeconst_s": self.sol_params[0],
-            "sustained_dampratio": self.sol_params[1],
-            "sustained_impedance": self.sol_params[2:5],
+            "sustained_timeconst_s": time_s,
+            "sustained_dampratio": ratio,
+            "sustained_impedance": tuple(impedance),
         }
-        return Build(friction=self.friction, restitution=0.0, mode=ContactMode.SUSTAINED, settings=given)
 
-    def snippet(self, mass_kg: float) -> str:
-        """Return Python for Genesis; the constants are those of all geoms of the scene."""
-        return (
-            "import genesis as gs\n\n"
-            'gs.init(backend=gs.cpu, precision="64")\n\n'
-            f"DT = {self.timestep_s:.9g}  # gs.options.SimOptions(dt=DT)\n\n"
-            "def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)\n"
-            "    return gs.options.RigidOptions(\n"
-            f"        friction_cone=gs.friction_cone.{self.friction_cone},\n"
-            f"        contact_resolution=gs.contact_resolution.{self.contact_resolution},\n"
-            f"        impratio={self.impratio:g},\n"
-            "    )\n\n"
-            "def material():  # of both entities\n"
-            f"    return gs.materials.Rigid(friction={self.friction:g})\n\n"
-            "def set_contact(scene):  # after scene.build()\n"
-            f"    scene.rigid_solver.set_global_sol_params(({', '.join(numbers_text(self.sol_params).split())}))\n"
-        )
-
-    @classmethod
-    def limits(cls, quantity: str) -> str:
-        """Return what Genesis's contacts limit."""
-        return {
-            "restitution": "Genesis has no coefficient of restitution, and raises the time constant of a contact to "
-            "two steps: a rebound is a damped spring that lasts several steps",
-            "penetration_m": "Genesis's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and "
-            "its impedance d is at most 0.9999",
-        }.get(quantity, "")
-
-    def closed_form(self) -> ContactForm:
-        """Return what MuJoCo's documented equation gives, from which Genesis's solver descends."""
-        contact = MuJoCoContact(
+    def constraint(self) -> MuJoCoContact:
+        """Return MuJoCo's documented equation, from which Genesis's solver descends."""
+        return MuJoCoContact(
             solref=self.sol_params[:2],
             solimp=self.sol_params[2:],
             solreffriction=(0.0, 0.0),
@@ -174,20 +156,6 @@ class GenesisSettings(ContactSettings):
             is_elliptic=self.friction_cone == "elliptic",
             timestep_s=self.timestep_s,
         )
-        return contact.form(
-            contact_count=PLATE_CONTACTS,
-            slope_rad=creep_slope_rad(self.friction),
-            drop_m=DROP_M,
-            phase_count=BALL_COUNT,
-        )
-
-
-def _load(aim: Aim) -> float | None:
-    """Return the depth that settings aim at times the number of contacts, over gravity [s^2]; None without a depth."""
-    if aim.depth_m is None:
-        return None
-    share = MARGIN if aim.stiffness_n_per_m is None else 1.0
-    return share * aim.depth_m * PLATE_CONTACTS / GRAVITY_M_PER_S2
 
 
 def _spring(aim: Aim, stiffness_n_per_m: float) -> tuple[float, float, float] | None:
@@ -223,7 +191,7 @@ def _impact(aim: Aim) -> tuple[float, float, float]:
 def _impedance(aim: Aim, frequency: float) -> float:
     """Return the impedance of a rebounding contact: it carries weight at a depth that steps do not leave."""
     usual = SOFT_IMPEDANCE if aim.rebound else HARD_IMPEDANCE
-    if (load := _load(aim)) is None:
+    if (load := load_s2(aim)) is None:
         return usual
     least = SOFT_IMPEDANCE if aim.stiffness_n_per_m is not None else usual
     return min(max(1.0 - load * frequency**2, least), MOST_IMPEDANCE)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, ClassVar, Self
 
 from pydantic import Field, field_validator
 
 from gauge_envs.backends.base import Backend
+from gauge_envs.backends.mujoco.settings import PRESETS
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
-from gauge_envs.scene import GRAVITY_M_PER_S2, ContactMode
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim
-from gauge_envs.tools.recipes.closed_forms import ContactForm, MuJoCoContact
-from gauge_envs.tools.recipes.engines.base import ContactSettings, numbers_text
-from gauge_envs.tools.recipes.probes import BALL_COUNT, DROP_M, PLATE_CONTACTS, Build, creep_slope_rad
+from gauge_envs.tools.recipes.closed_forms import MuJoCoContact, Solimp
+from gauge_envs.tools.recipes.engines.base import ContactSettings, stated_by
+from gauge_envs.tools.recipes.probes import PLATE_CONTACTS
 
 SETTLE_S = 0.2
 """Time constant with which a resting body of a one-step impact returns to its depth [s], where the step allows it."""
@@ -51,34 +52,49 @@ MARGIN = 0.8
 """Share of the allowed depth that settings aim at."""
 
 
-class MuJoCoSettings(ContactSettings):
+class ConstraintSettings(ContactSettings):
+    """Settings of an engine with MuJoCo's contact constraint, in which three numbers may stand for five."""
+
+    @field_validator("solimp", mode="before", check_fields=False)
+    @classmethod
+    def _with_shape(cls, value: Any) -> Any:
+        return (*value, 0.5, 2.0)[:5] if isinstance(value, list | tuple) and len(value) == 3 else value
+
+
+@stated_by(PRESETS["out_of_box"])
+class MuJoCoSettings(ConstraintSettings):
     """Options of MuJoCo and constants of one pair of geoms.
 
     Attributes:
-        integrator: Integrator.
-        cone: Friction cone.
-        impratio: Ratio of frictional to normal impedance.
         friction: Sliding coefficient of the pair.
-        solref: Time constant [s] and damping ratio; or the negative stiffness [1/s^2] and damping [1/s] per mass.
-        solreffriction: The same in the tangential directions; zeros stand for `solref`.
-        solimp: Impedance: d0, dwidth, width [m], midpoint, power.
+        solreffriction: As `solref` in the tangential directions; zeros stand for `solref`.
     """
 
     engine: ClassVar[str] = "mujoco"
     is_soft: ClassVar[bool] = True
+    limits: ClassVar[dict[str, str]] = {
+        "restitution": "MuJoCo has no coefficient of restitution: a rebound is the damping of a contact equation that "
+        "is evaluated once a step",
+        "friction": "MuJoCo's friction and normal force are solved together as one soft constraint",
+        "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
+        "impedance d is at most 0.9999",
+    }
+    template: ClassVar[str] = """\
+<option timestep="{timestep_s}" integrator="{integrator}" cone="{cone}" impratio="{impratio}"/>
+<contact>
+  <pair geom1="foot" geom2="floor" condim="3" friction="{friction} {friction} 0.005 0.0001 0.0001"
+        solref="{solref}" solimp="{solimp}"{tangential}/>
+</contact>
+"""
+    separator: ClassVar[str] = " "
 
-    integrator: Literal["Euler", "RK4", "implicit", "implicitfast"] = "Euler"
-    cone: Literal["pyramidal", "elliptic"] = "pyramidal"
-    impratio: float = Field(default=1.0, gt=0.0)
+    integrator: str
+    cone: str
+    impratio: float
     friction: float = Field(default=1.0, gt=0.0)
-    solref: tuple[float, float] = (0.02, 1.0)
+    solref: tuple[float, float]
     solreffriction: tuple[float, float] = (0.0, 0.0)
-    solimp: tuple[float, float, float, float, float] = (0.9, 0.95, 0.001, 0.5, 2.0)
-
-    @field_validator("solimp", mode="before")
-    @classmethod
-    def _with_shape(cls, value: Any) -> Any:
-        return (*value, 0.5, 2.0)[:5] if isinstance(value, list | tuple) and len(value) == 3 else value
+    solimp: Solimp
 
     @field_validator("friction", mode="before")
     @classmethod
@@ -86,17 +102,10 @@ class MuJoCoSettings(ContactSettings):
         """MJCF states up to five coefficients, of which the first one is that of sliding."""
         return value[0] if isinstance(value, list | tuple) and value else value
 
-    @field_validator("solref")
-    @classmethod
-    def _in_one_format(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if (value[0] > 0.0) != (value[1] > 0.0):
-            raise ValueError("both numbers must be positive, or neither")
-        return value
-
     @classmethod
     def aimed(cls, aim: Aim) -> Self:
         """Return one of three kinds: hard without rebound, one step that reverses the speed, spring and damper."""
-        return cls(
+        return cls.of(
             timestep_s=aim.timestep_s,
             integrator="implicitfast",
             cone="elliptic",
@@ -104,53 +113,15 @@ class MuJoCoSettings(ContactSettings):
             **contact_of(aim),
         )
 
-    @property
-    def sliding_friction(self) -> float:
-        """Coefficient of friction of the pair."""
-        return self.friction
+    def texts(self) -> dict[str, str]:
+        """Return the values of the fields, with the attribute of the tangential directions where it is needed."""
+        texts = super().texts()
+        tangential = f'\n        solreffriction="{texts["solreffriction"]}"' if any(self.solreffriction) else ""
+        return texts | {"tangential": tangential}
 
-    def build(self, mass_kg: float) -> Build:
-        """Return MuJoCo's defaults with these settings; they do not depend on the mass."""
-        given = {
-            "preset": "out_of_box",
-            "integrator": self.integrator,
-            "cone": self.cone,
-            "impratio": self.impratio,
-            "contact_solref": self.solref,
-            "contact_solreffriction": self.solreffriction,
-            "contact_solimp": self.solimp,
-        }
-        return Build(friction=self.friction, restitution=0.0, mode=ContactMode.SUSTAINED, settings=given)
-
-    def snippet(self, mass_kg: float) -> str:
-        """Return MJCF for the pair of a geom `foot` and a geom `floor`."""
-        tangential = (
-            f'\n        solreffriction="{numbers_text(self.solreffriction)}"' if any(self.solreffriction) else ""
-        )
-        return (
-            f'<option timestep="{self.timestep_s:.9g}" integrator="{self.integrator}" cone="{self.cone}" '
-            f'impratio="{self.impratio:g}"/>\n'
-            "<contact>\n"
-            '  <pair geom1="foot" geom2="floor" condim="3" '
-            f'friction="{numbers_text((self.friction, self.friction, 0.005, 0.0001, 0.0001))}"\n'
-            f'        solref="{numbers_text(self.solref)}" solimp="{numbers_text(self.solimp)}"{tangential}/>\n'
-            "</contact>\n"
-        )
-
-    @classmethod
-    def limits(cls, quantity: str) -> str:
-        """Return what MuJoCo's contact equation limits."""
-        return {
-            "restitution": "MuJoCo has no coefficient of restitution: a rebound is the damping of a contact equation "
-            "that is evaluated once a step",
-            "friction": "MuJoCo's friction and normal force are solved together as one soft constraint",
-            "penetration_m": "MuJoCo's contact is soft: its depth at rest is (1 - d) g / (d k) on one contact, and its "
-            "impedance d is at most 0.9999",
-        }.get(quantity, "")
-
-    def closed_form(self) -> ContactForm:
-        """Return what MuJoCo's documented equation gives for one coordinate."""
-        contact = MuJoCoContact(
+    def constraint(self) -> MuJoCoContact:
+        """Return MuJoCo's documented equation."""
+        return MuJoCoContact(
             solref=self.solref,
             solimp=_in_force(self.solimp),
             solreffriction=self.solreffriction,
@@ -159,15 +130,9 @@ class MuJoCoSettings(ContactSettings):
             is_elliptic=self.cone == "elliptic",
             timestep_s=self.timestep_s,
         )
-        return contact.form(
-            contact_count=PLATE_CONTACTS,
-            slope_rad=creep_slope_rad(self.friction),
-            drop_m=DROP_M,
-            phase_count=BALL_COUNT,
-        )
 
 
-def _in_force(solimp: tuple[float, float, float, float, float]) -> tuple[float, float, float, float, float]:
+def _in_force(solimp: Solimp) -> Solimp:
     """Return the impedance that MuJoCo makes of a stated one: function getsolparam in engine_core_constraint.c."""
     d0, dwidth, width_m, midpoint, power = solimp
     d0, dwidth, midpoint = (min(max(one, LEAST_IMPEDANCE), MOST_IMPEDANCE) for one in (d0, dwidth, midpoint))
@@ -182,7 +147,7 @@ class MuJoCoWarpSettings(MuJoCoSettings):
     @classmethod
     def backend(cls) -> Backend:
         """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
-        from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+        from gauge_envs.tools.sanity import BackendMuJoCoWarp
 
         return BackendMuJoCoWarp()
 
@@ -203,12 +168,10 @@ def contact_of(aim: Aim) -> dict[str, Any]:
     return _one_step(aim, aim.rebound)
 
 
-def _load(aim: Aim) -> float | None:
+def load_s2(aim: Aim) -> float | None:
     """Return the depth that settings aim at times the number of contacts, over gravity [s^2]; None without a depth."""
-    if aim.depth_m is None:
-        return None
-    share = MARGIN if aim.stiffness_n_per_m is None else 1.0
-    return share * aim.depth_m * PLATE_CONTACTS / GRAVITY_M_PER_S2
+    depth_m = aim.aimed_depth_m(MARGIN)
+    return None if depth_m is None else depth_m * PLATE_CONTACTS / GRAVITY_M_PER_S2
 
 
 def _impedance(aim: Aim, usual: float, exact: float) -> float:
@@ -220,7 +183,7 @@ def _impedance(aim: Aim, usual: float, exact: float) -> float:
 def _hard(aim: Aim) -> dict[str, Any]:
     """Return a critically damped contact with MuJoCo's time constant, and an impedance for the depth."""
     time_s, impedance = max(DEFAULT_TIME_S, 2.0 * aim.timestep_s), 0.95
-    if (load := _load(aim)) is not None:
+    if (load := load_s2(aim)) is not None:
         # On n contacts the depth is (1 - d) g T^2 / n for a constant impedance d.
         impedance = _impedance(aim, impedance, 1.0 - load / time_s**2)
     return {"solref": (time_s, 1.0), "solimp": (impedance, impedance, 0.001, 0.5, 2.0), "impratio": 10.0}
@@ -231,7 +194,7 @@ def _one_step(aim: Aim, restitution: float) -> dict[str, Any]:
     step = aim.timestep_s
     stiffness = min(step * (1.0 + restitution) / SETTLE_S, MOST_STIFFNESS) / step**2
     impedance = 0.99
-    if (load := _load(aim)) is not None:
+    if (load := load_s2(aim)) is not None:
         impedance = _impedance(aim, impedance, 1.0 / (1.0 + load * stiffness))
     return {
         "solref": (-stiffness, -(1.0 + restitution) / step),

@@ -11,7 +11,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Sphere
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.laws import pendulum_period_s
+from gauge_envs.tools.conformance import pendulum_period_s
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, recorded
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace

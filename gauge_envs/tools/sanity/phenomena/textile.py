@@ -9,7 +9,7 @@ import numpy as np
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Cloth, Scene
-from gauge_envs.tools.conformance.laws import hann_mean
+from gauge_envs.tools.conformance import hann_mean
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, recorded
 from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace

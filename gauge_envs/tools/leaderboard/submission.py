@@ -1,4 +1,4 @@
-"""Folders and files of a leaderboard, read without following links and within limits of size."""
+"""Files of a submission, read without following links and within limits of size; what it states; and its faults."""
 
 from __future__ import annotations
 
@@ -9,12 +9,18 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
+from typing import Annotated, Literal
 
-from gauge_envs.errors import ResultFileError
-from gauge_envs.files import MEGABYTE, printable, read_regular
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gauge_envs.errors import ResultFileError, first_fault
+from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, printable, read_regular, toml_document
 from gauge_envs.runs.result_file import MOST_RESULT_BYTES
-from gauge_envs.tools.leaderboard.faults import Fault
-from gauge_envs.tools.leaderboard.statement import NAME_PATTERN, STATEMENT_FILE
+
+STATEMENT_FILE = "submission.toml"
+
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._+-]{0,63}$"
+"""Names of folders: no separator, and no leading dot, so that no name leads out of the leaderboard."""
 
 RESULTS_FOLDER = "results"
 README = "README.md"
@@ -29,6 +35,76 @@ MOST_TOTAL_BYTES = 256 * MEGABYTE
 """Largest size of all files of a submission; all 75 results of an engine have less than a third of it."""
 
 LEVELS = ("engine", "version", "configuration")
+
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+Line = Annotated[str, Field(min_length=1, max_length=200, pattern=r"^[^\x00-\x1f\x7f]+$")]
+Setting = bool | int | float | Annotated[str, Field(max_length=200)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One thing that is wrong in a submission.
+
+    Attributes:
+        file: File or folder, relative to the folder that was checked.
+        key: Dotted key in the file, as `score.rmse`; empty for the file as a whole.
+        reason: What is wrong, and what would be right.
+    """
+
+    file: str
+    key: str = ""
+    reason: str
+
+    def __str__(self) -> str:
+        return ": ".join(part for part in (self.file, self.key, self.reason) if part)
+
+
+class Statement(BaseModel):
+    """Content of `submission.toml`.
+
+    Attributes:
+        format: Version of this format.
+        engine: Name of the backend, equal to the first folder and to `backend` of each result.
+        package: Package whose version counts, a key of `versions` in each result.
+        version: Its version, equal to the second folder.
+        configuration: Name of the configuration, equal to the third folder.
+        submitter: Person or organization.
+        url: Page about the submission; empty for none.
+        parameters: Parameter set of all results.
+        settings: Settings of the engine that replace those of its preset, in all results.
+        left_out: Reason for each experiment without a result, by id or pattern.
+    """
+
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+    format: Literal[1]
+    engine: Name
+    package: Name
+    version: Name
+    configuration: Name
+    submitter: Line
+    url: Annotated[str, Field(max_length=200, pattern=r"^(https://[^\s\x00-\x1f\x7f]+)?$")] = ""
+    parameters: Name = "calibrated"
+    settings: dict[str, Setting] = Field(default_factory=dict)
+    left_out: dict[Line, Line] = Field(default_factory=dict)
+
+
+def read_statement(file: Path, name: str) -> Statement | Fault:
+    """Read a `submission.toml`.
+
+    Args:
+        file: The file.
+        name: Its name in messages.
+    """
+    try:
+        return Statement.model_validate(toml_document(read_regular(file, MOST_TOML_BYTES)))
+    except OSError as error:
+        return Fault(file=name, reason=f"cannot be read: {error.strerror or error}")
+    except ValidationError as error:
+        place, reason = first_fault(error)
+        return Fault(file=name, key=place, reason=reason)
+    except ValueError as error:
+        return Fault(file=name, reason=f"not TOML: {error}")
 
 
 @dataclass
@@ -46,10 +122,13 @@ class SubmissionFiles:
     faults: list[Fault] = field(default_factory=list)
 
     def sha256(self, folder: Path) -> str:
-        """Return a hash over names and contents of all files, which changes with any of them."""
+        """Return a hash over names and contents of all files, which changes with any; empty if one cannot be read."""
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
-            content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+            try:
+                content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+            except OSError:
+                return ""
             digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
         return digest.hexdigest()
 

@@ -1,0 +1,97 @@
+"""Every installed engine of this package passes the conformance checks, or declines scenes of kinds that it lacks.
+
+One run for each engine states the laws of mechanics, so that the tests of an engine need not. The default run leaves
+out what takes seconds on the engine; `-m slow` runs all checks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+
+import pytest
+
+from gauge_envs.tools.conformance import Status, checks, run_checks
+
+DEFORMABLE = ("cloth", "air", "foam", "rope", "rod", "restore-benchmark-soft")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Engine:
+    """An engine, and what it runs by default.
+
+    Attributes:
+        name: Name of the backend.
+        module: Module of the engine.
+        lacks: Beginnings of the ids of the checks that it declines.
+        quick: Patterns of the checks of the default run.
+        long: Patterns of checks that take too long for it.
+    """
+
+    name: str
+    module: str
+    lacks: tuple[str, ...] = ()
+    quick: Sequence[str] = ("*",)
+    long: Sequence[str] = ("restore-benchmark-*",)
+
+    def chosen(self) -> list[str]:
+        """Return the ids of the checks of the default run."""
+        return [
+            one.id
+            for one in checks()
+            if any(fnmatchcase(one.id, pattern) for pattern in self.quick)
+            and not any(fnmatchcase(one.id, pattern) for pattern in self.long)
+        ]
+
+
+CORE = (
+    *("start-*", "order-of-names", "time", "free-fall*", "pendulum-*", "spin-*", "angular-velocity", "velocity-*"),
+    *("wrench-frame", "wrench-force", "inertia-*", "contact-*", "slide*", "hold", "rebound-0.5", "roll-ball"),
+    "restore",
+)
+"""Checks of every kind of law that a heavy engine runs by default."""
+
+ENGINES = (
+    Engine(name="mujoco", module="mujoco"),
+    Engine(name="rapier", module="rapier3d", lacks=DEFORMABLE),
+    Engine(name="physx", module="sapien", lacks=DEFORMABLE, long=("restore-benchmark-*", "collision-slow")),
+    Engine(
+        name="pybullet",
+        module="pybullet",
+        lacks=("cloth", "air", "rod"),
+        long=(
+            "restore-*",
+            "reset-*",
+            "copy",
+            "determinism",
+            "pile-*",
+            "swing-*",
+            "driven-*",
+            "collision-slow",
+            "foam-*",
+        ),
+    ),
+    Engine(
+        name="newton",
+        module="newton",
+        lacks=("air",),
+        quick=(*CORE, "cloth-stretch", "cloth-slide"),
+    ),
+    Engine(name="drake", module="pydrake", lacks=DEFORMABLE, quick=CORE),
+    Engine(name="genesis", module="genesis", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")),
+)
+RUNS = [
+    *(pytest.param(one, one.chosen(), id=one.name) for one in ENGINES),
+    *(pytest.param(one, [], id=f"{one.name}, all checks", marks=pytest.mark.slow) for one in ENGINES),
+]
+
+
+@pytest.mark.parametrize(("engine", "only"), RUNS)
+def test_the_engine_obeys_the_laws(engine: Engine, only: list[str]) -> None:
+    pytest.importorskip(engine.module)
+    results = list(run_checks(engine.name, only=only))
+    assert [one.check for one in results] == (only or [one.id for one in checks()])
+    assert [f"{one.check}: {one.measured} {one.diagnosis}" for one in results if one.is_bad] == []
+    declined = {one.check for one in results if one.status is Status.DECLINED}
+    assert declined == {one.check for one in results if one.check.startswith(engine.lacks)}

@@ -1,0 +1,111 @@
+"""Planted faults: each is caught by a check whose diagnosis names it, and every check can fail."""
+
+from __future__ import annotations
+
+import pytest
+from mutations import FAULTS, Mutant, first_failure
+
+from gauge_envs.backends import backend
+from gauge_envs.tools.conformance import Status, checks, run_checks
+
+MUJOCO = backend("mujoco")
+
+ALSO = (
+    # Check, a fault that it catches too, and words of its diagnosis.
+    ("angular-velocity", "quaternion-order", "another order inside"),
+    ("carry-line", "teleport", "must have a velocity"),
+    ("carry-slip", "friction-low", "of the pair"),
+    ("carry-turn", "teleport", "must have a velocity"),
+    ("cloth-copy", "state-behind", "must be picklable"),
+    ("cloth-energy", "gains-energy", "makes energy"),
+    ("cloth-reset", "no-reset", "positions and velocities of the nodes"),
+    ("cloth-rests", "no-contacts", "falls through"),
+    ("cloth-restore", "restore-velocity", "velocities"),
+    ("collision-rebound", "restitution-none", "not that of the pair"),
+    ("collision-slow", "slow-restitution", "threshold speed"),
+    ("copy", "state-behind", "must be picklable"),
+    ("drop-energy", "gains-energy", "finite all the time"),
+    ("foam-pinned-face", "nodes-lag", "one interval (1/180 s) late"),
+    ("foam-start", "nodes-millimetres", "nodes are world positions"),
+    ("free-fall-turn", "starts-turning", "convention"),
+    ("hold", "friction-none", "creeps"),
+    ("inertia-box", "quaternion-inside", "w, x, y, z was read as x, y, z, w"),
+    ("inertia-sphere", "sphere-larger", "its radius were 31.5 mm"),
+    ("pendulum-energy", "hinge-damping", "damped"),
+    ("pile-bounds", "blast", "makes energy"),
+    ("pile-energy", "gains-energy", "makes energy"),
+    ("pile-sinks", "no-contacts", "tunnel"),
+    ("pushed-ball", "teleport", "without velocity"),
+    ("rebound-0.5", "restitution-none", "restitution enters"),
+    ("rebound-0.75", "restitution-high", "restitution"),
+    ("rebound-0.95", "restitution-high", "restitution"),
+    ("reset-course", "reset-velocity", "does not restore velocities"),
+    ("rest-box", "margin", "half sizes"),
+    ("rest-convex", "margin", "a margin, or its size"),
+    ("rest-cylinder", "cylinder-length", "its length is half"),
+    ("rest-lying-cylinder", "cylinder-radius", "its radius is half"),
+    ("rest-sphere", "margin", "a margin, or its size"),
+    ("restore-benchmark-rigid", "restore-warm-start", "after restore()"),
+    ("restore-benchmark-soft", "restore-velocity", "after restore()"),
+    ("restore-edge", "restore-velocity", "after restore()"),
+    ("restore-hinge", "restore-velocity", "after restore()"),
+    ("restore-rest", "restore-warm-start", "after restore()"),
+    ("roll-cylinder", "rolling-friction", "rolling friction were"),
+    ("rope-energy", "gains-energy", "makes energy"),
+    ("slide-plane", "plane-level", "that the plane leans"),
+    ("slide-plane", "friction-holds", "friction holds the brick"),
+    ("slide-straight", "gravity-tilted", "turns"),
+    ("solid-spin-centre", "centre-elsewhere", "centre of mass"),
+    ("spin-momentum", "hinge-damping", "angular damping"),
+    ("spin-orientation", "spin-sign", "sign or frame"),
+    ("start-rest", "steps-at-build", "must not step"),
+    ("start-velocity-reset", "reset-start-velocity", "at rest after the reset"),
+    ("start-velocity-reset", "spin-frame", "the reported angular velocity is in the body frame"),
+    ("swing-box", "box-inertia", "ratio about each body axis"),
+    ("swing-cylinder", "cylinder-length", "ratio about each body axis"),
+    ("tether-length", "no-joints", "missing"),
+)
+CASES = (*((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()), *ALSO)
+SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft")
+
+
+@pytest.mark.parametrize(
+    ("check", "name", "says"),
+    [
+        pytest.param(*case, marks=[pytest.mark.slow] if case[0] in SLOW else [], id=f"{case[0]}-{case[1]}")
+        for case in CASES
+    ],
+)
+def test_a_check_names_the_fault_of_a_mutant(check: str, name: str, says: str) -> None:
+    (result,) = run_checks(Mutant(MUJOCO, FAULTS[name]), only=[check])
+    assert result.status is Status.FAIL
+    assert says in result.diagnosis
+
+
+def test_every_check_can_fail() -> None:
+    assert {check for check, _, _ in CASES} == {check.id for check in checks()}
+
+
+def test_mutants_without_a_fault_pass() -> None:
+    """The wrapper itself changes nothing."""
+    fault = FAULTS["slow-restitution"]
+    results = list(run_checks(Mutant(MUJOCO, fault), only=["free-fall*", "slide*", "reset-*", "restore"]))
+    assert {one.status for one in results} == {Status.PASS}
+
+
+def test_not_finite_states_are_reported_once_and_first() -> None:
+    results = list(run_checks(Mutant(MUJOCO, FAULTS["nan-mass"]), only=["finite", "free-fall*", "reset-*", "slide*"]))
+    own = [one.check for one in results if one.is_bad and not one.reported_by]
+    assert own == ["finite"]
+    assert {one.reported_by for one in results if one.is_bad} == {"", "finite"}
+    assert "'brick' is not finite" in results[0].diagnosis
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FAULTS)
+def test_the_first_failure_of_a_mutant_names_its_fault(name: str) -> None:
+    fault = FAULTS[name]
+    result = first_failure(Mutant(MUJOCO, fault))
+    assert result is not None
+    assert result.check == fault.caught_by
+    assert fault.says in result.diagnosis
