@@ -103,8 +103,8 @@ def sanity(
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.baseline import read_baseline
     from gauge_envs.tools.sanity.page import check_can_draw, save_sanity_page
-    from gauge_envs.tools.sanity.selection import selection
-    from gauge_envs.tools.sanity.target import compiled_model
+    from gauge_envs.tools.sanity.phenomena import selection
+    from gauge_envs.tools.sanity.stacks import compiled_model
     from gauge_envs.tools.sanity.words import phenomena_rows, phenomena_table
 
     check_one_format(json_lines, markdown)
@@ -132,7 +132,7 @@ def sanity(
 
         report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
         if on_engine is not None:
-            from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
+            from gauge_envs.tools.sanity.robot.mujoco_warp_run import with_mujoco_warp
 
             progress.update(bar, description=on_engine.value)
             report = with_mujoco_warp(report, model=compiled_model(target))

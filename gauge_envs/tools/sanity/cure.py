@@ -9,10 +9,9 @@ from typing import Any
 
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives
-from gauge_envs.tools.sanity.languages import Language
-from gauge_envs.tools.sanity.languages.toml import Toml
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Cure, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.subject import Subject, worst_of
 
 RECOMMENDED_MUJOCO: Mapping[str, Any] = {
@@ -29,7 +28,7 @@ RECOMMENDED_MUJOCO: Mapping[str, Any] = {
 """Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
 
 RECOMMENDED_PHYSX: Mapping[str, Any] = {"solver": "TGS", "position_iterations": 10, "velocity_iterations": 1}
-"""The same for PhysX, in the language of a training stack."""
+"""The same for PhysX, in the dialect of a training stack."""
 
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
 """Recommended settings that are kept where the target has more."""
@@ -61,7 +60,7 @@ def find_cure(
     configuration: TrainingConfiguration,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
-    language: Language,
+    dialect: Dialect,
     named: Collection[str] = (),
 ) -> Cure | None:
     """Return the change that mends most flagged rows; None when no change mends one.
@@ -74,12 +73,12 @@ def find_cure(
         configuration: The checked configuration.
         flagged: Subjects that are visible or wrong, and count.
         others: Other subjects that count.
-        language: Language of the target.
+        dialect: Dialect of the target.
         named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
     """
     if not flagged:
         return None
-    steps = list(_greedy(measurements, flagged, others, language, named))
+    steps = list(_greedy(measurements, flagged, others, dialect, named))
     changes = {name: value for step in steps for name, value in step.changes.items()}
     mended = steps[-1].mended if steps else 0
     new = _new_flags(measurements, others, changes) if mended else ()
@@ -95,7 +94,7 @@ def find_cure(
         return None
     return Cure(
         changes=changes,
-        line=_line(configuration, steps, language, len(flagged), new),
+        line=_line(configuration, steps, dialect, len(flagged), new),
         flag_count=len(flagged),
         mended_count=mended,
         new_flags=new,
@@ -106,14 +105,14 @@ def _greedy(
     measurements: Measurements,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
-    language: Language,
+    dialect: Dialect,
     named: Collection[str],
 ) -> Iterator[_Step]:
     """Yield the single change that mends most, then further ones beside it; each must mend a further flag.
 
     Of the changes that mend most, the one with the fewest new flags is taken.
     """
-    candidates = [one for one in _candidates(measurements, flagged) if language.writes(one.name)]
+    candidates = [one for one in _candidates(measurements, flagged) if dialect.writes(one.name)]
     changes: dict[str, Any] = {}
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:
@@ -179,7 +178,7 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
     recommended: Mapping[str, Any] = {}
     if configuration.is_model:
         recommended = RECOMMENDED_MUJOCO
-    elif configuration.backend == "physx" and configuration.language != Toml.name:
+    elif configuration.backend == "physx" and configuration.language != TOML.name:
         recommended = RECOMMENDED_PHYSX
     changes = {}
     for name, value in recommended.items():
@@ -197,12 +196,12 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
 
 
 def _line(
-    configuration: TrainingConfiguration, steps: Sequence[_Step], language: Language, flags: int, new: Sequence[str]
+    configuration: TrainingConfiguration, steps: Sequence[_Step], dialect: Dialect, flags: int, new: Sequence[str]
 ) -> str:
     parts = []
     for number, step in enumerate(steps):
         geoms = _geoms_that_change(configuration, step.changes)
-        text = language.paste_text(step.changes, geoms=geoms)
+        text = dialect.paste_text(step.changes, geoms=geoms)
         whole = step.source == "this package's recommendation"
         if not number:
             count = f"{step.mended} of {flags} flags go" if flags > 1 else "the one flag goes"

@@ -26,8 +26,8 @@ def sanity_export(
 
     Run the scenes in your simulator, as README.md in the folder explains, and judge them with gauge sanity judge DIR.
     """
-    from gauge_envs.tools.sanity.export import export
-    from gauge_envs.tools.sanity.export_manifest import scenes
+    from gauge_envs.tools.sanity.exchange.export import export
+    from gauge_envs.tools.sanity.exchange.scenes import scenes
 
     written = export(folder, only=only or [])
     if json_lines:
@@ -62,7 +62,7 @@ def sanity_judge(
     measured. A scene without a motion file is declined.
     """
     from gauge_envs.tools.sanity.baseline import read_baseline
-    from gauge_envs.tools.sanity.judge import judge
+    from gauge_envs.tools.sanity.exchange.judge import judge
     from gauge_envs.tools.sanity.page import check_can_draw, save_sanity_page
 
     check_one_format(json_lines, markdown)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import Phenomenon
-from gauge_envs.tools.sanity.phenomena.foot import with_foot
+from gauge_envs.tools.sanity.phenomena import phenomenon as phenomenon_of
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 
 SEVERITY = (Verdict.DECLINED, Verdict.INSIDE, Verdict.VISIBLE, Verdict.WRONG)
 """Verdicts, the worst last."""
@@ -31,7 +31,7 @@ class Subject:
     """
 
     phenomenon: Phenomenon
-    sets: Mapping[str, Mapping[str, Any]]
+    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     inapplicable: str = ""
     advisory: str = ""
 
@@ -44,19 +44,22 @@ class Subject:
 
 
 def subject_of(measurements: Measurements, configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Subject:
-    """Return a phenomenon with the sets of contact constants that it applies to."""
+    """Return a phenomenon with the sets of contact constants that it applies to.
+
+    An impact is advisory unless the target states a constant for it.
+    """
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
-            return Subject(phenomenon=phenomenon, sets={}, inapplicable=configuration.inapplicable[need])
+            return Subject(phenomenon=phenomenon, inapplicable=configuration.inapplicable[need])
     sets: dict[str, Mapping[str, Any]] = dict(configuration.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:
-            return Subject(phenomenon=phenomenon, sets={}, inapplicable=NO_ROBOT)
-        phenomenon = with_foot(phenomenon, geometry)
+            return Subject(phenomenon=phenomenon, inapplicable=NO_ROBOT)
+        phenomenon = phenomenon_of(phenomenon.id, geometry)
         sets = {geoms: settings for geoms, settings in sets.items() if geoms in geometry.sets}
         if not sets:
-            return Subject(phenomenon=phenomenon, sets={}, inapplicable="the chosen geoms are no foot on the ground")
+            return Subject(phenomenon=phenomenon, inapplicable="the chosen geoms are no foot on the ground")
     if Need.CONTACT not in phenomenon.needs:
         sets = dict([next(iter(sets.items()))])
     if phenomenon.needs_friction:
@@ -64,25 +67,17 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         sets = {geoms: settings for geoms, settings in sets.items() if geoms not in frictionless}
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
-            return Subject(phenomenon=phenomenon, sets={}, inapplicable=reason)
-    return _judged(measurements, configuration, phenomenon, sets)
-
-
-def _judged(
-    measurements: Measurements,
-    configuration: TrainingConfiguration,
-    phenomenon: Phenomenon,
-    sets: Mapping[str, Mapping[str, Any]],
-) -> Subject:
-    """Return a phenomenon that applies with its sets; an impact is advisory unless the target states a constant."""
-    if not phenomenon.is_impact:
-        return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
+            return Subject(phenomenon=phenomenon, inapplicable=reason)
+    advisory = phenomenon.advisory
     foot = configuration.foot_contact
-    if foot is not None and not any(foot.restitution):
-        return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
-    stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
-    reason = "" if stating else "the target states no impact constant: its contacts are critically damped or stiffer"
-    return Subject(phenomenon=phenomenon, sets=stating or sets, advisory=reason)
+    if phenomenon.is_impact and foot is not None and not any(foot.restitution):
+        advisory = "the target states a restitution of 0"
+    elif phenomenon.is_impact:
+        stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
+        if not stating:
+            advisory = "the target states no impact constant: its contacts are critically damped or stiffer"
+        sets = stating or sets
+    return Subject(phenomenon=phenomenon, sets=sets, advisory=advisory)
 
 
 def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:

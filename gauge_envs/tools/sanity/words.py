@@ -12,12 +12,10 @@ from rich.text import Text
 
 from gauge_envs.pages.table import Column, Facts, Place, Table, as_markdown, as_rich
 from gauge_envs.pages.text import heading, markdown_text, quantity_text, vector_text
-from gauge_envs.tools.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
-from gauge_envs.tools.sanity.foot import FootGeometry
-from gauge_envs.tools.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.tools.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.selection import selection
+from gauge_envs.tools.sanity.phenomena import phenomena, selection
+from gauge_envs.tools.sanity.robot.foot import FootGeometry
+from gauge_envs.tools.sanity.stated import STATED_ROWS
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
@@ -102,8 +100,7 @@ def phenomena_rows(*, include_deformables: bool = False, only: Sequence[str] = (
         only: Ids or patterns; all when empty.
     """
     chosen = selection(only, include_deformables=include_deformables)
-    known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
-    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
+    known = [(row.phenomenon, row.title, row.reality, row.unit) for row in STATED_ROWS]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return [
         {

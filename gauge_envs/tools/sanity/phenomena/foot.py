@@ -6,7 +6,6 @@ board. Without a configuration, the rows have the foot of a small quadruped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -15,11 +14,18 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
-from gauge_envs.tools.sanity.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.facts import facts
-from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SETTLED_S, SLIDE_S, creep_bound_mm_per_s
-from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.tools.sanity.phenomena.friction import (
+    HOLD_S,
+    SLIDE_S,
+    creep_bound_mm_per_s,
+    creep_mm_per_s,
+    creep_trace,
+    slide_trace,
+)
+from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
 FOOT, GROUND = "foot", "ground"
@@ -53,21 +59,6 @@ STILL_S = 0.05
 
 AT_REST_M_PER_S = 0.01
 """Speed below which a landed foot is at rest [m/s]."""
-
-
-def phenomena() -> Iterator[Phenomenon]:
-    """Yield the rows with the reference foot."""
-    yield from foot_phenomena(REFERENCE_FOOT)
-
-
-def foot_phenomena(foot: FootGeometry) -> Iterator[Phenomenon]:
-    """Yield the rows with a foot."""
-    yield _creep(foot)
-    yield _push(foot)
-    yield _slide(foot)
-    yield _depth(foot)
-    yield _rebound(foot)
-    yield _rest(foot)
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
@@ -109,11 +100,9 @@ def foot_scene(
     )
 
 
-def _replaced(
-    _: Scene, *, foot: FootGeometry, friction: float, slope_deg: float, lift_m: float, seconds: float
-) -> Scene:
-    """Return the scene of a foot instead of a cube on a board."""
-    return foot_scene(foot, friction=friction, slope_deg=slope_deg, lift_m=lift_m, seconds=seconds)
+def _replaced(_: Scene, *, foot: FootGeometry, friction: float, **options: float) -> Scene:
+    """Return the scene of a foot instead of a cube on a board; it can be sent to another process."""
+    return foot_scene(foot, friction=friction, **options)
 
 
 def _scenario(
@@ -144,14 +133,10 @@ def _source(law: str, foot: FootGeometry) -> str:
 # --- readings --------------------------------------------------------------------------------------------------------
 
 
-def _along_mm(rollout: Rollout) -> FloatArray:
-    """Return displacements of the foot in the frame of the ground [mm], shape [sample_count, 3]; x is downhill."""
-    ground = rollout.scene.body(GROUND).pose.rotation
-    return np.asarray(1e3 * ground.apply(rollout.displacement(FOOT), inverse=True))
-
-
 def _downhill_mm(rollout: Rollout) -> FloatArray:
-    return _along_mm(rollout)[:, 0]
+    """Return displacements of the foot down the ground [mm], shape [sample_count]."""
+    ground = rollout.scene.body(GROUND).pose.rotation
+    return np.asarray(1e3 * ground.apply(rollout.displacement(FOOT), inverse=True)[:, 0])
 
 
 def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
@@ -161,26 +146,18 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
     return np.asarray(1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2]))
 
 
-def _acceleration(rollout: Rollout) -> PhenomenonValue:
-    return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
+def _heights(foot: FootGeometry) -> Trace:
+    return Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot))
 
 
 # --- on a slope ------------------------------------------------------------------------------------------------------
 
 
-def _creep(foot: FootGeometry) -> Phenomenon:
+def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the creep of a foot at rest on a slope."""
     scenario = _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False)
     bound = creep_bound_mm_per_s(scenario.variant)
-
-    def read(rollout: Rollout) -> PhenomenonValue:
-        late = rollout.between(SETTLED_S, HOLD_S)
-        return PhenomenonValue(value=float(np.polyfit(rollout.times_s[late], _downhill_mm(rollout)[late], 1)[0]))
-
-    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.zeros_like(times_s), bound * times_s
-
     return Phenomenon(
-        id="foot-creep",
         title=f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
         quantity="creep",
         scenario=scenario,
@@ -193,51 +170,42 @@ def _creep(foot: FootGeometry) -> Phenomenon:
         ),
         needs_friction=True,
         needs_foot=True,
-        read=read,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
+        value=lambda rollout: creep_mm_per_s(rollout, _downhill_mm(rollout)),
+        trace=creep_trace(_downhill_mm, bound),
     )
 
 
-def _push(foot: FootGeometry) -> Phenomenon:
-    slope = float(np.degrees(np.arctan(PUSH * _friction())))
+def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot that is pushed a little more than its friction holds."""
     return _sliding(
         foot,
-        name="foot-push",
+        kind="push",
         title=f"foot of the robot: acceleration when pushed with {PUSH:g} times its friction",
         law=f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N",
-        slope_deg=slope,
+        slope_deg=float(np.degrees(np.arctan(PUSH * _friction()))),
     )
 
 
-def _slide(foot: FootGeometry) -> Phenomenon:
+def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot on a steep slope."""
     return _sliding(
         foot,
-        name="foot-slide",
+        kind="slide",
         title=f"foot of the robot: acceleration on {SLIDE_DEG:.0f} degrees",
         law=f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)",
         slope_deg=SLIDE_DEG,
     )
 
 
-def _sliding(foot: FootGeometry, *, name: str, title: str, law: str, slope_deg: float) -> Phenomenon:
-    trials = facts("slope_slider_30deg_summary")[MATERIAL]["acceleration_m_s2"]
-    slope = np.radians(slope_deg)
+def _sliding(foot: FootGeometry, *, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
+    cube = facts("slope_slider_30deg_summary")[MATERIAL]
+    trials, slope = cube["acceleration_m_s2"], np.radians(slope_deg)
     value = GRAVITY_M_PER_S2 * float(np.sin(slope) - _friction() * np.cos(slope))
-    real = Reality.measured(
-        trials["mean"],
-        scatter=trials["std"],
-        trial_count=facts("slope_slider_30deg_summary")[MATERIAL]["trial_count"],
-        source="",
-    )
-
-    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return 500.0 * value * times_s**2, 500.0 * real.tolerance * times_s**2
-
+    real = Reality.measured(trials["mean"], scatter=trials["std"], trial_count=cube["trial_count"], source="")
     return Phenomenon(
-        id=name,
         title=title,
         quantity="acceleration",
-        scenario=_scenario(name.removeprefix("foot-"), foot, seconds=SLIDE_S, slope_deg=slope_deg),
+        scenario=_scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg),
         unit="m/s^2",
         reality=Reality.law(
             value,
@@ -247,8 +215,8 @@ def _sliding(foot: FootGeometry, *, name: str, title: str, law: str, slope_deg: 
         ),
         needs_friction=True,
         needs_foot=True,
-        read=_acceleration,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
+        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)),
+        trace=slide_trace(_downhill_mm, value, real.tolerance),
     )
 
 
@@ -259,16 +227,9 @@ def _landing(foot: FootGeometry) -> Scenario:
     return _scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M)
 
 
-def _fall_s() -> float:
-    return float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2))
-
-
-def _depth(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=-float(_lowest_mm(rollout, foot).min()))
-
+def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the depth of a foot in the ground after a drop."""
     return Phenomenon(
-        id="foot-landing-depth",
         title=f"foot of the robot: depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
         quantity="depth",
         scenario=_landing(foot),
@@ -280,20 +241,20 @@ def _depth(foot: FootGeometry) -> Phenomenon:
             rationale="a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
         ),
         needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=lambda rollout: -_lowest_mm(rollout, foot).min(),
+        trace=_heights(foot),
     )
 
 
-def _rebound(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
+def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the speed of a foot after a landing over that before."""
+
+    def ratio(rollout: Rollout) -> float:
         heights = _lowest_mm(rollout, foot)
-        landed = int(np.argmin(heights))
-        hop = max(float(heights[landed:].max()), 0.0)
-        return PhenomenonValue(value=float(np.sqrt(hop / (1e3 * DROP_M))))
+        hop = max(float(heights[int(np.argmin(heights)) :].max()), 0.0)
+        return float(np.sqrt(hop / (1e3 * DROP_M)))
 
     return Phenomenon(
-        id="foot-rebound",
         title="foot of the robot: speed after a landing over that before",
         quantity="rebound",
         scenario=_landing(foot),
@@ -306,20 +267,23 @@ def _rebound(foot: FootGeometry) -> Phenomenon:
         ),
         is_impact=True,
         needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=ratio,
+        trace=_heights(foot),
     )
 
 
-def _rest(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
+def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the time of a foot from a landing to rest."""
+
+    def last_s(rollout: Rollout) -> float:
+        """Return the last time at which the foot moves [s]."""
         moving = np.flatnonzero(np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S)
-        last = float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
-        failure = "it still moves at the end" if last > rollout.times_s[-1] - STILL_S else ""
-        return PhenomenonValue(value=max(last - _fall_s(), 0.0), failure=failure)
+        return float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
+
+    def failure(rollout: Rollout) -> str:
+        return "it still moves at the end" if last_s(rollout) > rollout.times_s[-1] - STILL_S else ""
 
     return Phenomenon(
-        id="foot-rest",
         title="foot of the robot: time from a landing to rest",
         quantity="time",
         scenario=_landing(foot),
@@ -331,13 +295,7 @@ def _rest(foot: FootGeometry) -> Phenomenon:
             rationale="the stance of a trot; a foot that lands longer never rests before the next step",
         ),
         needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=lambda rollout: max(last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0),
+        failure=failure,
+        trace=_heights(foot),
     )
-
-
-def with_foot(phenomenon: Phenomenon, foot: FootGeometry | None) -> Phenomenon:
-    """Return a row with the foot of a target; rows on other objects are unchanged."""
-    if foot is None or not phenomenon.needs_foot:
-        return phenomenon
-    return next(one for one in foot_phenomena(foot) if one.id == phenomenon.id)

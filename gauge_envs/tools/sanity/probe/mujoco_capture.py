@@ -13,23 +13,17 @@ NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mj
 
 FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 
-ARRAYS = (
-    *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_mocapid"),
-    *("jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range"),
-    *(
-        "geom_bodyid",
-        "geom_contype",
-        "geom_conaffinity",
-        "geom_condim",
-        "geom_priority",
-        "geom_solmix",
-        "geom_friction",
-    ),
-    *("geom_solref", "geom_solimp", "geom_margin", "geom_gap", "geom_size", "geom_pos", "geom_quat", "geom_rbound"),
-    *("pair_dim", "pair_geom1", "pair_geom2", "pair_friction", "pair_solref", "pair_solreffriction", "pair_solimp"),
-    *("pair_margin", "pair_gap", "exclude_signature"),
-)
-"""Arrays of a compiled model of MuJoCo that are written as they are."""
+ARRAYS = {
+    **{"body_parentid": 1, "body_pos": 3, "body_quat": 4, "body_mass": 1, "body_ipos": 3, "body_iquat": 4},
+    **{"body_inertia": 3, "body_mocapid": 1},
+    **{"jnt_type": 1, "jnt_bodyid": 1, "jnt_pos": 3, "jnt_axis": 3, "jnt_limited": 1, "jnt_range": 2},
+    **{"geom_bodyid": 1, "geom_contype": 1, "geom_conaffinity": 1, "geom_condim": 1, "geom_priority": 1},
+    **{"geom_solmix": 1, "geom_friction": 3, "geom_solref": 2, "geom_solimp": 5, "geom_margin": 1, "geom_gap": 1},
+    **{"geom_size": 3, "geom_pos": 3, "geom_quat": 4, "geom_rbound": 1},
+    **{"pair_dim": 1, "pair_geom1": 1, "pair_geom2": 1, "pair_friction": 5, "pair_solref": 2},
+    **{"pair_solreffriction": 2, "pair_solimp": 5, "pair_margin": 1, "pair_gap": 1, "exclude_signature": 1},
+}
+"""Arrays of a compiled model of MuJoCo that are written as they are, with their number of columns."""
 
 MESHES = ("mjGEOM_MESH", "mjGEOM_SDF")
 
