@@ -44,10 +44,7 @@ class Subject:
 
 
 def subject_of(measurements: Measurements, configuration: TrainingConfiguration, phenomenon: Phenomenon) -> Subject:
-    """Return a phenomenon with the sets of contact constants that it applies to.
-
-    An impact is advisory unless the target states a constant for it.
-    """
+    """Return a phenomenon with the sets of contact constants that it applies to."""
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
             return Subject(phenomenon=phenomenon, inapplicable=configuration.inapplicable[need])
@@ -68,16 +65,24 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
         if not sets:
             reason = f"condim 1: contacts of {'; '.join(frictionless) or 'the target'} have no friction on purpose"
             return Subject(phenomenon=phenomenon, inapplicable=reason)
-    advisory = phenomenon.advisory
+    if phenomenon.is_impact:
+        return _impact(measurements, configuration, phenomenon, sets)
+    return Subject(phenomenon=phenomenon, sets=sets, advisory=phenomenon.advisory)
+
+
+def _impact(
+    measurements: Measurements,
+    configuration: TrainingConfiguration,
+    phenomenon: Phenomenon,
+    sets: Mapping[str, Mapping[str, Any]],
+) -> Subject:
+    """Return an impact, which is advisory unless the target states a constant for it."""
     foot = configuration.foot_contact
-    if phenomenon.is_impact and foot is not None and not any(foot.restitution):
-        advisory = "the target states a restitution of 0"
-    elif phenomenon.is_impact:
-        stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
-        if not stating:
-            advisory = "the target states no impact constant: its contacts are critically damped or stiffer"
-        sets = stating or sets
-    return Subject(phenomenon=phenomenon, sets=sets, advisory=advisory)
+    if foot is not None and not any(foot.restitution):
+        return Subject(phenomenon=phenomenon, sets=sets, advisory="the target states a restitution of 0")
+    stating = {geoms: s for geoms, s in sets.items() if _states_impact(measurements, phenomenon, s)}
+    reason = "the target states no impact constant: its contacts are critically damped or stiffer"
+    return Subject(phenomenon=phenomenon, sets=stating or sets, advisory="" if stating else reason)
 
 
 def worst_of(outcomes: Mapping[str, Measured]) -> tuple[str, Measured]:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -61,15 +62,16 @@ def read_motion(file: Path, scene: ExportedScene) -> Rollout:
         file: The file, with the columns of `COLUMNS` in any order.
         scene: The scene.
     """
-    times, states = _table(file, scene)
-    interval_s = _interval_s(file, times, scene)
+    motion = _Motion(file, scene)
+    times, states = motion.table()
+    interval_s = motion.interval_s(times)
     count = round(scene.scenario.seconds / interval_s) + 1
     numbers = np.stack([states[name] for name in scene.recorded])
-    _check_finite(file, scene, times, numbers)
+    motion.check_finite(times, numbers)
     for index, name in enumerate(scene.recorded):
-        _check_start(file, scene.scenario.scene.body(name), numbers[index, 0])
+        motion.check_start(scene.scenario.scene.body(name), numbers[index, 0])
     rollout = _rollout(scene, interval_s, numbers[:, :count])
-    _check_speed(file, rollout, scene)
+    _check_speed(rollout)
     return rollout
 
 
@@ -87,157 +89,141 @@ def driver_misses(rollout: Rollout) -> dict[str, tuple[float, float]]:
     return misses
 
 
-# --- table -----------------------------------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class _Motion:
+    """A motion file and the scene that it must show."""
 
+    file: Path
+    scene: ExportedScene
 
-def _table(file: Path, scene: ExportedScene) -> tuple[FloatArray, dict[str, FloatArray]]:
-    """Return the times [s], shape [sample_count], and the other columns by body, shape [sample_count, 7 or 10]."""
-    rows = _rows(file)
-    order = _columns(file, rows[0])
-    known = set(scene.recorded)
-    samples: dict[str, list[list[float]]] = {name: [] for name in scene.recorded}
-    for line, fields in enumerate(rows[1:], start=2):
-        if not fields:
-            continue
-        if len(fields) != len(rows[0]):
-            raise TrajectoryFileError(f"{file}: line {line}: {len(fields)} columns, the header has {len(rows[0])}")
-        name = fields[order[1]].strip()
-        if name not in known:
-            names = ", ".join(sorted(known)[:8]) + (", ..." if len(known) > 8 else "")
-            raise TrajectoryFileError(
-                f"{file}: line {line}: {name!r} is no recorded body of this scene: it has {names}"
+    def error(self, text: str) -> TrajectoryFileError:
+        """Return an error about the file."""
+        return TrajectoryFileError(f"{self.file}: {text}")
+
+    def table(self) -> tuple[FloatArray, dict[str, FloatArray]]:
+        """Return the times [s], shape [sample_count], and other columns by body, shape [sample_count, 7 or 10]."""
+        header, *rows = self._rows()
+        order = self._columns(header)
+        samples: dict[str, list[list[float]]] = {name: [] for name in self.scene.recorded}
+        for line, fields in enumerate(rows, start=2):
+            if not fields:
+                continue
+            if len(fields) != len(header):
+                raise self.error(f"line {line}: {len(fields)} columns, the header has {len(header)}")
+            name = fields[order[1]].strip()
+            if name not in samples:
+                names = ", ".join(sorted(samples)[:8]) + (", ..." if len(samples) > 8 else "")
+                raise self.error(f"line {line}: {name!r} is no recorded body of this scene: it has {names}")
+            columns = [order[0], *order[2:]]
+            samples[name].append([self._number(line, header[i], fields[i]) for i in columns])
+        first = self.scene.recorded[0]
+        for name, values in samples.items():
+            if len(values) != len(samples[first]) or not values:
+                raise self.error(
+                    f"body {name!r} has {len(values)} rows and {first!r} has {len(samples[first])}: write one row for "
+                    "each recorded body at each sample"
+                )
+        arrays = {name: np.array(values, dtype=np.float64) for name, values in samples.items()}
+        times = arrays[first][:, 0]
+        for name, array in arrays.items():
+            if not np.array_equal(array[:, 0], times, equal_nan=True):
+                row = int((array[:, 0] != times).argmax())
+                raise self.error(
+                    f"sample {row} of {name!r} is at {array[row, 0]:g} s, that of {first!r} at {times[row]:g} s: write "
+                    "all bodies at the same times"
+                )
+        return times, {name: array[:, 1:] for name, array in arrays.items()}
+
+    def _rows(self) -> list[list[str]]:
+        try:
+            text = read_regular(self.file, MOST_BYTES).decode("utf-8-sig")
+            rows = list(csv.reader(io.StringIO(text, newline="")))
+        except OSError as error:
+            raise self.error(f"cannot be read: {error.strerror or error}") from None
+        except (UnicodeDecodeError, csv.Error) as error:
+            raise self.error(f"is no CSV file in UTF-8: {error}") from None
+        if len(rows) < 2:
+            raise self.error("has no rows; it needs a header, and a row for each body and sample")
+        return rows
+
+    def _columns(self, header: Sequence[str]) -> list[int]:
+        """Return the place of each column of `COLUMNS` in a header, without the velocities if it has none."""
+        names = [name.strip() for name in header]
+        wanted = COLUMNS if any(name in names for name in COLUMNS[9:]) else REQUIRED
+        faults = [f"column {name!r} appears twice" for name in names if names.count(name) > 1]
+        faults += [f"unknown column {name[:40]!r}" for name in names if name not in COLUMNS]
+        faults += [f"no column {name!r}" for name in wanted if name not in names]
+        if faults:
+            expected = f"expected the header {','.join(REQUIRED)}, and {','.join(COLUMNS[9:])} if you have them"
+            raise self.error(f"line 1: {faults[0]}; {expected}")
+        return [names.index(name) for name in wanted]
+
+    def _number(self, line: int, column: str, text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            shown = text if len(text) <= 40 else f"{text[:37]}..."
+            raise self.error(f"line {line}: {column.strip()} is {shown!r}, expected a number") from None
+
+    def interval_s(self, times_s: FloatArray) -> float:
+        """Return the interval of evenly spaced times that cover the scene [s]."""
+        seconds, longest_s = self.scene.scenario.seconds, self.scene.scenario.interval_s
+        rate = f"write a sample at least every {longest_s:.3g} s, or every step if it is longer"
+        if not np.isfinite(times_s).all():
+            row = int((~np.isfinite(times_s)).argmax())
+            raise self.error(f"sample {row}: time_s is {times_s[row]}, expected a finite number")
+        if abs(times_s[0]) > ROUNDED_S:
+            raise self.error(
+                f"the first sample is at {times_s[0]:g} s, expected 0: write the start before the first step"
             )
-        columns = [order[0], *order[2:]]
-        samples[name].append([_number(file, line, rows[0][i], fields[i]) for i in columns])
-    first = scene.recorded[0]
-    for name, values in samples.items():
-        if len(values) != len(samples[first]) or not values:
-            raise TrajectoryFileError(
-                f"{file}: body {name!r} has {len(values)} rows and {first!r} has {len(samples[first])}: write one row "
-                "for each recorded body at each sample"
+        if len(times_s) < 3:
+            raise self.error(f"{len(times_s)} samples; {seconds:g} s are needed, {rate}")
+        interval_s = float(times_s[-1] / (len(times_s) - 1))
+        if interval_s <= 0.0:
+            raise self.error(f"the times do not increase: the last one is {times_s[-1]:g} s")
+        even = interval_s * np.arange(len(times_s))
+        uneven = np.abs(times_s - even) > UNEVEN * interval_s + ROUNDED_S
+        if uneven.any():
+            row = int(uneven.argmax())
+            raise self.error(
+                f"sample {row} is at {times_s[row]:g} s, evenly spaced samples have {even[row]:g} s there: write a "
+                "sample every step, or every so many steps"
             )
-    arrays = {name: np.array(values, dtype=np.float64) for name, values in samples.items()}
-    times = arrays[first][:, 0]
-    for name, array in arrays.items():
-        if not np.array_equal(array[:, 0], times, equal_nan=True):
-            row = int((array[:, 0] != times).argmax())
-            raise TrajectoryFileError(
-                f"{file}: sample {row} of {name!r} is at {array[row, 0]:g} s, that of {first!r} at {times[row]:g} s: "
-                "write all bodies at the same times"
+        if interval_s > LONGEST_INTERVAL_S + ROUNDED_S:
+            raise self.error(f"one sample in {interval_s:.3g} s is too few; {rate}")
+        if times_s[-1] < seconds - 0.5 * interval_s - ROUNDED_S:
+            raise self.error(f"the samples end at {times_s[-1]:g} s; {seconds:g} s are needed")
+        return interval_s
+
+    def check_finite(self, times_s: FloatArray, numbers: FloatArray) -> None:
+        """Raise an error for numbers that are not finite or huge, shape [body_count, sample_count, width]."""
+        bad = ~(np.abs(numbers) <= LARGEST)
+        if bad.any():
+            body, row, column = (int(index) for index in np.argwhere(bad)[bad.nonzero()[1].argmin()])
+            raise DivergedError(
+                f"{self.file.parent.name}/{self.file.name}: {COLUMNS[2 + column]} of {self.scene.recorded[body]!r} is "
+                f"{numbers[body, row, column]:g} at {times_s[row]:.3g} s"
             )
-    return times, {name: array[:, 1:] for name, array in arrays.items()}
 
-
-def _rows(file: Path) -> list[list[str]]:
-    try:
-        text = read_regular(file, MOST_BYTES).decode("utf-8-sig")
-        rows = list(csv.reader(io.StringIO(text, newline="")))
-    except OSError as error:
-        raise TrajectoryFileError(f"{file}: cannot be read: {error.strerror or error}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise TrajectoryFileError(f"{file}: is no CSV file in UTF-8: {error}") from None
-    if len(rows) < 2:
-        raise TrajectoryFileError(f"{file}: has no rows; it needs a header, and a row for each body and sample")
-    return rows
-
-
-def _columns(file: Path, header: Sequence[str]) -> list[int]:
-    """Return the place of each column of `COLUMNS` in a header, without the velocities if it has none."""
-    names = [name.strip() for name in header]
-    expected = f"expected the header {','.join(REQUIRED)}, and {','.join(COLUMNS[9:])} if you have them"
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice is not None:
-        raise TrajectoryFileError(f"{file}: line 1: column {twice!r} appears twice; {expected}")
-    unknown = next((name for name in names if name not in COLUMNS), None)
-    if unknown is not None:
-        raise TrajectoryFileError(f"{file}: line 1: unknown column {unknown[:40]!r}; {expected}")
-    wanted = COLUMNS if any(name in names for name in COLUMNS[9:]) else REQUIRED
-    missing = next((name for name in wanted if name not in names), None)
-    if missing is not None:
-        raise TrajectoryFileError(f"{file}: line 1: no column {missing!r}; {expected}")
-    return [names.index(name) for name in wanted]
-
-
-def _number(file: Path, line: int, column: str, text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        shown = text if len(text) <= 40 else f"{text[:37]}..."
-        raise TrajectoryFileError(f"{file}: line {line}: {column.strip()} is {shown!r}, expected a number") from None
-    return value
-
-
-# --- times -----------------------------------------------------------------------------------------------------------
-
-
-def _interval_s(file: Path, times_s: FloatArray, scene: ExportedScene) -> float:
-    """Return the interval of evenly spaced times that cover the scene [s]."""
-    seconds = scene.scenario.seconds
-    if not np.isfinite(times_s).all():
-        row = int((~np.isfinite(times_s)).argmax())
-        raise TrajectoryFileError(f"{file}: sample {row}: time_s is {times_s[row]}, expected a finite number")
-    if abs(times_s[0]) > ROUNDED_S:
-        raise TrajectoryFileError(
-            f"{file}: the first sample is at {times_s[0]:g} s, expected 0: write the start before the first step"
-        )
-    if len(times_s) < 3:
-        raise TrajectoryFileError(f"{file}: {len(times_s)} samples; {seconds:g} s are needed, {_rate(scene)}")
-    interval_s = float(times_s[-1] / (len(times_s) - 1))
-    if interval_s <= 0.0:
-        raise TrajectoryFileError(f"{file}: the times do not increase: the last one is {times_s[-1]:g} s")
-    even = interval_s * np.arange(len(times_s))
-    uneven = np.abs(times_s - even) > UNEVEN * interval_s + ROUNDED_S
-    if uneven.any():
-        row = int(uneven.argmax())
-        raise TrajectoryFileError(
-            f"{file}: sample {row} is at {times_s[row]:g} s, evenly spaced samples have {even[row]:g} s there: write a "
-            "sample every step, or every so many steps"
-        )
-    if interval_s > LONGEST_INTERVAL_S + ROUNDED_S:
-        raise TrajectoryFileError(f"{file}: one sample in {interval_s:.3g} s is too few; {_rate(scene)}")
-    if times_s[-1] < seconds - 0.5 * interval_s - ROUNDED_S:
-        raise TrajectoryFileError(f"{file}: the samples end at {times_s[-1]:g} s; {seconds:g} s are needed")
-    return interval_s
-
-
-def _rate(scene: ExportedScene) -> str:
-    return f"write a sample at least every {scene.scenario.interval_s:.3g} s, or every step if it is longer"
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
-
-
-def _check_finite(file: Path, scene: ExportedScene, times_s: FloatArray, numbers: FloatArray) -> None:
-    """Raise an error for numbers that are not finite or huge, shape [body_count, sample_count, width]."""
-    bad = ~(np.abs(numbers) <= LARGEST)
-    if bad.any():
-        body, row, column = (int(index) for index in np.argwhere(bad)[bad.nonzero()[1].argmin()])
-        raise DivergedError(
-            f"{file.parent.name}/{file.name}: {COLUMNS[2 + column]} of {scene.recorded[body]!r} is "
-            f"{numbers[body, row, column]:g} at {times_s[row]:.3g} s"
-        )
-
-
-def _check_start(file: Path, body: RigidBody, numbers: FloatArray) -> None:
-    """Raise an error if a body does not start as in the scene; numbers have the shape [7 or 10]."""
-    place, quaternion = numbers[:3], numbers[3:7]
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > UNIT_LENGTH:
-        raise TrajectoryFileError(f"{file}: the first quaternion of {body.name!r} has the length {length:.3g}, not 1")
-    apart = place - np.asarray(body.pose.position_m)
-    if np.linalg.norm(apart) > SAME_PLACE_M:
-        raise TrajectoryFileError(
-            f"{file}: {body.name!r} starts at {_text(place)} m, in the scene at {_text(body.pose.position_m)} m: write "
-            "the start before the first step, in metres, of the body's origin and not of its centre of mass"
-        )
-    if _angle_rad(body.pose, quaternion) > SAME_ANGLE_RAD:
-        moved = np.roll(quaternion, 1)
-        hint = "write w first" if _angle_rad(body.pose, moved) <= SAME_ANGLE_RAD else "check its frame and its order"
-        order = "x, y, z, w" if hint == "write w first" else "another order or frame"
-        raise TrajectoryFileError(
-            f"{file}: {body.name!r} starts with the quaternion {_text(quaternion)}, in the scene with "
-            f"{_text(body.pose.quaternion)} (w, x, y, z): the file seems to have {order}; {hint}"
-        )
+    def check_start(self, body: RigidBody, numbers: FloatArray) -> None:
+        """Raise an error if a body does not start as in the scene; numbers have the shape [7 or 10]."""
+        place, quaternion = numbers[:3], numbers[3:7]
+        length = float(np.linalg.norm(quaternion))
+        if abs(length - 1.0) > UNIT_LENGTH:
+            raise self.error(f"the first quaternion of {body.name!r} has the length {length:.3g}, not 1")
+        if np.linalg.norm(place - np.asarray(body.pose.position_m)) > SAME_PLACE_M:
+            raise self.error(
+                f"{body.name!r} starts at {_text(place)} m, in the scene at {_text(body.pose.position_m)} m: write the "
+                "start before the first step, in metres, of the body's origin and not of its centre of mass"
+            )
+        if _angle_rad(body.pose, quaternion) > SAME_ANGLE_RAD:
+            order, hint = "another order or frame", "check its frame and its order"
+            if _angle_rad(body.pose, np.roll(quaternion, 1)) <= SAME_ANGLE_RAD:
+                order, hint = "x, y, z, w", "write w first"
+            raise self.error(
+                f"{body.name!r} starts with the quaternion {_text(quaternion)}, in the scene with "
+                f"{_text(body.pose.quaternion)} (w, x, y, z): the file seems to have {order}; {hint}"
+            )
 
 
 def _angle_rad(pose: Pose, quaternion: NDArray[np.float64]) -> float:
@@ -245,11 +231,11 @@ def _angle_rad(pose: Pose, quaternion: NDArray[np.float64]) -> float:
     return float((other * pose.rotation.inv()).magnitude())
 
 
-def _text(numbers: Sequence[float] | FloatArray) -> str:
+def _text(numbers: Iterable[float]) -> str:
     return f"({', '.join(f'{number:.4g}' for number in numbers)})"
 
 
-def _check_speed(file: Path, rollout: Rollout, scene: ExportedScene) -> None:
+def _check_speed(rollout: Rollout) -> None:
     """Raise an error if a dynamic body is faster along an axis than the scene allows."""
     limit = rollout.scene.speed_limit_m_per_s
     for body in rollout.scene.dynamic_bodies:
@@ -262,9 +248,6 @@ def _check_speed(file: Path, rollout: Rollout, scene: ExportedScene) -> None:
                 f"after {rollout.times_s[row + 1]:.3g} s {body.name!r} moves at {speeds[row]:.3g} m/s; the scene "
                 f"allows {limit:.3g} m/s at most"
             )
-
-
-# --- rollout ---------------------------------------------------------------------------------------------------------
 
 
 def _rollout(scene: ExportedScene, interval_s: float, numbers: FloatArray) -> Rollout:

@@ -16,8 +16,8 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.tools.conformance.laws import hann_mean
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded, recorded_reality, rigid_law
 from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded, recorded_reality, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
 
 # --- cloth -----------------------------------------------------------------------------------------------------------
@@ -97,7 +97,7 @@ def cloth_sag() -> Phenomenon:
             source=f"rho g (L s - s^2 / 2) / K_s with the measured K_s = {cloth.stretch_stiffness_n_per_m:.1f} N/m",
             rationale=f"{SAG_TOLERANCE:.0%} of the sag: an effective stiffness that is off by as much",
         ),
-        value=lambda rollout: hann_mean(sag_mm(rollout)[rollout.between(HANGING_S, HANG_S)]),
+        value=lambda rollout: float(hann_mean(sag_mm(rollout)[rollout.between(HANGING_S, HANG_S)])),
         trace=Trace(label="sag of the lowest markers [mm]", values=sag_mm, is_level=True),
     )
 

@@ -6,25 +6,25 @@ board. Without a configuration, the rows have the foot of a small quadruped.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.friction import (
     HOLD_S,
     SLIDE_S,
-    creep_bound_mm_per_s,
-    creep_mm_per_s,
-    creep_trace,
-    slide_trace,
+    creeping,
+    real_friction,
+    real_slides,
+    sliding,
 )
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
@@ -113,21 +113,16 @@ def _scenario(
         name=f"foot-{kind}-{foot.digest}",
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
-        change=partial(_replaced, foot=foot, friction=_friction(), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds),
+        change=partial(
+            _replaced, foot=foot, friction=real_friction(MATERIAL), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
+        ),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 
 
-def _friction() -> float:
-    """Return the friction that real slides of the wooden cube show."""
-    return float(facts("slope_slider_30deg_summary")[MATERIAL]["friction"]["mean"])
-
-
 def _source(law: str, foot: FootGeometry) -> str:
-    return (
-        f"{law}; extrapolated: mu = {_friction():.3f} is that of the measured cube of {MATERIAL}; the foot is "
-        f"{foot.description}; {foot.assumption}"
-    )
+    cube = f"mu = {real_friction(MATERIAL):.3f} is that of the measured cube of {MATERIAL}"
+    return f"{law}; extrapolated: {cube}; the foot is {foot.description}; {foot.assumption}"
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
@@ -146,93 +141,65 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
     return np.asarray(1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2]))
 
 
-def _heights(foot: FootGeometry) -> Trace:
-    return Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot))
-
-
 # --- on a slope ------------------------------------------------------------------------------------------------------
 
 
 def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the creep of a foot at rest on a slope."""
-    scenario = _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False)
-    bound = creep_bound_mm_per_s(scenario.variant)
-    return Phenomenon(
-        title=f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
-        quantity="creep",
-        scenario=scenario,
-        unit="mm/s",
-        reality=Reality.law(
-            0.0,
-            tolerance=bound,
-            source=_source("Coulomb, tan 10 deg < mu", foot),
-            rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
-        ),
-        needs_friction=True,
-        needs_foot=True,
-        value=lambda rollout: creep_mm_per_s(rollout, _downhill_mm(rollout)),
-        trace=creep_trace(_downhill_mm, bound),
+    made = creeping(
+        f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
+        _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False),
+        _downhill_mm,
+        source=_source("Coulomb, tan 10 deg < mu", foot),
+        rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
+    return replace(made, needs_foot=True)
 
 
 def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot that is pushed a little more than its friction holds."""
-    return _sliding(
-        foot,
-        kind="push",
-        title=f"foot of the robot: acceleration when pushed with {PUSH:g} times its friction",
-        law=f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N",
-        slope_deg=float(np.degrees(np.arctan(PUSH * _friction()))),
-    )
+    title = f"acceleration when pushed with {PUSH:g} times its friction"
+    law = f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N"
+    return _sliding(foot, "push", title, law, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
 
 
 def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot on a steep slope."""
-    return _sliding(
-        foot,
-        kind="slide",
-        title=f"foot of the robot: acceleration on {SLIDE_DEG:.0f} degrees",
-        law=f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)",
-        slope_deg=SLIDE_DEG,
-    )
+    law = f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)"
+    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", law, SLIDE_DEG)
 
 
-def _sliding(foot: FootGeometry, *, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
-    cube = facts("slope_slider_30deg_summary")[MATERIAL]
-    trials, slope = cube["acceleration_m_s2"], np.radians(slope_deg)
-    value = GRAVITY_M_PER_S2 * float(np.sin(slope) - _friction() * np.cos(slope))
-    real = Reality.measured(trials["mean"], scatter=trials["std"], trial_count=cube["trial_count"], source="")
-    return Phenomenon(
-        title=title,
-        quantity="acceleration",
-        scenario=_scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg),
-        unit="m/s^2",
-        reality=Reality.law(
-            value,
-            tolerance=real.tolerance,
-            source=_source(law, foot),
-            rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
-        ),
-        needs_friction=True,
-        needs_foot=True,
-        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)),
-        trace=slide_trace(_downhill_mm, value, real.tolerance),
+def _sliding(foot: FootGeometry, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
+    slope = np.radians(slope_deg)
+    real = Reality.law(
+        GRAVITY_M_PER_S2 * float(np.sin(slope) - real_friction(MATERIAL) * np.cos(slope)),
+        tolerance=real_slides(MATERIAL).tolerance,
+        source=_source(law, foot),
+        rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
     )
+    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
+    return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
 
 
-def _landing(foot: FootGeometry) -> Scenario:
-    return _scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M)
+def _landed(foot: FootGeometry, **attributes: Any) -> Phenomenon:
+    """Return a row on a foot that was dropped."""
+    return Phenomenon(
+        scenario=_scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M),
+        needs_foot=True,
+        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        **attributes,
+    )
 
 
 def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the depth of a foot in the ground after a drop."""
-    return Phenomenon(
+    return _landed(
+        foot,
         title=f"foot of the robot: depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
         quantity="depth",
-        scenario=_landing(foot),
         unit="mm",
         reality=Reality.law(
             0.0,
@@ -240,9 +207,7 @@ def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
             source=_source("rigid bodies do not overlap", foot),
             rationale="a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
         ),
-        needs_foot=True,
         value=lambda rollout: -_lowest_mm(rollout, foot).min(),
-        trace=_heights(foot),
     )
 
 
@@ -254,10 +219,10 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
         hop = max(float(heights[int(np.argmin(heights)) :].max()), 0.0)
         return float(np.sqrt(hop / (1e3 * DROP_M)))
 
-    return Phenomenon(
+    return _landed(
+        foot,
         title="foot of the robot: speed after a landing over that before",
         quantity="rebound",
-        scenario=_landing(foot),
         unit="1",
         reality=Reality.law(
             0.0,
@@ -266,9 +231,7 @@ def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
             rationale=f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
         ),
         is_impact=True,
-        needs_foot=True,
         value=ratio,
-        trace=_heights(foot),
     )
 
 
@@ -283,10 +246,10 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     def failure(rollout: Rollout) -> str:
         return "it still moves at the end" if last_s(rollout) > rollout.times_s[-1] - STILL_S else ""
 
-    return Phenomenon(
+    return _landed(
+        foot,
         title="foot of the robot: time from a landing to rest",
         quantity="time",
-        scenario=_landing(foot),
         unit="s",
         reality=Reality.law(
             0.0,
@@ -294,8 +257,6 @@ def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
             source=_source("a foot that steps stays on the ground", foot),
             rationale="the stance of a trot; a foot that lands longer never rests before the next step",
         ),
-        needs_foot=True,
         value=lambda rollout: max(last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0),
         failure=failure,
-        trace=_heights(foot),
     )

@@ -17,8 +17,8 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, position_scatter_mm, recorded, rigid_law
 from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, position_scatter_mm, recorded, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
 
 HOLD_S, SETTLED_S = 1.0, 0.5
@@ -70,40 +70,48 @@ def creep_bound_mm_per_s(variant: str) -> float:
     return float(np.sqrt(24.0 * PRINTED_MM * rmse.mean)) * 30.0 / (rmse.frames - 1)
 
 
-def creep_mm_per_s(rollout: Rollout, downhill_mm: FloatArray) -> float:
-    """Return the speed of a body that has settled [mm/s], from its displacement downhill [mm]."""
-    late = rollout.between(SETTLED_S, HOLD_S)
-    return float(np.polyfit(rollout.times_s[late], downhill_mm[late], 1)[0])
+def creeping(
+    title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], source: str, rationale: str
+) -> Phenomenon:
+    """Return the creep of a body at rest on a slope.
 
+    Args:
+        title: Title.
+        scenario: Scenario of the body.
+        downhill_mm: Function from a rollout to the displacement downhill [mm], shape [sample_count].
+        source: The law.
+        rationale: Reason for the bound that the published scores of a real cube give.
+    """
+    bound = creep_bound_mm_per_s(scenario.variant)
 
-def creep_trace(downhill_mm: Callable[[Rollout], FloatArray], bound_mm_per_s: float) -> Trace:
-    """Return the displacement downhill over time, with the fastest creep that real cubes allow."""
+    def speed_mm_per_s(rollout: Rollout) -> float:
+        late = rollout.between(SETTLED_S, HOLD_S)
+        return float(np.polyfit(rollout.times_s[late], downhill_mm(rollout)[late], 1)[0])
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.zeros_like(times_s), bound_mm_per_s * times_s
+        return np.zeros_like(times_s), bound * times_s
 
-    return Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality)
+    return Phenomenon(
+        title=title,
+        quantity="creep",
+        scenario=scenario,
+        unit="mm/s",
+        reality=Reality.law(0.0, tolerance=bound, source=source, rationale=rationale),
+        needs_friction=True,
+        value=speed_mm_per_s,
+        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
+    )
 
 
 def creep(material: str) -> Phenomenon:
     """Return the creep of a cube at rest."""
-    scenario = _hold_scenario(material)
-    bound = creep_bound_mm_per_s(scenario.variant)
-    return Phenomenon(
-        title=f"static friction, {material}: creep on 10 degrees",
-        quantity="creep",
-        scenario=scenario,
-        unit="mm/s",
-        reality=Reality.law(
-            0.0,
-            tolerance=bound,
-            source="Coulomb, tan 10 deg < mu",
-            rationale=f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
-            "which allows no faster creep",
-        ),
-        needs_friction=True,
-        value=lambda rollout: creep_mm_per_s(rollout, _downhill_mm(rollout)),
-        trace=creep_trace(_downhill_mm, bound),
+    return creeping(
+        f"static friction, {material}: creep on 10 degrees",
+        _hold_scenario(material),
+        _downhill_mm,
+        source="Coulomb, tan 10 deg < mu",
+        rationale=f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
+        "which allows no faster creep",
     )
 
 
@@ -136,43 +144,58 @@ def _gap_mm(scene: Scene) -> float:
 # --- sliding ---------------------------------------------------------------------------------------------------------
 
 
-def slide_trace(downhill_mm: Callable[[Rollout], FloatArray], value: float, tolerance: float) -> Trace:
-    """Return the displacement downhill over time, with that of an acceleration and its tolerance [m/s^2]."""
+def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], real: Reality) -> Phenomenon:
+    """Return the acceleration of a body that slides down a slope.
+
+    Args:
+        title: Title.
+        scenario: Scenario of the body.
+        downhill_mm: Function from a rollout to the displacement downhill [mm], shape [sample_count].
+        real: The acceleration in reality.
+    """
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return 500.0 * value * times_s**2, 500.0 * tolerance * times_s**2
+        return 500.0 * real.value * times_s**2, 500.0 * real.tolerance * times_s**2
 
-    return Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality)
-
-
-def slide(material: str) -> Phenomenon:
-    """Return the acceleration of a sliding cube."""
-    trials = facts("slope_slider_30deg_summary")[material]
-    friction = float(trials["friction"]["mean"])
-    real = Reality.measured(
-        trials["acceleration_m_s2"]["mean"],
-        scatter=trials["acceleration_m_s2"]["std"],
-        trial_count=trials["trial_count"],
-        source="real slides (scoring/facts/slope_slider_30deg_summary.toml); the cube has the friction that they "
-        f"show, mu = {friction:.3f}",
-    )
     return Phenomenon(
-        title=f"kinetic friction, {material}: acceleration on 30 degrees",
+        title=title,
         quantity="acceleration",
-        scenario=Scenario(
-            name=f"slide-{material}",
-            variant=f"SlopeSlider-2-{material}",
-            seconds=SLIDE_S,
-            parameters={"cube.friction": friction},
-        ),
+        scenario=scenario,
         unit="m/s^2",
         reality=real,
         needs_friction=True,
         # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
         # ground counts, since a camera would record it.
-        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)),
-        trace=slide_trace(_downhill_mm, real.value, real.tolerance),
+        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, downhill_mm(rollout)),
+        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
     )
+
+
+def real_slides(material: str, source: str = "") -> Reality:
+    """Return the acceleration of real cubes on 30 degrees."""
+    trials = facts("slope_slider_30deg_summary")[material]
+    found = trials["acceleration_m_s2"]
+    return Reality.measured(found["mean"], scatter=found["std"], trial_count=trials["trial_count"], source=source)
+
+
+def real_friction(material: str) -> float:
+    """Return the friction that real slides of a cube show."""
+    return float(facts("slope_slider_30deg_summary")[material]["friction"]["mean"])
+
+
+def slide(material: str) -> Phenomenon:
+    """Return the acceleration of a sliding cube."""
+    friction = real_friction(material)
+    scenario = Scenario(
+        name=f"slide-{material}",
+        variant=f"SlopeSlider-2-{material}",
+        seconds=SLIDE_S,
+        parameters={"cube.friction": friction},
+    )
+    shown = f"the cube has the friction that they show, mu = {friction:.3f}"
+    source = f"real slides (scoring/facts/slope_slider_30deg_summary.toml); {shown}"
+    title = f"kinetic friction, {material}: acceleration on 30 degrees"
+    return sliding(title, scenario, _downhill_mm, real_slides(material, source))
 
 
 def _turned(scene: Scene) -> Scene:

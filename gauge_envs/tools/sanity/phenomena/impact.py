@@ -15,10 +15,9 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.facts import PUBLISHED_TRIALS, facts
 from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.facts import PUBLISHED_TRIALS, facts
 from gauge_envs.tools.sanity.scenario import Scenario
-
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
 
@@ -134,7 +133,7 @@ def rebound() -> Phenomenon:
             source="real drops (scoring/facts/bouncing_ball_summary.toml); the ball has the restitution that they show",
         ),
         is_impact=True,
-        value=lambda rollout: np.mean(ratios(rollout)),
+        value=lambda rollout: float(np.mean(ratios(rollout))),
         failure=failure,
         trace=Trace(label="height of the ball [mm]", values=lambda rollout: _height_mm(rollout, drawn)),
     )

@@ -19,8 +19,8 @@ from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded, recorded_reality, rigid_law
 from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, recorded, recorded_reality, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
 
 # --- edges -----------------------------------------------------------------------------------------------------------
@@ -157,7 +157,7 @@ PERIOD_TOLERANCE = 0.01
 
 
 def _pendulum() -> tuple[Scenario, Hinge, RigidBody, FloatArray]:
-    """Return the scenario of the pendulum, its hinge, its ball, and the arm from the hinge to the ball [m], shape [3]."""
+    """Return the scenario of the pendulum, its hinge and ball, and the arm between them [m], shape [3]."""
     variant = "Pendulum-metal"
     seconds = (published_baselines(variant)["el"].frames - 1) / FRAME_RATE_HZ
     scenario = Scenario(name="pendulum", variant=variant, seconds=seconds, interval_s=SAMPLE_INTERVAL_S)

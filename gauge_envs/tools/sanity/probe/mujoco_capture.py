@@ -13,16 +13,29 @@ NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mj
 
 FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 
-ARRAYS = {
-    **{"body_parentid": 1, "body_pos": 3, "body_quat": 4, "body_mass": 1, "body_ipos": 3, "body_iquat": 4},
-    **{"body_inertia": 3, "body_mocapid": 1},
-    **{"jnt_type": 1, "jnt_bodyid": 1, "jnt_pos": 3, "jnt_axis": 3, "jnt_limited": 1, "jnt_range": 2},
-    **{"geom_bodyid": 1, "geom_contype": 1, "geom_conaffinity": 1, "geom_condim": 1, "geom_priority": 1},
-    **{"geom_solmix": 1, "geom_friction": 3, "geom_solref": 2, "geom_solimp": 5, "geom_margin": 1, "geom_gap": 1},
-    **{"geom_size": 3, "geom_pos": 3, "geom_quat": 4, "geom_rbound": 1},
-    **{"pair_dim": 1, "pair_geom1": 1, "pair_geom2": 1, "pair_friction": 5, "pair_solref": 2},
-    **{"pair_solreffriction": 2, "pair_solimp": 5, "pair_margin": 1, "pair_gap": 1, "exclude_signature": 1},
+WIDTHS = {
+    "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1},
+    "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2},
+    "geom": dict(
+        dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1),
+        friction=3,
+        solref=2,
+        solimp=5,
+        margin=1,
+        gap=1,
+        size=3,
+        pos=3,
+        quat=4,
+        rbound=1,
+    ),
+    "pair": dict(
+        {"dim": 1, "geom1": 1, "geom2": 1, "friction": 5, "solref": 2, "solreffriction": 2, "solimp": 5},
+        margin=1,
+        gap=1,
+    ),
+    "exclude": {"signature": 1},
 }
+ARRAYS = {f"{kind}_{name}": width for kind, columns in WIDTHS.items() for name, width in columns.items()}
 """Arrays of a compiled model of MuJoCo that are written as they are, with their number of columns."""
 
 MESHES = ("mjGEOM_MESH", "mjGEOM_SDF")

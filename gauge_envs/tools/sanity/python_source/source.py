@@ -146,20 +146,25 @@ class Source:
             case ast.ClassDef() if node.name == name:
                 return (PythonClass(module, node),)
             case ast.Import():
-                for one in node.names:
-                    whole = one.name if one.asname else one.name.split(".")[0]
-                    if (one.asname or whole) == name:
-                        return (self.module(whole) or External(whole),)
+                wholes = {one.asname or one.name.split(".")[0]: one for one in node.names}
+                if name in wholes:
+                    whole = wholes[name].name if wholes[name].asname else name
+                    return (self.module(whole) or External(whole),)
             case ast.ImportFrom():
-                for one in node.names:
-                    if name == (one.asname or one.name):
-                        return (self._imported_from(module, node, one.name),)
-                    if one.name == "*" and (found := self._imported_from(module, node, name)) is not UNKNOWN:
-                        return None if isinstance(found, External) else (found,)
+                return self._bound_from(module, node, name)
             case ast.Assign() | ast.AnnAssign(value=ast.expr()):
                 targets = node.targets if isinstance(node, ast.Assign) else [node.target]
                 if node.value is not None and any(isinstance(one, ast.Name) and one.id == name for one in targets):
                     return (self.evaluate(node.value, Frame(module)),)
+        return None
+
+    def _bound_from(self, module: Module, node: ast.ImportFrom, name: str) -> tuple[Any] | None:
+        for one in node.names:
+            if name == (one.asname or one.name):
+                return (self._imported_from(module, node, one.name),)
+            found = self._imported_from(module, node, name) if one.name == "*" else UNKNOWN
+            if found is not UNKNOWN and not isinstance(found, External):
+                return (found,)
         return None
 
     def _imported_from(self, module: Module, node: ast.ImportFrom, name: str) -> Any:

@@ -112,9 +112,7 @@ def _motions(model: mujoco.MjModel) -> Iterator[tuple[str, Iterator[mujoco.MjDat
         yield ", ".join([f"a motion from {name}", *words]), _steps(model, data, generator if is_random else None)
 
 
-def _steps(
-    model: mujoco.MjModel, data: mujoco.MjData, controls: np.random.Generator | None
-) -> Iterator[mujoco.MjData]:
+def _steps(model: mujoco.MjModel, data: mujoco.MjData, controls: np.random.Generator | None) -> Iterator[mujoco.MjData]:
     """Yield the data after each step of a motion, which random controls may drive; a motion that diverges ends."""
     low, high = np.where(model.actuator_ctrllimited, model.actuator_ctrlrange.T, np.array([[-1.0], [1.0]]))
     every = max(1, round(CONTROL_S / model.opt.timestep))

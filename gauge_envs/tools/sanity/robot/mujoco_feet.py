@@ -15,11 +15,9 @@ from gauge_envs.backends.mujoco.contact_pairs import ContactPairs, PairKind, can
 from gauge_envs.backends.mujoco.model_settings import contact_settings
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 from gauge_envs.tools.sanity.model import ContactGroup
-
-STANDING_KEYFRAMES = ("home", "stand", "standing")
-"""Names of keyframes in which robots stand; MuJoCo Menagerie uses `home`."""
+from gauge_envs.tools.sanity.probe.mujoco_capture import STANDING, driven
+from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 
 STANDS_WITHIN = 0.1
 """Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
@@ -60,14 +58,12 @@ class _Stance:
 
     Attributes:
         label: Name of the pose.
-        up: Rotation from the model's world to a frame with z up.
-        positions_m: Positions of the geoms in that frame [m], shape [geom_count, 3].
+        positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
     """
 
     label: str
-    up: Rotation
     positions_m: NDArray[np.float64]
     rotations: Rotation
     joint_axes: NDArray[np.float64]
@@ -91,29 +87,34 @@ def read_foot(
         groups: Contact constants, those that are judged marked as used.
         up: Unit vector away from the ground, shape [3].
     """
-    touching = _touching(model, pairs)
+    geoms = np.unique(pairs.geoms[_ground_rows(pairs)])
+    touching = [int(geom) for geom in geoms[can_move(model)[geoms]]]
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     stance = _stance(model, np.asarray(up))
     robots = {_first_moving_body(model, int(model.geom_bodyid[geom])) for geom in touching}
-    driven = _driven_bodies(model)
-    if driven:
-        robots &= {_first_moving_body(model, body) for body in driven}
-    standing = [body for body in robots if _can_fall(model, stance, body)]
+    joints, bodies = driven(model)
+    moved = bodies | {int(model.jnt_bodyid[joint]) for joint in joints}
+    if moved:
+        robots &= {_first_moving_body(model, body) for body in moved}
+    standing = [body for body in robots if _can_fall(model, stance, body, joints)]
     if not standing:
         raise NoFootError("no robot of the model stands on the ground under its own weight")
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    geoms = [g for g in touching if _first_moving_body(model, int(model.geom_bodyid[g])) == robot]
-    lowest = {geom: _lowest_m(model, stance, geom) for geom in geoms}
-    height = max(_top_m(model, stance, robot) - min(lowest.values()), 1e-3)
+    touching = [g for g in touching if _first_moving_body(model, int(model.geom_bodyid[g])) == robot]
+    support = {geom: _support_m(model, stance, geom) for geom in touching}
+    lowest = {geom: float(point[2]) for geom, point in support.items()}
+    own = [geom for geom in range(model.ngeom) if _first_moving_body(model, int(model.geom_bodyid[geom])) == robot]
+    top = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
+    height = max(top - min(lowest.values()), 1e-3)
     standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
-    feet = _soles(_feet(model, standing_geoms), lowest, SOLE_WITHIN * height)
+    feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
     body = min(feet, key=lambda one: (min(lowest[geom] for geom in feet[one]), one))
     mass = float(model.body_subtreemass[robot])
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
         geoms=_geoms_text(model, feet[body], body),
-        parts=_parts(model, stance, feet[body]),
+        parts=_parts(model, stance, {geom: support[geom] for geom in feet[body]}),
         load_kg=mass / len(feet),
         robot_mass_kg=mass,
         foot_count=len(feet),
@@ -123,15 +124,8 @@ def read_foot(
     )
 
 
-def _touching(model: mujoco.MjModel, pairs: ContactPairs) -> list[int]:
-    """Return the moving geoms that can touch the ground: planes and height fields, or other geoms of the world."""
-    rows = _ground_rows(pairs)
-    moving = can_move(model)
-    geoms = pairs.geoms[rows]
-    return [int(geom) for geom in np.unique(geoms[moving[geoms]])]
-
-
 def _ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
+    """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
     return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
 
@@ -143,7 +137,7 @@ def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
     data = mujoco.MjData(model)
     label = "initial pose"
     names = [model.key(index).name for index in range(model.nkey)]
-    known = next((name for name in STANDING_KEYFRAMES if name in names), None)
+    known = next((name for name in STANDING if name in names), None)
     if known is not None:
         mujoco.mj_resetDataKeyframe(model, data, names.index(known))
         label = f"keyframe {known}"
@@ -158,7 +152,6 @@ def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
         turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
     return _Stance(
         label=label,
-        up=turn,
         positions_m=turn.apply(data.geom_xpos),
         rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
         joint_axes=turn.apply(data.xaxis),
@@ -175,51 +168,17 @@ def _first_moving_body(model: mujoco.MjModel, body: int) -> int:
     return int(first)
 
 
-def _driven_bodies(model: mujoco.MjModel) -> set[int]:
-    """Return the bodies on which actuators act."""
-    bodies = set()
-    for actuator in range(model.nu):
-        kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-        if kind in (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT)):
-            bodies.add(int(model.jnt_bodyid[target]))
-        elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
-            bodies |= _pulled_bodies(model, target)
-        elif kind in (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK)):
-            bodies.add(int(model.site_bodyid[target]))
-        elif kind == int(mujoco.mjtTrn.mjTRN_BODY):
-            bodies.add(target)
-    return bodies
-
-
-def _pulled_bodies(model: mujoco.MjModel, tendon: int) -> set[int]:
-    """Return the bodies of the joints and sites of a tendon."""
-    first = int(model.tendon_adr[tendon])
-    owners = {int(mujoco.mjtWrap.mjWRAP_JOINT): model.jnt_bodyid, int(mujoco.mjtWrap.mjWRAP_SITE): model.site_bodyid}
-    return {
-        int(owners[int(model.wrap_type[wrap])][model.wrap_objid[wrap]])
-        for wrap in range(first, first + int(model.tendon_num[tendon]))
-        if int(model.wrap_type[wrap]) in owners
-    }
-
-
-def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int) -> bool:
+def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int, driven_joints: set[int]) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
-    on_joints = model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT)
-    driven = set(model.actuator_trnid[on_joints, 0].tolist())
     for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
             return True
         if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
             falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
-            if abs(stance.joint_axes[joint, 2]) > UPRIGHT and joint not in driven and falls:
+            if abs(stance.joint_axes[joint, 2]) > UPRIGHT and joint not in driven_joints and falls:
                 return True
     return False
-
-
-def _lowest_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> float:
-    """Return the height of the lowest point of a geom [m]."""
-    return float(_support_m(model, stance, geom)[2])
 
 
 def _support_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> NDArray[np.float64]:
@@ -245,48 +204,37 @@ def _support_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> NDArray[np.
     return np.asarray(stance.positions_m[geom] + stance.rotations[geom].apply(point))
 
 
-def _top_m(model: mujoco.MjModel, stance: _Stance, robot: int) -> float:
-    """Return the height of the highest geom of a robot [m], by its bounding sphere."""
-    own = [geom for geom in range(model.ngeom) if _first_moving_body(model, int(model.geom_bodyid[geom])) == robot]
-    return float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
+def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) -> dict[int, list[int]]:
+    """Return the geoms of each foot that lie as low as its lowest one, within a height.
 
-
-def _feet(model: mujoco.MjModel, lowest: dict[int, float]) -> dict[int, list[int]]:
-    """Return the standing geoms of each body, without bodies that carry another one that stands."""
+    A body that carries another one that stands is no foot.
+    """
     bodies: dict[int, list[int]] = {}
-    for geom in lowest:
+    for geom in lowest_m:
         bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
-    carrying = {parent for body in bodies for parent in _ancestors(model, body)}
-    return {body: geoms for body, geoms in bodies.items() if body not in carrying}
-
-
-def _soles(feet: dict[int, list[int]], lowest_m: dict[int, float], within_m: float) -> dict[int, list[int]]:
-    """Return the geoms of each foot that lie as low as its lowest one, within a height."""
+    carrying = set()
+    for body in bodies:
+        while body := int(model.body_parentid[body]):
+            carrying.add(body)
     return {
         body: [geom for geom in geoms if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m]
-        for body, geoms in feet.items()
+        for body, geoms in bodies.items()
+        if body not in carrying
     }
-
-
-def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    found = []
-    while body := int(model.body_parentid[body]):
-        found.append(body)
-    return found
 
 
 # --- solids ----------------------------------------------------------------------------------------------------------
 
 
-def _parts(model: mujoco.MjModel, stance: _Stance, geoms: Sequence[int]) -> tuple[Part, ...]:
-    """Return geoms as solids, with their lowest point as origin."""
-    origin = min((_support_m(model, stance, geom) for geom in geoms), key=lambda point: float(point[2]))
+def _parts(model: mujoco.MjModel, stance: _Stance, support_m: dict[int, NDArray[np.float64]]) -> tuple[Part, ...]:
+    """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
+    origin = min(support_m.values(), key=lambda point: float(point[2]))
     return tuple(
         Part(
             shape=_solid(model, geom),
             pose=Pose.from_rotation(vector(stance.positions_m[geom] - origin), stance.rotations[geom]),
         )
-        for geom in geoms
+        for geom in support_m
     )
 
 

@@ -41,7 +41,18 @@ INTEGERS = frozenset(
     | {"pair_dim", "pair_geom1", "pair_geom2", "exclude_signature"}
 )
 
-GEOM_FIELDS = ("contype", "conaffinity", "condim", "priority", "solmix", "friction", "solref", "solimp", "margin", "gap")
+GEOM_FIELDS = (
+    "contype",
+    "conaffinity",
+    "condim",
+    "priority",
+    "solmix",
+    "friction",
+    "solref",
+    "solimp",
+    "margin",
+    "gap",
+)
 PAIR_FIELDS = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
 """Attributes of a geom and of an explicit pair that contacts depend on."""
 
@@ -225,10 +236,10 @@ def _add_joints(spec: mujoco.MjSpec, bodies: list[Any], arrays: Arrays) -> None:
         joint.damping = damping if damping.ndim else float(damping)
         if joint.type in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             joint.ref = arrays["jnt_ref"][index, 0]
-    for index in np.flatnonzero(arrays["jnt_driven"][:, 0]):
-        spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"joint {index}")
-    for index in np.flatnonzero(arrays["body_driven"][:, 0]):
-        site = bodies[int(index)].add_site(name=f"actuator {index}")
+    for driven in np.flatnonzero(arrays["jnt_driven"][:, 0]).tolist():
+        spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_JOINT, target=f"joint {driven}")
+    for driven in np.flatnonzero(arrays["body_driven"][:, 0]).tolist():
+        site = bodies[driven].add_site(name=f"actuator {driven}")
         spec.add_actuator(trntype=mujoco.mjtTrn.mjTRN_SITE, target=site.name)
 
 
@@ -240,32 +251,36 @@ def _add_geoms(spec: mujoco.MjSpec, bodies: list[Any], data: ModelData, arrays: 
         if len(vertices) % 3:
             raise ValueError(f"hulls.{number}: expected three coordinates for each vertex")
         spec.add_mesh(name=number, uservert=vertices)
-    owners = arrays["geom_bodyid"][:, 0].tolist()
+    # An explicit pair refers to geoms by name.
     paired = data.arrays["pair_geom1"] + data.arrays["pair_geom2"]
-    names = list(data.geom_names)
-    for index, owner in enumerate(owners):
-        # An explicit pair refers to geoms by name.
-        if not names[index] and index in paired:
-            names[index] = f"geom {index} of {data.body_names[owner] or 'an unnamed body'}"
-    for index, kind in enumerate(data.geom_types):
-        geom = bodies[owners[index]].add_geom(name=names[index])
+    names = []
+    for index, owner in enumerate(arrays["geom_bodyid"][:, 0].tolist()):
+        substitute = f"geom {index} of {data.body_names[owner] or 'an unnamed body'}" if index in paired else ""
+        names.append(data.geom_names[index] or substitute)
+        geom = bodies[owner].add_geom(name=names[index])
         for field in ("pos", "quat", "size"):
             setattr(geom, field, arrays[f"geom_{field}"][index])
         write_fields(geom, arrays, "geom", GEOM_FIELDS, index)
-        if kind in MESHES and data.geom_hulls[index] >= 0:
-            geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, str(data.geom_hulls[index])
-        elif kind in MESHES:
-            # A mesh that touches nothing counts by its size alone.
-            geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [arrays["geom_rbound"][index, 0] or 1.0, 0.0, 0.0]
-        elif kind == "mjGEOM_HFIELD":
-            name, size = f"field {index}", [*arrays["geom_size"][index, :2], 1.0, 1.0]
-            spec.add_hfield(name=name, size=size, nrow=2, ncol=2, userdata=[0.0] * 4)
-            geom.type, geom.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, name
-        elif kind in mujoco.mjtGeom.__members__:
-            geom.type = getattr(mujoco.mjtGeom, kind)
-        else:
-            raise ValueError(f"geom_types: the installed MuJoCo {mujoco.__version__} has no {kind!r}")
+        _set_type(spec, geom, data, index, float(arrays["geom_rbound"][index, 0]))
     add_pairs(spec, arrays, names)
+
+
+def _set_type(spec: mujoco.MjSpec, geom: Any, data: ModelData, index: int, reach_m: float) -> None:
+    """Give a geom its type, with its hull or a level height field."""
+    kind = data.geom_types[index]
+    if kind in MESHES and data.geom_hulls[index] >= 0:
+        geom.type, geom.meshname = mujoco.mjtGeom.mjGEOM_MESH, str(data.geom_hulls[index])
+    elif kind in MESHES:
+        # A mesh that touches nothing counts by its size alone.
+        geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, [reach_m or 1.0, 0.0, 0.0]
+    elif kind == "mjGEOM_HFIELD":
+        name, size = f"field {index}", [*geom.size[:2], 1.0, 1.0]
+        spec.add_hfield(name=name, size=size, nrow=2, ncol=2, userdata=[0.0] * 4)
+        geom.type, geom.hfieldname = mujoco.mjtGeom.mjGEOM_HFIELD, name
+    elif kind in mujoco.mjtGeom.__members__:
+        geom.type = getattr(mujoco.mjtGeom, kind)
+    else:
+        raise ValueError(f"geom_types: the installed MuJoCo {mujoco.__version__} has no {kind!r}")
 
 
 def add_pairs(spec: mujoco.MjSpec, arrays: Arrays, names: list[str]) -> None:

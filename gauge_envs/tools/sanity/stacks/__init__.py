@@ -119,11 +119,10 @@ def dialect(name: str) -> Dialect:
 
 def _readers(target: Any) -> Iterator[Reader]:
     """Yield the readers of the stacks that a target may be of."""
-    stacks = OBJECTS
-    if isinstance(target, str | Path):
-        stacks = tuple(stack for stack, form in TEXTS.items() if re.match(form, str(target), re.IGNORECASE | re.DOTALL))
-    for stack in stacks:
-        yield from _stack(stack).READERS
+    text = str(target) if isinstance(target, str | Path) else None
+    for stack, form in TEXTS.items() if text is not None else dict.fromkeys(OBJECTS, "").items():
+        if re.match(form, text or "", re.IGNORECASE | re.DOTALL):
+            yield from _stack(stack).READERS
 
 
 def _stack(name: str) -> Any:

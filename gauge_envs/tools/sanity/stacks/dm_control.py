@@ -11,7 +11,7 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.python_source import package_folder, package_version, source_tree
+from gauge_envs.tools.sanity.python_source.source import package_folder, package_version, source_tree
 from gauge_envs.tools.sanity.stacks.mjcf import read_model_file
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start
 
@@ -42,11 +42,11 @@ def _read(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     read = read_model_file(folder / f"{domain}.xml", pair)
     notes = read.notes
     if any(isinstance(node, ast.Name) and node.id in XML_EDITORS for node in ast.walk(code)):
-        note = f"dm_control changes {domain}.xml before it loads it; options and contacts are read from the file as it is"
+        note = (
+            f"dm_control changes {domain}.xml before it loads it; options and contacts are read from the file as it is"
+        )
         notes = (note, *notes)
-    return replace(
-        read, name=name, source=f"dm_control {package_version(PACKAGE)}, suite, {domain}.xml", notes=notes
-    )
+    return replace(read, name=name, source=f"dm_control {package_version(PACKAGE)}, suite, {domain}.xml", notes=notes)
 
 
 def _registers(decorator: ast.expr) -> bool:

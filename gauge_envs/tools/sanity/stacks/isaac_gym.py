@@ -62,7 +62,12 @@ GROUNDS = ("terrain", "plane", "simulator.config.plane", "env.plane", "task.env.
 DRAWN = ("domain_rand", "env.domain_rand", "env.config.domain_rand")
 """Places of ranges from which the robot's friction is drawn."""
 
-DECIMATIONS = ("control.decimation", "env.controlFrequencyInv", "env.control.decimation", "task.env.controlFrequencyInv")
+DECIMATIONS = (
+    "control.decimation",
+    "env.controlFrequencyInv",
+    "env.control.decimation",
+    "task.env.controlFrequencyInv",
+)
 """Keys of the number of steps for one action, beside those of `sim` itself."""
 
 CAMEL_CASE = {"static_friction": "staticFriction", "dynamic_friction": "dynamicFriction", "restitution": "restitution"}
@@ -96,9 +101,7 @@ def isaac_gym_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
     values.take("timestep_s", dt / substeps, origin if substeps == 1 else f"{origin}, in {substeps} substeps")
     values.take_places({PHYSX: physx})
     if physx.flag("enable_stabilization"):
-        values.notes.append(
-            f"{physx.name('enable_stabilization')} is not carried over: SAPIEN does not expose it"
-        )
+        values.notes.append(f"{physx.name('enable_stabilization')} is not carried over: SAPIEN does not expose it")
     asset = table.table("asset")
     if asset is None:
         values.notes.append("damping and caps on speeds are not stated: they are those of this package's preset isaac")

@@ -18,8 +18,15 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import read_yaml
-from gauge_envs.tools.sanity.stacks.physx import DEGREES, SOLVER, Material, PhysxValues, Range, combined
-from gauge_envs.tools.sanity.stacks.physx import stated_material
+from gauge_envs.tools.sanity.stacks.physx import (
+    DEGREES,
+    SOLVER,
+    Material,
+    PhysxValues,
+    Range,
+    combined,
+    stated_material,
+)
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 

@@ -16,20 +16,12 @@ import mujoco
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.python_source import (
-    UNKNOWN,
-    Config,
-    External,
-    Instance,
-    Source,
-    package_folder,
-    package_version,
-    source_path,
-)
+from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
+from gauge_envs.tools.sanity.python_source.values import UNKNOWN, Config, External, Instance, source_path
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
-from gauge_envs.tools.sanity.robot.packaged_mjcf import PackagedModel, packaged_model
 from gauge_envs.tools.sanity.stacks.dialect import Setting
 from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS, Mjcf, read_model
+from gauge_envs.tools.sanity.stacks.packaged_mjcf import PackagedModel, packaged_model
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start
 
 PREFIX = "playground:"

@@ -11,7 +11,6 @@ from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import json_document, toml_document
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stacks.documents import file_value
 from gauge_envs.tools.sanity.stacks.reader import Reader, check_settings, has_suffix
 

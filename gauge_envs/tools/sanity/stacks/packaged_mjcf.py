@@ -7,17 +7,17 @@ for each picture, so that names and classes of geoms stay as they are.
 
 from __future__ import annotations
 
-import struct
 import xml.etree.ElementTree as ElementTree
-import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from io import BytesIO
 from pathlib import Path
 
 import mujoco
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE
+from gauge_envs.tools.sanity.stacks.documents import file_content
 
 MOST_ASSET_BYTES = 256 * MEGABYTE
 """Largest size of a mesh or a picture."""
@@ -27,6 +27,8 @@ CORNERS_M = ((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1))
 
 FACES = ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3))
 """Faces of that tetrahedron, by the numbers of their corners."""
+
+ABSENT = "is not in the package: start the environment once, so that it downloads its robots"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,26 +53,25 @@ def packaged_model(path: Path, folders: Sequence[Path] = ()) -> PackagedModel:
         path: The model file. Files beside and below it are found by their name, as the packages do it.
         folders: Further folders in which files are found by their name.
     """
-    places = {file.name: file for folder in (path.parent, *folders) for file in _files(folder)}
+    found = (file for folder in (path.parent, *folders) for file in sorted(folder.rglob("*")) if file.is_file())
+    places = {file.name: file for file in found}
+    if not path.is_file():
+        raise TargetError(f"{path.name} {ABSENT}")
+    text = file_content(path, MOST_ASSET_BYTES)
     assets: dict[str, bytes] = {}
     missing: list[str] = []
-    text = _text(path)
     waiting = [(path.name, text)]
     while waiting:
         origin, content = waiting.pop()
         for name in _references(content, origin):
             if name in assets:
                 continue
-            place = places.get(name)
-            if place is not None:
-                assets[name] = _read(place)
+            if name in places:
+                assets[name] = file_content(places[name], MOST_ASSET_BYTES)
                 if name.endswith(".xml"):
                     waiting.append((name, assets[name]))
             elif name.endswith(".xml"):
-                raise TargetError(
-                    f"{path.name} includes {name}, which is not in the package: start the environment once, so that "
-                    "it downloads its robots"
-                )
+                raise TargetError(f"{path.name} includes {name}, which {ABSENT}")
             else:
                 assets[name] = _substitute(name)
                 missing.append(name)
@@ -79,26 +80,6 @@ def packaged_model(path: Path, folders: Sequence[Path] = ()) -> PackagedModel:
     except (ValueError, UnicodeDecodeError) as error:
         raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
     return PackagedModel(model=model, missing=tuple(missing), missing_geoms=tuple(_substituted(model, missing)))
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    return (file for file in sorted(folder.rglob("*")) if file.is_file())
-
-
-def _text(path: Path) -> bytes:
-    try:
-        return read_regular(path, MOST_ASSET_BYTES)
-    except OSError:
-        raise TargetError(
-            f"{path.name} is not in the package: start the environment once, so that it downloads its robots"
-        ) from None
-
-
-def _read(path: Path) -> bytes:
-    try:
-        return read_regular(path, MOST_ASSET_BYTES)
-    except OSError as error:
-        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
 
 
 def _references(content: bytes, origin: str) -> Iterator[str]:
@@ -114,42 +95,20 @@ def _references(content: bytes, origin: str) -> Iterator[str]:
 
 
 def _substitute(name: str) -> bytes:
+    """Return a tetrahedron for a mesh, and a grey pixel for a picture."""
     suffix = Path(name).suffix.lower()
-    if suffix == ".stl":
-        return _stl()
-    if suffix == ".obj":
-        return _obj()
+    if suffix in (".stl", ".obj"):
+        import trimesh
+
+        content = trimesh.Trimesh(CORNERS_M, FACES, process=False).export(file_type=suffix[1:])
+        return content.encode() if isinstance(content, str) else bytes(content)
     if suffix == ".png":
-        return _png()
+        from PIL import Image
+
+        stream = BytesIO()
+        Image.new("RGB", (1, 1), (128, 128, 128)).save(stream, format="png")
+        return stream.getvalue()
     raise TargetError(f"{name} is not in the package, and nothing can stand for a file of the kind {suffix or 'none'}")
-
-
-def _obj() -> bytes:
-    lines = ["v {:g} {:g} {:g}".format(*corner) for corner in CORNERS_M]
-    lines += ["f {} {} {}".format(*(number + 1 for number in face)) for face in FACES]
-    return "\n".join(lines).encode()
-
-
-def _stl() -> bytes:
-    triangles = [
-        struct.pack("<12fH", 0.0, 0.0, 0.0, *(value for number in face for value in CORNERS_M[number]), 0)
-        for face in FACES
-    ]
-    return bytes(80) + struct.pack("<I", len(FACES)) + b"".join(triangles)
-
-
-def _png() -> bytes:
-    """Return a grey picture of one pixel."""
-    chunks = {
-        b"IHDR": struct.pack(">IIBBBBB", 1, 1, 8, 2, 0, 0, 0),
-        b"IDAT": zlib.compress(b"\x00\x80\x80\x80"),
-        b"IEND": b"",
-    }
-    parts = [
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
-        for kind, data in chunks.items()
-    ]
-    return b"\x89PNG\r\n\x1a\n" + b"".join(parts)
 
 
 def _substituted(model: mujoco.MjModel, missing: Sequence[str]) -> Iterator[int]:
