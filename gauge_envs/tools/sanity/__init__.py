@@ -32,9 +32,9 @@ if TYPE_CHECKING:
         TrainingConfiguration,
         Verdict,
     )
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
     from gauge_envs.tools.sanity.page import save_sanity_page
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
-    from gauge_envs.tools.sanity.robot.mujoco_warp_run import BackendMuJoCoWarp
     from gauge_envs.tools.sanity.run import check
     from gauge_envs.tools.sanity.stacks import configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
@@ -72,7 +72,7 @@ __all__ = [
 
 _LAZY = {
     **dict.fromkeys(("Change", "ChangeRow", "Comparison", "compare"), "against"),
-    "BackendMuJoCoWarp": "robot.mujoco_warp_run",
+    "BackendMuJoCoWarp": "mujoco_warp_run",
     "FootGeometry": "robot.foot",
     "Target": "stacks.gymnasium_env",
     "check": "run",

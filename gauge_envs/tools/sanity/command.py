@@ -132,7 +132,7 @@ def sanity(
 
         report = check(checked, only=patterns, include_deformables=every, time_limit_s=time_limit_s, notify=notify)
         if on_engine is not None:
-            from gauge_envs.tools.sanity.robot.mujoco_warp_run import with_mujoco_warp
+            from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
 
             progress.update(bar, description=on_engine.value)
             report = with_mujoco_warp(report, model=compiled_model(target))

@@ -11,11 +11,11 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, contact_capacity
-from gauge_envs.tools.sanity.languages import language
-from gauge_envs.tools.sanity.readers.packaged_mjcf import packaged_model
-from gauge_envs.tools.sanity.readers.playground import playground_task, playground_tasks
-from gauge_envs.tools.sanity.target import compiled_model, configuration
+from gauge_envs.tools.sanity.model import CapacityLimits
+from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
+from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
+from gauge_envs.tools.sanity.stacks.packaged_mjcf import packaged_model
+from gauge_envs.tools.sanity.stacks.playground import playground_task, playground_tasks
 
 IS_INSTALLED = find_spec("mujoco_playground") is not None
 
@@ -210,7 +210,7 @@ def test_height_fields_are_not_counted() -> None:
 
 
 def test_changes_are_written_as_overrides_and_mjcf() -> None:
-    playground = language("playground")
+    playground = dialect("playground")
     changes = {"timestep_s": 0.002, "njmax": 50, "cone": "elliptic"}
     assert (
         playground.paste_text(changes)

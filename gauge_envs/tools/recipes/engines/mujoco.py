@@ -182,7 +182,7 @@ class MuJoCoWarpSettings(MuJoCoSettings):
     @classmethod
     def backend(cls) -> Backend:
         """Return mujoco_warp on the CPU, with the model that MuJoCo compiles."""
-        from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+        from gauge_envs.tools.sanity import BackendMuJoCoWarp
 
         return BackendMuJoCoWarp()
 
