@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -147,32 +148,26 @@ def _gravity(sim: Table) -> tuple[float, ...] | None:
 def _ground(table: Table) -> Material:
     for place in GROUNDS:
         ground = _table(table, place)
-        if ground is not None and ("dynamic_friction" in ground or "static_friction" in ground):
-            return stated_material(ground, body="ground", default=DEFAULT)
         if ground is not None and "dynamicFriction" in ground:
             values = {name: ground.value(key) for name, key in CAMEL_CASE.items()}
-            plain = Table(values, source=ground.source, path=ground.path)
-            return stated_material(plain, body="ground", default=DEFAULT)
-    return DEFAULT.of("ground")
+            ground = Table(values, source=ground.source, path=ground.path)
+        if ground is not None and ("dynamic_friction" in ground or "static_friction" in ground):
+            return stated_material(ground, "ground", DEFAULT)
+    return stated_material(None, "ground", DEFAULT)
 
 
 def _foot(table: Table) -> Material:
     """Return the material of the robot, with the range from which its friction is drawn."""
     drawn = next((one for place in DRAWN if (one := _table(table, place)) and one.flag("randomize_friction")), None)
     if drawn is None:
-        return DEFAULT.of("robot")
+        return stated_material(None, "robot", DEFAULT)
     ends = drawn.numbers("friction_range", 2)
     if ends is None or min(ends) < 0.0 or max(ends) == float("inf"):
         key = drawn.name("friction_range")
         raise TargetError(f"{drawn.source}: {key} is impossible: give two numbers of 0 or more")
     both = (min(ends), max(ends))
-    return Material(
-        body="robot",
-        origin=drawn.name("friction_range"),
-        static_friction=both,
-        dynamic_friction=both,
-        restitution=DEFAULT.restitution,
-    )
+    origin = drawn.name("friction_range")
+    return replace(DEFAULT, body="robot", origin=origin, static_friction=both, dynamic_friction=both)
 
 
 # --- reader ----------------------------------------------------------------------------------------------------------

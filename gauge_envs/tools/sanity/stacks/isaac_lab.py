@@ -16,17 +16,9 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.dialect import FLAG, NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import read_yaml
-from gauge_envs.tools.sanity.stacks.physx import (
-    DEGREES,
-    SOLVER,
-    Material,
-    PhysxValues,
-    Range,
-    combined,
-    stated_material,
-)
+from gauge_envs.tools.sanity.stacks.physx import DEGREES, SOLVER, Material, PhysxValues, combined, stated_material
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 
@@ -34,9 +26,6 @@ SPAWN = "scene.robot.spawn"
 
 COLLIDER = f"{SPAWN}.collision_props"
 """Properties of colliders. Most robots have none, so they are written as a whole."""
-
-COUNT = "{}.solver_{}_iteration_count"
-"""Key of a count of iterations, in the properties of an articulation or of rigid bodies."""
 
 ASSET_ITERATIONS = {"position": 16, "velocity": 1}
 """Counts of iterations of Isaac Sim's schema, for an actor that states none."""
@@ -63,6 +52,11 @@ class IsaacLab(Dialect):
         return "; ".join(f"self.{one.place}.{key} = {text}" for key, text in lines.items())
 
 
+def _of_actor(name: str, key: str, kind: Kind = NUMBER) -> Setting:
+    """Return a property of the robot's articulation, which its rigid bodies state where it has none."""
+    return Setting(name, SPAWN, f"articulation_props.{key}", kind, others=(f"rigid_props.{key}",))
+
+
 def _dialect(name: str, physx: str) -> IsaacLab:
     """Return the dialect of a version, which has its PhysxCfg at a place of its own."""
     return IsaacLab(
@@ -74,26 +68,13 @@ def _dialect(name: str, physx: str) -> IsaacLab:
             Setting("continuous_detection", physx, "enable_ccd", FLAG),
             Setting("enhanced_determinism", physx, "enable_enhanced_determinism", FLAG),
             Setting("tolerance_length_m", physx, "friction_offset_threshold"),
-            *(
-                Setting(
-                    f"{kind}_iterations",
-                    SPAWN,
-                    COUNT.format("articulation_props", kind),
-                    WHOLE,
-                    others=(COUNT.format("rigid_props", kind),),
-                )
-                for kind in ASSET_ITERATIONS
-            ),
+            _of_actor("position_iterations", "solver_position_iteration_count", WHOLE),
+            _of_actor("velocity_iterations", "solver_velocity_iteration_count", WHOLE),
             Setting("linear_damping_per_s", SPAWN, "rigid_props.linear_damping"),
             Setting("angular_damping_per_s", SPAWN, "rigid_props.angular_damping"),
             Setting("max_linear_velocity_m_per_s", SPAWN, "rigid_props.max_linear_velocity"),
             Setting("max_depenetration_velocity_m_per_s", SPAWN, "rigid_props.max_depenetration_velocity"),
-            Setting(
-                "sleep_threshold_m2_per_s2",
-                SPAWN,
-                "articulation_props.sleep_threshold",
-                others=("rigid_props.sleep_threshold",),
-            ),
+            _of_actor("sleep_threshold_m2_per_s2", "sleep_threshold"),
             Setting("contact_offset_m", COLLIDER, "contact_offset", pattern="{key}={value}"),
             Setting("rest_offset_m", COLLIDER, "rest_offset", pattern="{key}={value}"),
             Setting("patch_radius_m", COLLIDER, "torsional_patch_radius", pattern="{key}={value}"),
@@ -194,10 +175,9 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
 
 def _physx(sim: Table) -> Table:
     """Return the settings of PhysX; Isaac Lab 3 has them at another place."""
-    if sim.value("physx") is not None:
-        physx = sim.table("physx")
-    else:
-        physx = sim.table("physics") if any(key in sim for key in ISAAC_LAB_3_MARKS) else None
+    physx = sim.table("physx")
+    if physx is None and any(key in sim for key in ISAAC_LAB_3_MARKS):
+        physx = sim.table("physics")
     if physx is None:
         others = [key for key in OTHER_ENGINES if key in sim]
         reason = f"there is {sim.name(others[0])} instead" if others else "it states no solver"
@@ -300,15 +280,12 @@ def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, 
 
 def _materials(table: Table, sim: Table, robot: Table | None, values: PhysxValues) -> tuple[Material, Material]:
     """Return the materials of the ground and of the robot, before they are combined."""
-    stated = sim.table("physics_material")
-    default = DEFAULT if stated is None else stated_material(stated, body="body", default=DEFAULT)
-    ground = _ground(table, default, values)
-    foot = default.of("robot")
+    default = stated_material(sim.table("physics_material"), "body", DEFAULT)
+    ground = _ground(table, replace(default, body="ground"), values)
     own = None if robot is None else robot.table("spawn.physics_material")
-    if own is not None:
-        foot = stated_material(own, body="robot", default=DEFAULT)
-    else:
+    if own is None:
         values.notes.append("a material that the robot's asset itself binds is not seen")
+    foot = stated_material(own, "robot", default if own is None else DEFAULT)
     return ground, _randomized(table, foot, values)
 
 
@@ -318,16 +295,16 @@ def _ground(table: Table, default: Material, values: PhysxValues) -> Material:
         material, kind = terrain.table("physics_material"), terrain.text("terrain_type")
         if kind == "usd":
             values.notes.append(f"{terrain.name('usd_path')} decides the material of the ground, which is not seen")
-            return default.of("ground")
+            return default
         if material is None:
-            return DEFAULT_GROUND if kind == "plane" else default.of("ground")
-        return stated_material(material, body="ground", default=DEFAULT)
+            return DEFAULT_GROUND if kind == "plane" else default
+        return stated_material(material, "ground", DEFAULT)
     plane = _ground_plane(table.part("scene"))
     if plane is None:
         values.notes.append("no ground is found in the file: the default material of the simulation is used for it")
-        return default.of("ground")
+        return default
     material = plane.table("physics_material")
-    return DEFAULT_GROUND if material is None else stated_material(material, body="ground", default=DEFAULT)
+    return stated_material(material, "ground", DEFAULT_GROUND if material is None else DEFAULT)
 
 
 def _ground_plane(scene: Table) -> Table | None:
@@ -362,7 +339,7 @@ def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
     return foot
 
 
-def _ends(table: Table, key: str) -> Range | None:
+def _ends(table: Table, key: str) -> tuple[float, float] | None:
     ends = table.numbers(key, 2)
     if ends is None:
         return None

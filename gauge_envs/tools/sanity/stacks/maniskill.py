@@ -115,7 +115,7 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
     values.take_places({"sim_config": table, SCENE: scene})
     values.origins["timestep_s"] = "1 / sim_config.sim_freq"
     stated = table.table("default_materials_config")
-    material = MATERIAL if stated is None else stated_material(stated, body="body", default=MATERIAL)
+    ground, robot = (stated_material(stated, body, MATERIAL) for body in ("ground", "robot"))
     values.take_articulation()
     for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
         values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
@@ -127,7 +127,7 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
         source=source,
         gravity_m_per_s2=scene.numbers("gravity", 3),
         frame_skip=None if not control or control < 0.0 else round((table.number("sim_freq") or 0.0) / control),
-        foot_contact=combined(material.of("ground"), material.of("robot")),
+        foot_contact=combined(ground, robot),
     )
 
 

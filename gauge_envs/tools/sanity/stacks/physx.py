@@ -182,13 +182,11 @@ class Material:
         friction = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
         return f"{self.body} {friction} ({self.origin})"
 
-    def of(self, body: str) -> Material:
-        """Return the same material of a body."""
-        return replace(self, body=body)
 
-
-def stated_material(table: Table, *, body: str, default: Material) -> Material:
+def stated_material(table: Table | None, body: str, default: Material) -> Material:
     """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
+    if table is None:
+        return replace(default, body=body)
 
     def coefficient(key: str, otherwise: Range) -> Range:
         number = table.number(key)
