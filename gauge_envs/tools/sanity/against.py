@@ -141,17 +141,17 @@ def compare(
         engines = {name: stack.enter_context(Engine(name, simulation_limit_s(time_limit_s))) for name in names}
         limit_s = math.inf if time_limit_s is None else time_limit_s
         known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
-        sides = _Sides(*(_Side(target, known[target.backend]) for target in targets))
-        rows = [sides.step_row()]
+        sides = [_Side(target, known[target.backend]) for target in targets]
+        rows = [_step_row(sides)]
         if GRAVITY_ID in chosen:
-            rows.append(sides.gravity_row())
+            rows.append(_gravity_row(sides))
         simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID)]
-        measured = {one.id: sides.row(one) for one in simulated}
+        measured = {one.id: _measured_row(one, sides) for one in simulated}
     found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
     return Comparison(
         trained=targets[0],
         deployed=targets[1],
-        rows=(*rows, *sides.friction_rows(measured), *sides.restitution_rows(measured), *measured.values()),
+        rows=(*rows, *_friction_rows(sides, measured), *_restitution_rows(sides, measured), *measured.values()),
         versions={**found, **versions()},
         wall_s=time.perf_counter() - started,
     )
@@ -203,10 +203,6 @@ class _Side:
         used = [group.constants for group in self.configuration.contact_groups if group.is_used]
         return float(used[0]["friction"][0]) if used else None
 
-    def foot_remark(self) -> str:
-        """Return the materials that a foot meets; empty when the target states none."""
-        return "" if self.configuration.foot_contact is None else self.configuration.foot_contact.text
-
     def restitution(self, rebound: float | None, real: float) -> float | None:
         """Return the restitution that a foot meets; None when unknown.
 
@@ -222,89 +218,15 @@ class _Side:
         return None if rebound is None else foot.mean_restitution * rebound / real
 
 
-@dataclass(frozen=True)
-class _Sides:
-    """Both configurations, and the rows that compare them."""
-
-    trained: _Side
-    deployed: _Side
-
-    def row(self, phenomenon: Phenomenon) -> ChangeRow:
-        """Return the row on a phenomenon."""
-        (trained, first), (deployed, second) = self.trained.value(phenomenon), self.deployed.value(phenomenon)
-        return _row(
-            phenomenon.id,
-            phenomenon.title,
-            phenomenon.unit,
-            trained,
-            deployed,
-            phenomenon.reality.tolerance,
-            remark=_both(first, second),
-        )
-
-    def step_row(self) -> ChangeRow:
-        """Return the row on the step. A difference is visible at most, since it may do no harm."""
-        trained, deployed = self.trained.step_s(), self.deployed.step_s()
-        tolerance = STEP_RATIO * max(abs(trained or 0.0), abs(deployed or 0.0))
-        row = _row("step", "step of the engine", "s", trained, deployed, tolerance)
-        return replace(row, change=Change.VISIBLE) if row.change is Change.LARGE else row
-
-    def gravity_row(self) -> ChangeRow:
-        """Return the row on gravity, by the length of the difference of both."""
-        (trained, first), (deployed, second) = self.trained.gravity(), self.deployed.gravity()
-        apart, tolerance = float(np.linalg.norm(first - second)), GRAVITY_ROW.reality.tolerance
-        remark = "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
-        row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, trained, deployed, tolerance, remark=remark)
-        return replace(row, change=_change(0.0, apart, tolerance))
-
-    def friction_rows(self, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
-        """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
-        found: list[ChangeRow] = []
-        stated = [self.trained.stated_friction(), self.deployed.stated_friction()]
-        has_both = None not in stated
-        for name, direction in FRICTION_SLIDES.items():
-            if name not in rows:
-                continue
-            slide = phenomenon(name)
-            real = _friction(slide.reality.value)
-            shares = [None if a is None else _friction(a) / real for a in (rows[name].trained, rows[name].deployed)]
-            trained, deployed = (
-                None if share is None else share * (mu if has_both and mu is not None else 1.0)
-                for share, mu in zip(shares, stated, strict=True)
-            )
-            tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real
-            tolerance *= max(mu for mu in stated if mu is not None) if has_both else 1.0
-            title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
-            title += "" if has_both else ", over the stated one"
-            remark = _both(self.trained.foot_remark(), self.deployed.foot_remark()) if has_both and not found else ""
-            place = f"foot-{direction.split(' ')[0]}"
-            found.append(_row(place, title, "1", trained, deployed, tolerance, remark=remark))
-        return found
-
-    def restitution_rows(self, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
-        """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
-        row = rows.get(REBOUND)
-        if row is None:
-            return []
-        reality = phenomenon(REBOUND).reality
-        trained = self.trained.restitution(row.trained, reality.value)
-        deployed = self.deployed.restitution(row.deployed, reality.value)
-        if trained is None or deployed is None:
-            return []
-        title = "restitution that a foot meets"
-        return [_row("foot-restitution", title, "1", trained, deployed, reality.tolerance)]
+# --- rows ------------------------------------------------------------------------------------------------------------
 
 
 def _row(
-    name: str,
-    title: str,
-    unit: str,
-    trained: float | None,
-    deployed: float | None,
-    tolerance: float,
-    *,
-    remark: str = "",
+    name: str, title: str, unit: str, values: Sequence[float | None], tolerance: float, remarks: Sequence[str] = ()
 ) -> ChangeRow:
+    """Return the row on a value where the policy was trained, and where it runs."""
+    trained, deployed = values
+    shown = [f"{where}: {text}" for where, text in zip(("trained", "deployed"), remarks, strict=False) if text]
     return ChangeRow(
         id=name,
         title=title,
@@ -313,13 +235,63 @@ def _row(
         deployed=deployed,
         tolerance=tolerance,
         change=_change(trained, deployed, tolerance),
-        remark=remark,
+        remark="; ".join(shown),
     )
 
 
-def _both(first: str, second: str) -> str:
-    """Return the remarks of both sides in one line."""
-    return "; ".join([f"trained: {first}"] * bool(first) + [f"deployed: {second}"] * bool(second))
+def _measured_row(one: Phenomenon, sides: Sequence[_Side]) -> ChangeRow:
+    values, remarks = zip(*(side.value(one) for side in sides), strict=True)
+    return _row(one.id, one.title, one.unit, values, one.reality.tolerance, remarks)
+
+
+def _step_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on the step. A difference is visible at most, since it may do no harm."""
+    steps = [side.step_s() for side in sides]
+    row = _row("step", "step of the engine", "s", steps, STEP_RATIO * max(abs(step or 0.0) for step in steps))
+    return replace(row, change=Change.VISIBLE) if row.change is Change.LARGE else row
+
+
+def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on gravity, by the length of the difference of both."""
+    (trained, first), (deployed, second) = (side.gravity() for side in sides)
+    apart, tolerance = float(np.linalg.norm(first - second)), GRAVITY_ROW.reality.tolerance
+    remark = "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
+    row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance)
+    return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
+
+
+def _friction_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
+    found: list[ChangeRow] = []
+    stated = [side.stated_friction() for side in sides]
+    has_both = None not in stated
+    known = [1.0 if mu is None or not has_both else mu for mu in stated]
+    feet = [side.configuration.foot_contact for side in sides]
+    for name, direction in FRICTION_SLIDES.items():
+        if name not in rows:
+            continue
+        slide = phenomenon(name)
+        real = _friction(slide.reality.value)
+        measured = (rows[name].trained, rows[name].deployed)
+        values = [None if a is None else _friction(a) / real * mu for a, mu in zip(measured, known, strict=True)]
+        tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real * max(known)
+        title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
+        title += "" if has_both else ", over the stated one"
+        remarks = ["" if foot is None else foot.text for foot in feet] if has_both and not found else []
+        found.append(_row(f"foot-{direction.split(' ')[0]}", title, "1", values, tolerance, remarks))
+    return found
+
+
+def _restitution_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
+    row = rows.get(REBOUND)
+    if row is None:
+        return []
+    reality, measured = phenomenon(REBOUND).reality, (row.trained, row.deployed)
+    values = [side.restitution(value, reality.value) for side, value in zip(sides, measured, strict=True)]
+    if None in values:
+        return []
+    return [_row("foot-restitution", "restitution that a foot meets", "1", values, reality.tolerance)]
 
 
 def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:

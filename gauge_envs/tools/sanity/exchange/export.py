@@ -29,7 +29,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.writer import scene_stage
 from gauge_envs.tools.assets.urdf import body_files
 from gauge_envs.tools.assets.usd_layer import SOURCE
-from gauge_envs.tools.sanity.exchange import loop
+from gauge_envs.tools.sanity.exchange.loop import run as run_exported
 from gauge_envs.tools.sanity.exchange.scenes import (
     COLUMNS,
     DRIVERS,
@@ -108,7 +108,7 @@ def _texts(chosen: Sequence[ExportedScene]) -> Iterator[tuple[str, str]]:
             yield f"{scene.name}/{DRIVERS}", _drivers(scene)
     yield "gauge_loop.py", (program / "loop.py").read_text(encoding="utf-8")
     readme = (program / "readme.md").read_text(encoding="utf-8")
-    yield "README.md", readme.replace("LOOP\n", getsource(loop.run))
+    yield "README.md", readme.replace("LOOP\n", getsource(run_exported))
     # Written last: a folder with a manifest is complete.
     yield MANIFEST, json.dumps(manifest(chosen), indent=1, allow_nan=False) + "\n"
 

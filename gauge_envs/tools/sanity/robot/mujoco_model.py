@@ -25,6 +25,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, read_foot
+from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""
@@ -58,7 +59,7 @@ def mujoco_configuration(
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
 ) -> TrainingConfiguration:
-    """Return the training configuration of a MuJoCo model.
+    """Return the training configuration of a MuJoCo model, after a trial of its settings.
 
     Args:
         model: The compiled model.
@@ -71,6 +72,8 @@ def mujoco_configuration(
     used = None if not len(pairs.geoms) and pair is None else _used_constants(model, pairs, pair)
     groups = () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
     contact = default_contact_settings() if used is None else contact_settings(model, used)
+    settings = options | contact
+    check_settings("mujoco", settings)
     origin = next((group.geoms for group in groups if group.is_used), "MuJoCo's defaults: nothing collides")
     if overrides_contacts(model):
         origin = "option, flag override"
@@ -85,7 +88,7 @@ def mujoco_configuration(
         name=name,
         source=source,
         backend="mujoco",
-        settings=options | contact,
+        settings=settings,
         origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
         frame_skip=frame_skip,
         contact_groups=groups,

@@ -42,16 +42,8 @@ INTEGERS = frozenset(
 )
 
 GEOM_FIELDS = (
-    "contype",
-    "conaffinity",
-    "condim",
-    "priority",
-    "solmix",
-    "friction",
-    "solref",
-    "solimp",
-    "margin",
-    "gap",
+    *("contype", "conaffinity", "condim", "priority", "solmix"),
+    *("friction", "solref", "solimp", "margin", "gap"),
 )
 PAIR_FIELDS = ("friction", "solref", "solreffriction", "solimp", "margin", "gap")
 """Attributes of a geom and of an explicit pair that contacts depend on."""

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 from gauge_envs.backends.mujoco.contact_pairs import GROUND_TYPES
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed, TrainingConfiguration
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import GEOM_FIELDS, PAIR_FIELDS, WIDTHS, add_pairs, write_fields
-from gauge_envs.tools.sanity.stacks.mjcf import read_model
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
 OPTIONS = (
@@ -42,7 +42,7 @@ def _is_model(target: Any, module: str) -> bool:
 
 
 def _read(target: Any, pair: GeomPair | None, name: str, engine: str) -> TrainingConfiguration:
-    read = read_model(_built(target), name=name, source=f"{name} in this process, world 0", pair=pair)
+    read = mujoco_configuration(_built(target), name=name, source=f"{name} in this process, world 0", pair=pair)
     note = f"trains {engine}, in single precision; the rows run MuJoCo's C engine"
     return replace(read, notes=(note, UNREAD, *read.notes), foot_geometry=None)
 
@@ -168,15 +168,9 @@ def _is_warp(target: Any) -> bool:
 
 READERS = (
     Reader(
-        accepts="a mujoco.mjx.Model",
-        matches=lambda target: _is_model(target, "mujoco.mjx"),
-        read=lambda target, pair: _read(target, pair, "mjx.Model", "with MJX"),
-        has_geoms=True,
+        "a mujoco.mjx.Model",
+        lambda target: _is_model(target, "mujoco.mjx"),
+        lambda target, pair: _read(target, pair, "mjx.Model", "with MJX"),
     ),
-    Reader(
-        accepts="a mujoco_warp.Model, alone or with its Data as (model, data)",
-        matches=_is_warp,
-        read=_read_warp,
-        has_geoms=True,
-    ),
+    Reader("a mujoco_warp.Model, alone or with its Data as (model, data)", _is_warp, _read_warp),
 )

@@ -53,11 +53,4 @@ def _registers(decorator: ast.expr) -> bool:
     return ast.unparse(decorator.func if isinstance(decorator, ast.Call) else decorator) == REGISTER
 
 
-READERS = (
-    Reader(
-        accepts="a task of dm_control's suite (dm_control:walker/walk)",
-        matches=has_start(PREFIX),
-        read=_read,
-        has_geoms=True,
-    ),
-)
+READERS = (Reader("a task of dm_control's suite (dm_control:walker/walk)", has_start(PREFIX), _read),)

@@ -12,9 +12,10 @@ from typing import Any
 
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
 from gauge_envs.tools.sanity.stacks.documents import file_value
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, check_settings, has_suffix
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 
 
@@ -244,10 +245,11 @@ def _read_options(path: Path) -> TrainingConfiguration:
 DIALECTS = (GENESIS,)
 
 READERS = (
-    Reader(accepts="a gs.Scene", matches=_is_scene, read=_read_scene),
+    Reader("a gs.Scene", _is_scene, _read_scene, has_geoms=False),
     Reader(
-        accepts="saved options of a Genesis scene (options.json)",
-        matches=_is_options_file,
-        read=lambda target, _: _read_options(Path(target)),
+        "saved options of a Genesis scene (options.json)",
+        _is_options_file,
+        lambda target, _: _read_options(Path(target)),
+        has_geoms=False,
     ),
 )

@@ -14,7 +14,8 @@ from gauge_envs.backends import Simulation
 from gauge_envs.errors import TargetError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.mjcf import model_name, read_model
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.stacks.mjcf import model_name
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
 Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | VectorEnv[Any, Any, Any] | Mapping[str, Any]
@@ -70,7 +71,9 @@ def _read_env(env: gymnasium.Env, name: str, pair: GeomPair | None) -> TrainingC
         kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
         raise NotATargetError(f"{name} is {kind}, which has no MuJoCo model")
     source = f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}"
-    return read_model(model, name=name, source=source, pair=pair, frame_skip=getattr(inner, "frame_skip", None))
+    return mujoco_configuration(
+        model, name=name, source=source, pair=pair, frame_skip=getattr(inner, "frame_skip", None)
+    )
 
 
 def _env_name(env: gymnasium.Env) -> str:
@@ -80,22 +83,15 @@ def _env_name(env: gymnasium.Env) -> str:
 READERS = (
     # It takes every text, so it is the last reader of texts.
     Reader(
-        accepts="a Gymnasium id with a MuJoCo model (HalfCheetah-v5)",
-        matches=lambda target: isinstance(target, str | Path),
-        read=lambda target, pair: _read_id(str(target), pair),
-        has_geoms=True,
+        "a Gymnasium id with a MuJoCo model (HalfCheetah-v5)",
+        lambda target: isinstance(target, str | Path),
+        lambda target, pair: _read_id(str(target), pair),
     ),
     Reader(
-        accepts="an env",
-        matches=lambda target: isinstance(target, gymnasium.Env),
-        read=lambda target, pair: _read_env(target, _env_name(target), pair),
-        has_geoms=True,
+        "an env",
+        lambda target: isinstance(target, gymnasium.Env),
+        lambda target, pair: _read_env(target, _env_name(target), pair),
     ),
     # All of its environments have one configuration.
-    Reader(
-        accepts="a vector env",
-        matches=lambda target: isinstance(target, VectorEnv),
-        read=_read_vector,
-        has_geoms=True,
-    ),
+    Reader("a vector env", lambda target: isinstance(target, VectorEnv), _read_vector),
 )

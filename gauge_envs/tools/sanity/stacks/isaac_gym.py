@@ -212,8 +212,9 @@ DIALECTS = (ISAAC_GYM,)
 
 READERS = (
     Reader(
-        accepts="a YAML file of legged_gym, HumanoidVerse or ProtoMotions with its sim.physx",
-        matches=_matches,
-        read=lambda target, _: _read(target),
+        "a YAML file of legged_gym, HumanoidVerse or ProtoMotions with its sim.physx",
+        _matches,
+        lambda target, _: _read(target),
+        has_geoms=False,
     ),
 )

@@ -377,8 +377,9 @@ def _read(target: Any) -> TrainingConfiguration:
 READERS = (
     # It takes every YAML file that another reader does not take.
     Reader(
-        accepts="the params/env.yaml of a training run with Isaac Lab",
-        matches=_matches,
-        read=lambda target, _: _read(target),
+        "the params/env.yaml of a training run with Isaac Lab",
+        _matches,
+        lambda target, _: _read(target),
+        has_geoms=False,
     ),
 )

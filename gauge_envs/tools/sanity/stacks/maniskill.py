@@ -206,9 +206,5 @@ def _read(target: Any) -> TrainingConfiguration:
 DIALECTS = (MANISKILL,)
 
 READERS = (
-    Reader(
-        accepts="a task of ManiSkill (maniskill:PickCube-v1)",
-        matches=_matches,
-        read=lambda target, _: _read(target),
-    ),
+    Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, lambda target, _: _read(target), has_geoms=False),
 )

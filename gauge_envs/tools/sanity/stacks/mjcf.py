@@ -20,7 +20,7 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import file_content
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, check_settings, has_suffix
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
 
 MOST_MODEL_BYTES = 16 * MEGABYTE
 """Largest size of a model file, without the meshes that it names."""
@@ -82,28 +82,6 @@ class Mjcf(Dialect):
         return self.joint.join([*parts, *alone])
 
 
-def read_model(
-    model: mujoco.MjModel,
-    *,
-    name: str,
-    source: str,
-    pair: GeomPair | None = None,
-    frame_skip: int | None = None,
-) -> TrainingConfiguration:
-    """Return the configuration of a compiled model, after a trial of its settings.
-
-    Args:
-        model: The compiled model.
-        name: Name of the configuration.
-        source: Description of where the model is from.
-        pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
-        frame_skip: Steps of the engine for one action; None when unknown.
-    """
-    read = mujoco_configuration(model, name=name, source=source, pair=pair, frame_skip=frame_skip)
-    check_settings(read.backend, read.settings)
-    return read
-
-
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads."""
     file_content(path, MOST_MODEL_BYTES)
@@ -114,7 +92,7 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
         model = mujoco.MjModel.from_xml_path(str(path))
     except ValueError as error:
         raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
-    return read_model(model, name=path.name, source=f"model file {path}", pair=pair)
+    return mujoco_configuration(model, name=path.name, source=f"model file {path}", pair=pair)
 
 
 def model_name(model: mujoco.MjModel) -> str:
@@ -126,15 +104,13 @@ DIALECTS = (Mjcf(name="mjcf"),)
 
 READERS = (
     Reader(
-        accepts="a mujoco.MjModel",
-        matches=lambda target: isinstance(target, mujoco.MjModel),
-        read=lambda target, pair: read_model(target, name=model_name(target), source="mujoco.MjModel", pair=pair),
-        has_geoms=True,
+        "a mujoco.MjModel",
+        lambda target: isinstance(target, mujoco.MjModel),
+        lambda target, pair: mujoco_configuration(target, name=model_name(target), source="mujoco.MjModel", pair=pair),
     ),
     Reader(
-        accepts="a model file (.xml, .mjcf, .urdf)",
-        matches=has_suffix(".xml", ".mjcf", ".urdf"),
-        read=lambda target, pair: read_model_file(Path(target), pair),
-        has_geoms=True,
+        "a model file (.xml, .mjcf, .urdf)",
+        has_suffix(".xml", ".mjcf", ".urdf"),
+        lambda target, pair: read_model_file(Path(target), pair),
     ),
 )

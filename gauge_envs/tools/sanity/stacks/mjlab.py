@@ -24,9 +24,10 @@ from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, Train
 from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
 from gauge_envs.tools.sanity.python_source.values import External, Instance, Module, plain, source_path
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text
 from gauge_envs.tools.sanity.stacks.documents import read_yaml
-from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS, read_model
+from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 
@@ -112,7 +113,7 @@ def mjlab_configuration(
     """
     table = Table(cfg, source=source)
     built = _built(table)
-    read = read_model(built.model, name=name, source=source, pair=pair, frame_skip=table.whole("decimation"))
+    read = mujoco_configuration(built.model, name=name, source=source, pair=pair, frame_skip=table.whole("decimation"))
     note = "trains on mujoco_warp, in single precision; the rows run MuJoCo's C engine"
     notes = (note, *built.notes, *read.notes)
     return replace(read, language=MJLAB.name, notes=notes, capacity=_capacity(table, built), is_model=True)
@@ -340,14 +341,14 @@ DIALECTS = (MJLAB,)
 READERS = (
     _reader(
         "a task configuration of mjlab",
-        matches=_is_cfg,
+        _is_cfg,
         cfg_of=lambda target: (plain(target), "task configuration of mjlab"),
         label=lambda target: type(target).__name__,
     ),
-    _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", matches=has_start(PREFIX), cfg_of=_of_name),
+    _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), cfg_of=_of_name),
     _reader(
         "params/env.yaml of a training run of mjlab",
-        matches=_is_file,
+        _is_file,
         cfg_of=lambda target: (read_yaml(Path(target), takes_objects=True), f"training run {target}"),
         label=lambda target: Path(target).name,
     ),

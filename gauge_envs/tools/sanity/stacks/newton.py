@@ -21,8 +21,9 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, check_settings
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
 JUDGED = "SolverMuJoCo"
 """Solver of rigid bodies that this package's Newton backend runs."""
@@ -246,9 +247,8 @@ DIALECTS = (NEWTON,)
 
 READERS = (
     Reader(
-        accepts="a newton.Model or a SolverMuJoCo of Newton",
-        matches=is_newton,
-        read=lambda target, pair: newton_configuration(target, pair=pair),
-        has_geoms=True,
+        "a newton.Model or a SolverMuJoCo of Newton",
+        is_newton,
+        lambda target, pair: newton_configuration(target, pair=pair),
     ),
 )

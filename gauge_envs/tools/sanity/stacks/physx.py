@@ -13,8 +13,8 @@ from typing import Any
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import FootContact, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, number_text
-from gauge_envs.tools.sanity.stacks.reader import check_settings
 from gauge_envs.tools.sanity.stacks.table import Table
 
 LEAST_NOTED_M_PER_S = 0.1

@@ -7,7 +7,7 @@ are overrides of the configuration, `config_overrides={"sim_dt": 0.002}`, and el
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,13 @@ from typing import Any
 import mujoco
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
+from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
 from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
 from gauge_envs.tools.sanity.python_source.values import UNKNOWN, Config, External, Instance, source_path
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import Setting
-from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS, Mjcf, read_model
+from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS, Mjcf
 from gauge_envs.tools.sanity.stacks.packaged_mjcf import PackagedModel, packaged_model
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start
 
@@ -72,12 +73,7 @@ class PlaygroundTask:
     options: Mapping[str, float]
     config: Mapping[str, Any]
     world_count: int | None
-    edits: bool = False
-
-    @property
-    def limits(self) -> CapacityLimits | None:
-        """Limits of the memory for contacts; None for an implementation that has none."""
-        return _limits(self.config, self.world_count)
+    edits: bool
 
 
 def playground_tasks() -> tuple[str, ...]:
@@ -156,20 +152,18 @@ def _registered(source: Source, suite: str) -> Mapping[str, Any]:
 def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     task = playground_task(str(target))
     packaged = _packaged(task)
+    notes = _missing_notes(packaged)
+    if task.edits:
+        notes.append(f"Playground changes {task.model_file.name} before it compiles it; the file is read as it is")
     step, control = task.config.get("sim_dt"), task.config.get("ctrl_dt")
-    read = read_model(
+    read = mujoco_configuration(
         packaged.model,
         name=str(target),
         source=f"MuJoCo Playground {package_version(DISTRIBUTION)}, {task.model_file.name} and its configuration",
         pair=pair,
         frame_skip=round(control / step) if step and control else None,
     )
-    notes = _missing_notes(packaged)
-    if task.edits:
-        notes.append(f"Playground changes {task.model_file.name} before it compiles it; the file is read as it is")
-    limits = task.limits
-    capacity = None if limits is None else contact_capacity(packaged.model, limits, unknown=packaged.missing_geoms)
-    return _completed(read, task.config, capacity, notes)
+    return _trained(read, packaged, task.config, worlds=task.world_count, notes=notes)
 
 
 def _packaged(task: PlaygroundTask) -> PackagedModel:
@@ -183,23 +177,23 @@ def _packaged(task: PlaygroundTask) -> PackagedModel:
     return packaged
 
 
-def _limits(config: Mapping[str, Any], worlds: int | None) -> CapacityLimits | None:
-    """Return the limits of the memory for contacts; None for an implementation that has none."""
-    if config.get("impl") != WARP:
-        return None
-    values = [config.get(key) for key in ("njmax", "naconmax")]
-    njmax, naconmax = [one if isinstance(one, int) and not isinstance(one, bool) else None for one in values]
-    return CapacityLimits(njmax=njmax, naconmax=naconmax, worlds=worlds)
-
-
-def _completed(
-    read: TrainingConfiguration, config: Mapping[str, Any], capacity: ContactCapacity | None, notes: list[str]
+def _trained(
+    read: TrainingConfiguration,
+    packaged: PackagedModel,
+    config: Mapping[str, Any],
+    *,
+    worlds: int | None = None,
+    notes: Sequence[str] = (),
 ) -> TrainingConfiguration:
-    """Return the configuration of a model with what Playground trains it on."""
-    implementation = config.get("impl")
-    engine = "MJX"
+    """Return the configuration of a model with what Playground trains it on, and its limits of contacts there."""
+    implementation, engine, capacity = config.get("impl"), "MJX", None
     if implementation == WARP:
         engine = "MJX on mujoco_warp"
+        stated = {name: config.get(name) for name in ("njmax", "naconmax")}
+        whole = {name: value for name, value in stated.items() if type(value) is int}
+        capacity = contact_capacity(
+            packaged.model, CapacityLimits(**whole, worlds=worlds), unknown=packaged.missing_geoms
+        )
     elif isinstance(implementation, str):
         engine = f"MJX's implementation {implementation!r}"
     note = f"trains with {engine}, in single precision; the rows run MuJoCo's C engine"
@@ -229,32 +223,29 @@ def _is_env(target: Any) -> bool:
 def _read_env(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     inner = getattr(target, "unwrapped", target)
     config, version = getattr(inner, "_config", {}), package_version(DISTRIBUTION)
-    read = read_model(
+    read = mujoco_configuration(
         inner.mj_model,
         name=type(inner).__name__,
         source=f"environment of MuJoCo Playground {version}, MuJoCo {mujoco.__version__}",
         pair=pair,
         frame_skip=getattr(inner, "n_substeps", None),
     )
-    limits = _limits(config, None)
-    return _completed(read, config, None if limits is None else contact_capacity(inner.mj_model, limits), [])
+    return _trained(read, PackagedModel(model=inner.mj_model), config)
 
 
 DIALECTS = (PLAYGROUND,)
 
 READERS = (
     Reader(
-        accepts="a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
-        matches=has_start(PREFIX),
-        read=_read_name,
-        has_geoms=True,
+        "a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
+        has_start(PREFIX),
+        _read_name,
         model=lambda target: _packaged(playground_task(str(target))).model,
     ),
     Reader(
-        accepts="an env of MuJoCo Playground",
-        matches=_is_env,
-        read=_read_env,
-        has_geoms=True,
+        "an env of MuJoCo Playground",
+        _is_env,
+        _read_env,
         model=lambda target: getattr(target, "unwrapped", target).mj_model,
     ),
 )

@@ -18,10 +18,9 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_model import ABSENT_PARTS
+from gauge_envs.tools.sanity.robot.mujoco_model import ABSENT_PARTS, mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
-from gauge_envs.tools.sanity.stacks.mjcf import read_model
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
 
 SUFFIX = ".gaugeprobe.json"
@@ -110,7 +109,7 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
     if _release(trained) < MARGINS_SINCE and any(data.arrays["geom_margin"] + data.arrays["geom_gap"]):
         notes.append(f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training")
     notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
-    read = read_model(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
+    read = mujoco_configuration(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
     limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
     capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
     return replace(read, notes=(*read.notes, *notes), capacity=capacity)
@@ -147,11 +146,4 @@ def _is_probe_file(target: Any) -> bool:
     return str(target).endswith(SUFFIX) or START.match(content[:200]) is not None
 
 
-READERS = (
-    Reader(
-        accepts=f"a probe file ({SUFFIX})",
-        matches=_is_probe_file,
-        read=lambda target, pair: _read(Path(target), pair),
-        has_geoms=True,
-    ),
-)
+READERS = (Reader(f"a probe file ({SUFFIX})", _is_probe_file, lambda target, pair: _read(Path(target), pair)),)

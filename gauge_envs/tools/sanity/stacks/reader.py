@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
-from gauge_envs.backends import backend, backend_names
-from gauge_envs.backends.registry import is_bundled
-from gauge_envs.errors import GaugeError, TargetError
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.runs.isolation import Worker
+from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 
 if TYPE_CHECKING:
@@ -20,18 +16,12 @@ if TYPE_CHECKING:
 GeomPair: TypeAlias = tuple[str, str]
 """Names of two geoms of a model."""
 
-TRIAL_VARIANT = "BouncingBall-rubber"
-"""Settings are checked on the scene of this variant, which builds fast."""
-
-TRIAL_LIMIT_S = 300.0
-"""Time limit of that check in another process [s]."""
-
 
 class NotATargetError(TargetError):
     """No reader knows the target; the message is completed with what can be given."""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Reader:
     """One kind of target.
 
@@ -49,7 +39,7 @@ class Reader:
     accepts: str
     matches: Callable[[Any], bool]
     read: Callable[[Any, GeomPair | None], TrainingConfiguration]
-    has_geoms: bool = False
+    has_geoms: bool = True
     model: Callable[[Any], mujoco.MjModel] | None = None
 
 
@@ -61,21 +51,3 @@ def has_start(*starts: str) -> Callable[[Any], bool]:
 def has_suffix(*suffixes: str) -> Callable[[Any], bool]:
     """Return a function that returns whether a target is the name of a file with one of some suffixes."""
     return lambda target: isinstance(target, str | Path) and Path(target).suffix.lower() in suffixes
-
-
-def check_settings(name: str, settings: Mapping[str, Any]) -> None:
-    """Build a scene with settings of a backend."""
-    if name not in backend_names() or is_bundled(name):
-        _build_once(name, settings)
-        return
-    with Worker(TRIAL_LIMIT_S) as worker:
-        try:
-            worker.call(_build_once, name, settings)
-        except GaugeError as error:
-            raise TargetError(f"backend {name!r}: {error}") from None
-
-
-def _build_once(name: str, settings: Mapping[str, Any]) -> None:
-    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
-    interval = {"drive_interval_s": settings["timestep_s"]} if "timestep_s" in settings else {}
-    backend(name).build(load_experiment(TRIAL_VARIANT).scene, {**settings, **interval}).close()

@@ -11,8 +11,9 @@ from gauge_envs.backends import backend_names
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import json_document, toml_document
 from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.documents import file_value
-from gauge_envs.tools.sanity.stacks.reader import Reader, check_settings, has_suffix
+from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 
 
 class _SettingsFile(BaseModel):
@@ -63,13 +64,15 @@ def _read_backend(text: str) -> TrainingConfiguration:
 
 READERS = (
     Reader(
-        accepts="a settings file (.toml, .json)",
-        matches=has_suffix(".toml", ".json"),
-        read=lambda target, _: _read_file(Path(target)),
+        "a settings file (.toml, .json)",
+        has_suffix(".toml", ".json"),
+        lambda target, _: _read_file(Path(target)),
+        has_geoms=False,
     ),
     Reader(
-        accepts="a backend with or without a preset (mujoco:out_of_box)",
-        matches=lambda target: isinstance(target, str | Path) and str(target).partition(":")[0] in backend_names(),
-        read=lambda target, _: _read_backend(str(target)),
+        "a backend with or without a preset (mujoco:out_of_box)",
+        lambda target: isinstance(target, str | Path) and str(target).partition(":")[0] in backend_names(),
+        lambda target, _: _read_backend(str(target)),
+        has_geoms=False,
     ),
 )
