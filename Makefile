@@ -60,11 +60,14 @@ test-matrix: $(VENV)/.installed
 	$(BIN)/python scripts/test_matrix.py $(MATRIX) --tests $(MATRIX_TESTS) --rigid-tests $(RIGID_TESTS)
 	$(BIN)/python -m pytest -m slow tests/test_install_commands.py -k "(README or getting_started or scripts) and not point_engine"
 
+# Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/import_time.py
 	$(BIN)/python benchmarks/step.py
 	$(BIN)/python benchmarks/dtw.py
+	$(BIN)/python benchmarks/worlds.py --engine-stub --cpu-time --worlds 256
+	$(BIN)/python benchmarks/import_memory.py --trials 100
 
 # Pictures and films of docs/gallery.md. The results stay, so that a second time draws alone.
 gallery: $(VENV)/.installed

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import re
+import shutil
 from importlib.metadata import version as installed_version
+from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
@@ -50,8 +52,26 @@ PAGES_OF_FILES = {
 """Files outside `docs/` that the site shows as pages of its own, with the page that includes each."""
 
 
+STUDIES = Path(__file__).parents[1] / "studies"
+"""Notes that the site shows as pages: copied to `docs/studies/` before each build, as they link to each other."""
+
+
+def copy_studies(app: Sphinx) -> None:
+    """Write a page for the note of each study, with the links that it has in the site."""
+    pages = Path(app.srcdir) / "studies"
+    shutil.rmtree(pages, ignore_errors=True)
+    pages.mkdir()
+    for note in STUDIES.rglob("README.md"):
+        name = "index" if note.parent == STUDIES else note.parent.name
+        text = re.sub(r"\]\((?:\.\./)?(\w+)/README\.md", r"](\1.md", note.read_text(encoding="utf-8"))
+        text = re.sub(r"\]\(([\w-]+\.png)", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../"))
+        (pages / f"{name}.md").write_text(text, encoding="utf-8")
+
+
 def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
-    """Point links to a file outside `docs/` to the page that includes it; in the repository they lead to the file."""
+    """Point links to a file outside `docs/` to the page that shows it; in the repository they lead to the file."""
+    text = re.sub(r"\]\(((?:\.\./)*)\.\./studies/README\.md", r"](\1studies/index.md", source[0])
+    source[0] = re.sub(r"\]\(((?:\.\./)*)\.\./studies/(\w+)/README\.md", r"](\1studies/\2.md", text)
     for file, target in PAGES_OF_FILES.items():
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
@@ -107,6 +127,7 @@ def leave_out_signature(
 
 def setup(app: Sphinx) -> None:
     """Connect the hooks; docstrings are rewritten before napoleon reads their sections."""
+    app.connect("builder-inited", copy_studies)
     app.connect("source-read", link_pages)
     app.connect("autodoc-process-docstring", read_markdown, priority=100)
     app.connect("autodoc-process-docstring", escape_patterns, priority=900)

@@ -3,7 +3,7 @@
     python scripts/build_convergence.py --resume                     measures all rows that are missing
     python scripts/build_convergence.py --ids 'Foam*' --setting cell_m
     python scripts/build_convergence.py --check                      measures a few quick rows again and compares them
-    python scripts/build_convergence.py --docs                       writes the summary in docs/measured_results.md
+    python scripts/build_convergence.py --table                      prints a summary of all engines
 
 Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
 bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
@@ -27,6 +27,7 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from generated import SCORING, markdown_table
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
@@ -44,11 +45,6 @@ from gauge_envs.scene import Rod, SoftBody
 
 QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "StickStack-soft")
 """Variants of `--check`."""
-
-PAGE = Path(__file__).parents[1] / "docs" / "measured_results.md"
-MARK = "<!-- convergence, written by scripts/build_convergence.py --docs -->"
-END_MARK = "<!-- end of convergence -->"
-"""Marks around the summary in the page."""
 
 CHECK_TOLERANCE = 0.05
 """Largest relative difference between a row and its repetition on another machine."""
@@ -205,7 +201,7 @@ def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
 def summary(tables: Mapping[str, ConvergenceTable]) -> str:
     """Return the tables of all engines by family, in Markdown."""
     titles = [f"{name}, {unit}" for name in ("half step", "half cell") for unit in ("% of the real scatter", "mm")]
-    lines = [f"| experiment | engine | {' | '.join(titles)} |", "|---|---|---:|---:|---:|---:|"]
+    found = []
     for family in dict.fromkeys(_family(variant.name) for variant in variants()):
         for engine, table in tables.items():
             of_family = [row for row in table.rows.values() if _family(row.variant) == family]
@@ -217,8 +213,8 @@ def summary(tables: Mapping[str, ConvergenceTable]) -> str:
                     _range([r.points_rms_mm for r in rows]),
                 ]
             if of_family:
-                lines.append(f"| {family} | {engine} | {' | '.join(cells)} |")
-    return "\n".join(lines)
+                found.append([family, engine, *cells])
+    return "\n".join(markdown_table(["experiment", "engine", *titles], found))
 
 
 def _family(name: str) -> str:
@@ -239,15 +235,6 @@ def _range(values: Sequence[float | None]) -> str:
     return " to ".join(dict.fromkeys(texts))
 
 
-def documented(text: str, tables: Mapping[str, ConvergenceTable]) -> str:
-    """Return the text of the page with a current summary between its marks."""
-    before, start, rest = text.partition(MARK)
-    _, end, after = rest.partition(END_MARK)
-    if not (start and end):
-        raise ValueError(f"{PAGE} has no {MARK} and {END_MARK} behind it: add both lines")
-    return f"{before}{start}\n\n{summary(tables)}\n\n{end}{after}"
-
-
 def all_tables(scoring: Path) -> dict[str, ConvergenceTable]:
     """Return the tables of all engines by name."""
     return {file.stem: ConvergenceTable.read(file) for file in sorted((scoring / "convergence").glob("*.csv"))}
@@ -261,14 +248,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--setting", nargs="*", choices=REFINED_SETTINGS, default=list(REFINED_SETTINGS))
     parser.add_argument("--resume", action="store_true", help="keep rows that the file has")
     parser.add_argument("--check", action="store_true", help="write nothing; fail if a quick row differs")
-    parser.add_argument("--docs", action="store_true", help="write the summary in docs/measured_results.md alone")
+    parser.add_argument("--table", action="store_true", help="measure nothing; print a summary of all engines")
     parser.add_argument("--limit-s", type=float, default=600.0, help="wall time of an episode at most")
-    parser.add_argument(
-        "--scoring", type=Path, default=Path(__file__).parents[1] / "scoring", help="folder of the data"
-    )
+    parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
     options = parser.parse_args(arguments)
-    if options.docs:
-        write_whole(PAGE, documented(PAGE.read_text(encoding="utf-8"), all_tables(options.scoring)).encode())
+    if options.table:
+        print(summary(all_tables(options.scoring)))
         return 0
     file = options.scoring / "convergence" / f"{options.backend}.csv"
     version = ", ".join(f"{key} {text}" for key, text in backend(options.backend).versions().items())

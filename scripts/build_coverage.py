@@ -11,11 +11,12 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
@@ -23,8 +24,7 @@ from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
 from gauge_envs.references.published import published_baselines
 
-BEGIN, END = "<!-- coverage, written by scripts/build_coverage.py -->", "<!-- end of coverage -->"
-"""Lines of the page that enclose the table."""
+SCRIPT = Path(__file__).name
 
 HEAD = """
 | column | meaning |
@@ -92,12 +92,6 @@ def known_frames(band: Band) -> str:
     return str(some) if full == some else f"{some} ({full} in full)"
 
 
-def table(titles: Sequence[str], rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a Markdown table."""
-    for cells in (titles, ["---"] * len(titles), *rows):
-        yield f"| {' | '.join(cells)} |"
-
-
 def coverage_markdown(rows: Sequence[Row]) -> str:
     """Return the text of the block."""
     count = Counter(row.used for row in rows)
@@ -113,7 +107,7 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         f"- statistics of deformation: {sum(row.statistics for row in rows)}",
         f"- drivers: {', '.join(f'{drivers[name]} {name}' for name in sorted(drivers) if name != '-')}",
         "",
-        *table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),
+        *markdown_table(("id", "band", "known", "sigma", "driver", "normalized"), [row.cells() for row in rows]),
         "",
         "Why bands are withheld:",
         "",
@@ -126,19 +120,6 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
     return "\n".join(lines)
 
 
-def with_block(page: str, block: str) -> str:
-    """Put the block between the two marks of a page.
-
-    Raises:
-        ValueError: The page does not have the marks, once each and in order.
-    """
-    head, begin, rest = page.partition(BEGIN)
-    _, end, tail = rest.partition(END)
-    if not (begin and end):
-        raise ValueError(f"the page needs the lines {BEGIN!r} and {END!r}")
-    return f"{head}{BEGIN}\n\n{block}\n\n{END}{tail}"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write or check the file.
 
@@ -147,17 +128,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     parser = argparse.ArgumentParser(description="Write the table of coverage.")
     parser.add_argument("--check", action="store_true", help="write nothing; fail when the file is not current")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "docs" / "coverage.md", help="file")
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "coverage.md", help="file")
     options = parser.parse_args(arguments)
-    page = options.out.read_text(encoding="utf-8")
-    text = with_block(page, coverage_markdown([coverage(variant) for variant in variants()]))
-    if not options.check:
-        options.out.write_text(text, encoding="utf-8", newline="\n")
-        return 0
-    if page == text:
-        return 0
-    print(f"{options.out} is not current: run python scripts/build_coverage.py", file=sys.stderr)
-    return 1
+    block = coverage_markdown([coverage(variant) for variant in variants()])
+    text = with_part(options.out.read_text(encoding="utf-8"), "coverage", SCRIPT, block)
+    return settle({options.out: text}, SCRIPT, check=options.check)
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@
     python scripts/build_engine_table.py --results DIR --grades         runs what the ranks need; writes the ranks only
     python scripts/build_engine_table.py --again CHECK                  runs a check again in all configurations
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
+    python scripts/build_engine_table.py --tables                       prints all tables of the data
     python scripts/build_engine_table.py --check                        fails if the page is not current
 
 DIR keeps the result files and the conformance checks, one folder for each configuration, so that the script can be
@@ -29,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment
 from gauge_envs.files import json_ready, write_whole
@@ -41,10 +43,9 @@ from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.grades import GradeComparison
 from gauge_envs.tools.conformance import run_checks
 
-ROOT = Path(__file__).parents[1]
-DATA = ROOT / "scoring" / "engines.json"
+DATA = SCORING / "engines.json"
 PAGE = ROOT / "docs" / "engines" / "comparison.md"
-BEGIN, END = "<!-- engines, written by scripts/build_engine_table.py -->", "<!-- end of engines -->"
+SCRIPT = Path(__file__).name
 
 ENGINES = ("mujoco", "newton", "physx", "pybullet", "rapier", "drake", "genesis")
 MORE_PRESETS = {"physx": ("isaac", "paper"), "newton": ("paper",), "genesis": ("paper",)}
@@ -77,6 +78,9 @@ RATIOS = {
     "period": "pendulum-period",
 }
 """Columns of measured over expected values, and their conformance checks."""
+
+MAIN_RATIOS = ("slide", "e = 0.5", "period")
+"""Those that the page shows."""
 
 
 def presets_of(engine: str) -> tuple[str, ...]:
@@ -334,30 +338,75 @@ def number(value: float | None, digits: int) -> str:
     return "" if value is None else f"{value:.{digits}f}"
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
-    """Yield the lines of a Markdown table."""
-    yield "| " + " | ".join(head) + " |"
-    yield "|" + "---|" * len(head)
-    for row in rows:
-        yield "| " + " | ".join(row) + " |"
-    yield ""
-
-
 def page(data: Mapping[str, Any]) -> str:
-    """Return the generated part of the page."""
-    return "\n".join(lines(data))
-
-
-def lines(data: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines of the generated part of the page."""
+    """Return the generated part of the page: the main numbers of each configuration."""
     rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
-    versions = {f"{name} {text}" for _, one in rows for name, text in one["versions"].items()}
-    yield f"Measured with {', '.join(sorted(versions))}."
-    yield ""
-    yield "### Closed forms"
-    yield ""
-    yield "Difference from the law in per cent; *loss* is the energy that a pendulum loses in 3 s, in per cent."
-    yield ""
+    ranks = {grade["grade"]: {one["configuration"]: one for one in grade["scores"]} for grade in data["grades"]}
+    counts = [f"{len(grade['ids'])} ids of grade `{grade['grade']}`" for grade in data["grades"]]
+    lines = [
+        f"Measured with {versions(data)}.",
+        "",
+        "### Closed forms and cost",
+        "",
+        "Checks that passed, failed and were declined; difference from the law in per cent; *loss* is the energy that "
+        "a pendulum loses in 3 s, in per cent. *Cost* is the wall time over that of MuJoCo's default preset, the "
+        f"geometric mean over those of {len(TIMED)} episodes that ran.",
+        "",
+        *markdown_table(
+            ("configuration", "checks", "slide", "e = 0.5", "period", "loss", "cost"),
+            ((name, *main_cells(one)) for name, one in rows),
+        ),
+        "",
+        "### Ranks",
+        "",
+        "Rank, and mean of the primary score with its 95 % interval, over "
+        f"{', '.join(counts)}. A rank is one more than "
+        "the number of configurations with a distinguishably lower mean.",
+        "",
+        *markdown_table(
+            ("configuration", *ranks),
+            ((name, *(ranked_text(scores.get(name)) for scores in ranks.values())) for name, _ in rows),
+        ),
+    ]
+    return "\n".join(lines)
+
+
+def versions(data: Mapping[str, Any]) -> str:
+    """Return the versions of all engines."""
+    found = {f"{name} {text}" for one in data["configurations"] for name, text in one["versions"].items()}
+    return ", ".join(sorted(found))
+
+
+def main_cells(one: Mapping[str, Any]) -> list[str]:
+    """Return the main closed forms of a configuration, and its cost."""
+    checks, laws = one["conformance"], one["laws"]
+    counts = f"{checks['passed']}, {len(checks['failed'])}, {len(checks['declined'])}"
+    ratios = [ratio for variant in TIMED if (ratio := one["wall_ratios"].get(variant))]
+    cost = f"{np.exp(np.mean(np.log(ratios))):.2g}" if ratios else ""
+    return [counts, *(percent(laws[name]) for name in MAIN_RATIOS), number(laws["energy loss"], 3), cost]
+
+
+def ranked_text(score: Mapping[str, Any] | None) -> str:
+    """Return the rank of a configuration in a grade with its mean score."""
+    return (
+        ""
+        if score is None
+        else "{}: {:.2f} [{:.2f}, {:.2f}]".format(score["rank"], score["mean"], *score["interval_95"])
+    )
+
+
+# --- all tables ------------------------------------------------------------------------------------------------------
+
+
+def tables(data: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the lines of all tables of the data."""
+    rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
+    yield f"Measured with {versions(data)}."
+    yield from ("", "### Closed forms", "")
+    yield from (
+        "Difference from the law in per cent; *loss* is the energy that a pendulum loses in 3 s, in per cent.",
+        "",
+    )
     head = (
         "configuration",
         "passed",
@@ -368,33 +417,24 @@ def lines(data: Mapping[str, Any]) -> Iterator[str]:
         "loss",
         "ball's e",
     )
-    yield from table(head, ((name, *closed_forms(one)) for name, one in rows))
+    yield from markdown_table(head, ((name, *closed_forms(one)) for name, one in rows))
+    yield ""
     for name, one in rows:
         for status in ("failed", "declined"):
-            checks = ", ".join(f"`{check}`" for check in one["conformance"][status])
-            if checks:
+            if checks := ", ".join(f"`{check}`" for check in one["conformance"][status]):
                 yield f"- {name}, {status}: {checks}"
-    yield ""
-    yield "### Scores against real trials"
-    yield ""
-    yield "Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw."
-    yield ""
+    yield from ("", "### Scores against real trials", "")
+    yield from ("Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw.", "")
     heads = [f"{name.rsplit('-', 1)[1]}, {kind}" for kind in ("aligned", "raw") for name in SLIDES]
-    yield from table(("configuration", *heads, "ball"), ((name, *trial_cells(one)) for name, one in rows))
-    yield "### Scores against recordings and laws, and events"
-    yield ""
-    yield "Normalized RMSE; momentum transfer of the cradle, period over the real one, outcome of the wall."
-    yield ""
+    yield from markdown_table(("configuration", *heads, "ball"), ((name, *trial_cells(one)) for name, one in rows))
+    yield from ("", "### Scores against recordings and laws, and events", "")
+    yield from ("Normalized RMSE; momentum transfer of the cradle, period over the real one, outcome of the wall.", "")
     head = ("configuration", *RECORDINGS, "largest of 6 laws", "cradle, MTE", "pendulum, PD", "wall")
-    yield from table(head, ((name, *other_cells(one)) for name, one in rows))
-    for grade in data["grades"]:
-        yield from grade_lines(grade)
-    yield "### Cost"
-    yield ""
-    yield "Wall time as a ratio to MuJoCo's default preset in the same run, faster of two runs."
-    yield ""
+    yield from markdown_table(head, ((name, *other_cells(one)) for name, one in rows))
+    yield from ("", "### Cost", "")
+    yield from ("Wall time as a ratio to MuJoCo's default preset in the same run, faster of two runs.", "")
     costs = ((name, *(number(one["wall_ratios"].get(variant), 2) for variant in TIMED)) for name, one in rows)
-    yield from table(("configuration", *TIMED), costs)
+    yield from markdown_table(("configuration", *TIMED), costs)
 
 
 def closed_forms(one: Mapping[str, Any]) -> list[str]:
@@ -429,28 +469,6 @@ def other_cells(one: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def grade_lines(grade: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the lines on the ranks of one grade."""
-    yield f"### Ranks, grade {grade['grade']}"
-    yield ""
-    yield f"Mean of the primary score over {', '.join(one.removeprefix('GAUGE/') for one in grade['ids'])}."
-    yield "A rank is one more than the number of configurations with a distinguishably lower mean."
-    yield ""
-    scores = sorted(grade["scores"], key=lambda one: (one["rank"], one["mean"]))
-    rows = (
-        (str(one["rank"]), one["configuration"], "{:.2f} [{:.2f}, {:.2f}]".format(one["mean"], *one["interval_95"]))
-        for one in scores
-    )
-    yield from table(("rank", "configuration", "mean"), rows)
-
-
-def written(text: str, data: Mapping[str, Any]) -> str:
-    """Return the page with its generated part replaced."""
-    before, _, rest = text.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return f"{before}{BEGIN}\n{page(data)}{END}{after}"
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -458,6 +476,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mode.add_argument("--results", type=Path, help="folder of the results")
     mode.add_argument("--again", metavar="CHECK", help="conformance check to run again")
     mode.add_argument("--docs", action="store_true", help="write the page from the data file")
+    mode.add_argument("--tables", action="store_true", help="print all tables of the data file")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
     parser.add_argument("--grades", action="store_true", help="run what the ranks need, and write the ranks alone")
@@ -485,14 +504,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for one in data["configurations"]
         ]
         write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
-    text = PAGE.read_text(encoding="utf-8")
-    new = written(text, json.loads(DATA.read_text(encoding="utf-8")))
-    if options.check:
-        if new != text:
-            print(f"{PAGE} is not current: run python scripts/build_engine_table.py --docs", file=sys.stderr)
-        return int(new != text)
-    write_whole(PAGE, new.encode())
-    return 0
+    data = json.loads(DATA.read_text(encoding="utf-8"))
+    if options.tables:
+        print("\n".join(tables(data)))
+        return 0
+    text = with_part(PAGE.read_text(encoding="utf-8"), "engines", SCRIPT, page(data))
+    return settle({PAGE: text}, f"{SCRIPT} --docs", check=options.check)
 
 
 if __name__ == "__main__":

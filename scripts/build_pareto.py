@@ -1,9 +1,10 @@
-"""Measure error over cost for every installed engine, and write `docs/accuracy_and_cost.md`'s tables and figure.
+"""Measure error over cost for every installed engine; write table and figure of `docs/accuracy_and_cost.md`.
 
     python scripts/build_pareto.py --results DIR                  runs what DIR lacks, then writes all files
     python scripts/build_pareto.py --results DIR --engine rapier  runs this engine only, and writes nothing else
     python scripts/build_pareto.py --results DIR --no-runs        writes all files from what DIR has
-    python scripts/build_pareto.py --docs                         writes the page from `scoring/pareto.json`
+    python scripts/build_pareto.py --docs                         writes page and figure from `scoring/pareto.json`
+    python scripts/build_pareto.py --tables                       prints all statements and tables of the data
     python scripts/build_pareto.py --check                        fails if the page is not current
 
 DIR holds result files of `gauge run`, so the script can be stopped at any time, and goes on where it was. Engines that
@@ -29,7 +30,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from pareto_lessons import lessons
+from generated import ROOT, SCORING, markdown_table, settle, with_part
 from pydantic import TypeAdapter
 
 from gauge_envs.backends import backend
@@ -40,16 +41,13 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.cost.figure import save_pareto
-from gauge_envs.tools.cost.pareto import Tradeoff, tradeoff
-from gauge_envs.tools.cost.words import pareto_markdown
+from gauge_envs.tools.cost.pareto import Family, Tradeoff, tradeoff
+from gauge_envs.tools.cost.words import pareto_markdown, step_words
 
-ROOT = Path(__file__).parents[1]
-DATA = ROOT / "scoring" / "pareto.json"
+DATA = SCORING / "pareto.json"
 PAGE = ROOT / "docs" / "accuracy_and_cost.md"
 FIGURE = ROOT / "docs" / "images" / "accuracy_and_cost.png"
-BEGIN, END = "<!-- pareto, written by scripts/build_pareto.py -->", "<!-- end of pareto -->"
-
-LESSONS, END_OF_LESSONS = "<!-- lessons, written by scripts/build_pareto.py -->", "<!-- end of lessons -->"
+SCRIPT = Path(__file__).name
 
 REPEATS = 3
 """Runs of each setting, whose least CPU time counts."""
@@ -219,43 +217,49 @@ def provenance() -> dict[str, Any]:
 
 
 def page(notes: Mapping[str, Any], found: Tradeoff) -> str:
-    """Return the generated part of the page."""
+    """Return the generated part of the page: the sufficient steps of the default presets, with their costs."""
+    families = {
+        (one.name, family.backend): family for one in found.phenomena for family in one.families if family.is_default
+    }
+    engines = sorted({backend for _, backend in families})
+    rows = []
+    for phenomenon in found.phenomena:
+        cells = [sufficient(families.get((phenomenon.name, engine))) for engine in engines]
+        rows.append([phenomenon.name.replace(", ", " "), *cells])
+    lines = [
+        *markdown_table(("experiment", *engines), rows),
+        "",
+        f"Measured on {notes['date']}, {notes['machine']}.",
+    ]
+    return "\n".join(lines)
+
+
+def sufficient(family: Family | None) -> str:
+    """Return the sufficient step of a series and its cost over MuJoCo's; empty if the series did not run."""
+    if family is None:
+        return ""
+    point = next((p for p in family.points if p.is_on_main_line and p.step_s == family.sufficient_step_s), None)
+    if family.sufficient_step_s is None or point is None:
+        return "not resolved"
+    return f"{step_words(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
+
+
+def measured(found: Tradeoff) -> str:
+    """Return how often the settings ran and how much their costs scatter, and the versions of the engines."""
+    points = [p for one in found.phenomena for family in one.families for p in family.points]
+    spreads = sorted(p.cost_most / p.cost for p in points if p.repeats > 1)
     engines = {
         f"{family.backend} {', '.join(f'{key} {text}' for key, text in family.versions.items() if key != 'python')}"
         for phenomenon in found.phenomena
         for family in phenomenon.families
     }
-    points = [p for one in found.phenomena for family in one.families for p in family.points]
-    counts = [p.repeats for p in points]
-    once = sum(count < REPEATS for count in counts)
-    spreads = sorted(p.cost_most / p.cost for p in points if p.repeats > 1)
-    median, above = spreads[len(spreads) // 2], sum(one > SPREAD for one in spreads)
-    return "\n".join(
-        [
-            "",
-            f"Measured on {notes['date']}, {notes['machine']}. {len(counts)} settings, each with the least CPU time of "
-            f"{REPEATS} runs or more, and {once} with that of one or two; the data file states how many. The slowest "
-            f"run of a setting took {median:.2g} times the least in the median, and more than "
-            f"{SPREAD:g} times for {above} of {len(spreads)} settings. Costs in the tables are relative to MuJoCo's "
-            "default preset on the same experiments and the same machine.",
-            "",
-            f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}.",
-            "",
-            pareto_markdown(found),
-        ]
+    few, wide = sum(p.repeats < REPEATS for p in points), sum(one > SPREAD for one in spreads)
+    return (
+        f"{len(points)} settings, {few} of them with one or two runs, the others with the least CPU time of {REPEATS} "
+        f"or more. The slowest run of a setting took {spreads[len(spreads) // 2]:.2g} times the least in the median, "
+        f"and more than {SPREAD:g} times for {wide} of {len(spreads)} settings.\n\n"
+        f"Versions: {'; '.join(sorted(engines))}; gauge-envs {found.versions.get('gauge-envs')}."
     )
-
-
-def written(text: str, notes: Mapping[str, Any], found: Tradeoff) -> str:
-    """Return the page with its generated parts replaced."""
-    taught = _replaced(text, LESSONS, END_OF_LESSONS, lessons(found))
-    return _replaced(taught, BEGIN, END, page(notes, found))
-
-
-def _replaced(text: str, begin: str, end: str, part: str) -> str:
-    before, _, rest = text.partition(begin)
-    _, _, after = rest.partition(end)
-    return f"{before}{begin}\n{part}{end}{after}"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -264,6 +268,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
     mode.add_argument("--docs", action="store_true", help="write page and figure from the data file")
+    mode.add_argument("--tables", action="store_true", help="print all statements and tables")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="run this engine only, and write nothing; repeatable")
     parser.add_argument("--no-runs", action="store_true", help="take the results as they are")
@@ -278,15 +283,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())
     values = json.loads(DATA.read_text(encoding="utf-8"))
     found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
-    text = PAGE.read_text(encoding="utf-8")
-    new = written(text, values["provenance"], found)
-    if options.check:
-        if new != text:
-            print(f"{PAGE} is not current: run python scripts/build_pareto.py --docs", file=sys.stderr)
-        return int(new != text)
-    write_whole(PAGE, new.encode())
-    save_pareto(found, FIGURE)
-    return 0
+    if options.tables:
+        print(f"{measured(found)}\n\n{pareto_markdown(found)}")
+        return 0
+    text = with_part(PAGE.read_text(encoding="utf-8"), "pareto", SCRIPT, page(values["provenance"], found))
+    if not options.check:
+        save_pareto(found, FIGURE)
+    return settle({PAGE: text}, f"{SCRIPT} --docs", check=options.check)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Measure what popular training configurations do to physics, and write the tables of `docs/sanity_popular.md`.
+"""Measure what popular training configurations do to physics, and write the summary in `docs/sanity_popular.md`.
 
     python scripts/build_popular_configurations.py                       measures what the data lack, then writes both
     python scripts/build_popular_configurations.py --package Gymnasium   measures this package only
     python scripts/build_popular_configurations.py --docs                writes the page from the data
+    python scripts/build_popular_configurations.py --tables              prints all rows of the data
     python scripts/build_popular_configurations.py --check               fails if the page is not current
 
 Packages are read as they are installed; one that is not installed keeps its rows. Tasks with equal settings share a
@@ -23,17 +24,17 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from generated import ROOT, SCORING, markdown_table, settle, with_part
+
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import Report, TrainingConfiguration, Verdict, check, configuration
 from gauge_envs.tools.sanity.phenomena import phenomena
 
-ROOT = Path(__file__).parents[1]
-DATA = ROOT / "scoring" / "popular_configurations.json"
+DATA = SCORING / "popular_configurations.json"
 PAGE = ROOT / "docs" / "sanity_popular.md"
-BEGIN = "<!-- configurations, written by scripts/build_popular_configurations.py -->"
-END = "<!-- end of configurations -->"
+SCRIPT = Path(__file__).name
 
 PHENOMENA = (
     "gravity",
@@ -272,12 +273,79 @@ COLUMNS += (
     "what to change first",
 )
 
+WORST_COLUMNS = (
+    "task",
+    "met, straight",
+    "met, turned",
+    "creep [mm/s]",
+    "own foot creeps [mm/s]",
+    "what to change first",
+)
 
-def page_text(data: Mapping[str, Any], page: str) -> str:
-    """Return the page with the tables of the data."""
-    before, _, rest = page.partition(BEGIN)
-    _, _, after = rest.partition(END)
-    return "\n".join([f"{before}{BEGIN}", *tables(data), f"{END}{after}"])
+
+SUMMARY = ("package", "tasks", "sets", "wrong or visible", "met, straight", "met, turned", "creep [mm/s]", "gap [mm]")
+SUMMARY += ("own foot creeps [mm/s]", "own foot meets")
+
+MANY_WRONG = 3
+"""Wrong values from which on the page names a set of settings."""
+
+
+def summary(data: Mapping[str, Any]) -> str:
+    """Return the generated part of the page: a row for each package, and the sets with many wrong values."""
+    rows = [(package_of(data, name), package_cells(data, name)) for name in PACKAGES]
+    worst = [row for row in data["rows"] if row["wrong_count"] >= MANY_WRONG and "slide-wood" in row["values"]]
+    worst.sort(key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"]))
+    chosen = [COLUMNS.index(title) for title in WORST_COLUMNS]
+    lines = [
+        *markdown_table(SUMMARY, ([name, *cells] for name, cells in rows if cells)),
+        "",
+        f"Sets with {MANY_WRONG} or more wrong values:",
+        "",
+        *markdown_table(WORST_COLUMNS, ([cells(row)[place] for place in chosen] for row in worst)),
+    ]
+    return "\n".join(lines)
+
+
+def package_of(data: Mapping[str, Any], name: str) -> str:
+    """Return a package with its version and the engine that ran its settings."""
+    rows = [row for row in data["rows"] if row["package"] == name]
+    engines = sorted({row["engine"] for row in rows})
+    return f"{name} {rows[0]['version']}, {' and '.join(engines)}" if rows else name
+
+
+def package_cells(data: Mapping[str, Any], name: str) -> list[str]:
+    """Return the cells of a package: counts, and ranges over its sets of settings; empty without a row."""
+    rows = [row for row in data["rows"] if row["package"] == name]
+    measured = [row for row in rows if "slide-wood" in row["values"]]
+    if not measured:
+        return []
+    feet = [row for row in measured if "foot-creep" in row["values"]]
+    return [
+        str(sum(len(row["targets"]) for row in rows)),
+        str(len(measured)),
+        str(sum(row["flag_count"] > 0 for row in measured)),
+        share_range(measured, "slide-wood"),
+        share_range(measured, "slide-turned"),
+        value_range(measured, "creep-wood", 1),
+        value_range(measured, "rest-height", 2),
+        value_range(feet, "foot-creep", 1),
+        share_range(feet, "foot-slide"),
+    ]
+
+
+def value_range(rows: Sequence[Mapping[str, Any]], phenomenon: str, digits: int) -> str:
+    """Return the least and the greatest value of rows."""
+    values = sorted(value for row in rows if (value := row["values"].get(phenomenon)) is not None)
+    return " to ".join(dict.fromkeys(number(value, digits) for value in (values[0], values[-1]))) if values else ""
+
+
+def share_range(rows: Sequence[Mapping[str, Any]], phenomenon: str) -> str:
+    """Return the least and the greatest share of its friction that slides, and how many sets hold or fail."""
+    texts = [met(row, phenomenon) for row in rows]
+    shares = sorted({int(text.removesuffix(" %")) for text in texts if text.endswith("%")})
+    range_text = f"{' to '.join(dict.fromkeys(map(str, (shares[0], shares[-1]))))} %" if shares else ""
+    others = [f"{texts.count(word)} {word}" for word in ("held", "fails") if word in texts]
+    return ", ".join([range_text, *others] if range_text else others)
 
 
 def tables(data: Mapping[str, Any]) -> Iterator[str]:
@@ -288,18 +356,15 @@ def tables(data: Mapping[str, Any]) -> Iterator[str]:
             continue
         engines = sorted({f"{row['engine']} {row['engine_version']}".strip() for row in rows})
         yield from ("", f"### {name} {rows[0]['version']}, run on {' and '.join(engines)}", "")
-        yield "| " + " | ".join(COLUMNS) + " |"
-        yield "|" + "---|" * len(COLUMNS)
         measured = [row for row in rows if "slide-wood" in row["values"]]
-        for row in sorted(measured, key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"])):
-            yield "| " + " | ".join(cells(row)) + " |"
+        measured.sort(key=lambda one: (-one["wrong_count"], -one["flag_count"], one["targets"]))
+        yield from markdown_table(COLUMNS, map(cells, measured))
         silent = [target for row in rows if row not in measured for target in row["targets"]]
         if silent:
             yield from ("", f"No row on contact: {', '.join(silent)}. Nothing can collide, or there is no gravity.")
         unreadable = data["unreadable"].get(name, {})
         if unreadable:
             yield from ("", f"Not read here: {', '.join(sorted(unreadable))}. The data state the reasons.")
-    yield ""
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -369,24 +434,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return the exit status."""
     parser = argparse.ArgumentParser(description="Measure popular training configurations.")
     parser.add_argument("--package", action="append", choices=tuple(PACKAGES), help="package; default: all")
-    parser.add_argument("--docs", action="store_true", help="measure nothing; write the page")
-    parser.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--docs", action="store_true", help="measure nothing; write the page")
+    mode.add_argument("--tables", action="store_true", help="measure nothing; print all rows")
+    mode.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
     parser.add_argument("--data", type=Path, default=DATA, help="file of the data")
     parser.add_argument("--page", type=Path, default=PAGE, help="page with the tables")
     options = parser.parse_args(arguments)
     empty: dict[str, Any] = {"rows": [], "unreadable": {}}
     data = json.loads(options.data.read_text(encoding="utf-8")) if options.data.is_file() else empty
-    if not (options.docs or options.check):
+    if not (options.docs or options.tables or options.check):
         for name in options.package or PACKAGES:
             measure(name, data, options.data)
-    page = options.page.read_text(encoding="utf-8")
-    text = page_text(data, page)
-    if options.check:
-        if text != page:
-            print(f"{options.page} is not current: run python scripts/{Path(__file__).name} --docs", file=sys.stderr)
-        return int(text != page)
-    write_whole(options.page, text.encode())
-    return 0
+    if options.tables:
+        print("\n".join(tables(data)).strip())
+        return 0
+    text = with_part(options.page.read_text(encoding="utf-8"), "configurations", SCRIPT, summary(data))
+    return settle({options.page: text}, f"{SCRIPT} --docs", check=options.check)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,9 @@
-"""Measure ten recipes of contacts and those of six fabrics on each engine, and write their tables in `docs/recipes.md`.
+"""Measure ten recipes of contacts and those of six fabrics on each engine: `studies/recipes/`, and `docs/recipes.md`.
 
     python scripts/build_recipes.py                   all engines of recipes that are installed
-    python scripts/build_recipes.py mujoco rapier     these alone; the other tables stay
-    python scripts/build_recipes.py --write-only      the tables of what is measured so far
+    python scripts/build_recipes.py mujoco rapier     these alone; the rows of others stay
+    python scripts/build_recipes.py --docs            measures nothing; writes the summary of the page
+    python scripts/build_recipes.py --check           fails if the page is not current
 
 Each recipe is kept in `results/recipes` as soon as it is measured, and is not measured again with the same versions. So
 the script goes on where it stopped, and engines of other environments are added there. Wall times are those of the
@@ -12,12 +13,15 @@ machine that runs the script, without the import of the engine.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
 import json
-import re
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
+
+from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.fabrics import fabrics
@@ -25,11 +29,21 @@ from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
 
-ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "recipes.md"
+STUDY = ROOT / "studies" / "recipes"
 RECORDS = ROOT / "results" / "recipes"
+SCRIPT = Path(__file__).name
 
 Record = dict[str, Any]
+
+CONTACT_COLUMNS = ("friction", "friction reached", "restitution", "restitution reached", "single drops", "mass [kg]")
+CONTACT_COLUMNS += ("step [s]", "hop [mm]", "depth [mm]", "creep [mm/s]", "wall [s]", "missed", "explanation")
+
+FABRIC_COLUMNS = ("fabric", "stretch [N/m]", "stretch reached", "bend [uN m]", "bend reached", "bending length [mm]")
+FABRIC_COLUMNS += ("bending length reached", "wall [s]", "missed", "explanation")
+
+COLUMNS = {"contacts": ("engine", "versions", *CONTACT_COLUMNS), "fabrics": ("engine", "versions", *FABRIC_COLUMNS)}
+"""Columns of the tables of the study."""
 
 AIMS = (
     Aim(friction=0.1, restitution=0.0, mass_kg=0.05, timestep_s=0.002),
@@ -44,27 +58,6 @@ AIMS = (
     Aim(friction=0.4, restitution=0.7, mass_kg=50.0, timestep_s=1.0 / 60.0),
 )
 """The ten requests: from a light to a heavy body, from a short to a long step."""
-
-FABRIC_HEAD = (
-    "| fabric | stretch [N/m] | reached | bend [uN m] | reached | bending length [mm] | reached | wall [s] |\n"
-    "| --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n"
-)
-
-HEAD = (
-    "| friction | reached | restitution | reached | single drops | mass [kg] | step [s] | hop [mm] | depth [mm] "
-    "| creep [mm/s] | wall [s] |\n"
-    "| ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: | ---: |\n"
-)
-
-
-def begin(kind: str) -> str:
-    """Return the line of the page above a table."""
-    return f"<!-- {kind}, written by scripts/build_recipes.py -->"
-
-
-def end(kind: str) -> str:
-    """Return the line of the page below a table."""
-    return f"<!-- end of {kind.removeprefix('recipes of ')} -->"
 
 
 def records(kind: str) -> list[Record]:
@@ -93,66 +86,86 @@ def measure(kind: str, key: str, asked: Any, versions: dict[str, str], recipe: C
     print(kind, found["asked"], found["reached"], f"{found['wall_s']:.1f} s", file=sys.stderr, flush=True)
 
 
-def row(record: Record) -> str:
-    """Return the recipe of a contact as a row; a value that is missed is bold."""
+def contact_row(record: Record) -> list[str]:
+    """Return the cells of a contact; values that were not found are `-`."""
     asked, reached, detail = record["asked"], record["reached"], record["detail"]
-    start = f"| {asked['friction']:g} | {{}} | {asked['restitution']:g} | {{}} | {{}} | {asked['mass_kg']:g} | "
-    start += f"{asked['timestep_s']:.3g} | "
-    if reached["friction"] is None:
-        return start.format("-", "-", "-") + f"- | - | - | {record['wall_s']:.1f} |\n"
-
-    def marked(name: str) -> str:
-        return f"**{reached[name]:.3f}**" if name in record["misses"] else f"{reached[name]:.3f}"
-
-    drops = f"{detail['restitution_low']:.2f} to {detail['restitution_high']:.2f}"
-    # Rounding of single precision has either sign.
-    small = (1e3 * value for value in (detail["hop_m"], reached["penetration_m"], reached["creep_m_s"]))
-    shown = " | ".join(f"{value:.2g}" if abs(value) >= 5e-5 else "0" for value in small)
-    return start.format(marked("friction"), marked("restitution"), drops) + f"{shown} | {record['wall_s']:.1f} |\n"
+    friction, restitution, drops, small = "-", "-", "-", ["-", "-", "-"]
+    if reached["friction"] is not None:
+        friction, restitution = f"{reached['friction']:.3f}", f"{reached['restitution']:.3f}"
+        drops = f"{detail['restitution_low']:.2f} to {detail['restitution_high']:.2f}"
+        # Rounding of single precision has either sign.
+        values = (1e3 * value for value in (detail["hop_m"], reached["penetration_m"], reached["creep_m_s"]))
+        small = [f"{value:.2g}" if abs(value) >= 5e-5 else "0" for value in values]
+    missed = "all" if friction == "-" else ", ".join(record["misses"])
+    start = [f"{asked['friction']:g}", friction, f"{asked['restitution']:g}", restitution, drops]
+    start += [f"{asked['mass_kg']:g}", f"{asked['timestep_s']:.3g}", *small, f"{record['wall_s']:.1f}"]
+    return [*start, missed, record["explanation"] if missed else ""]
 
 
-def fabric_row(record: Record) -> str:
-    """Return the recipe of a fabric as a row; a value that is missed is bold."""
-    cells = [record["material"]]
-    for name, scale in (("stretch_n_per_m", 1.0), ("bend_n_m", 1e6), ("bending_length_m", 1e3)):
+def fabric_row(record: Record) -> list[str]:
+    """Return the cells of a fabric; values that were not found are `-`."""
+    cells, missed = [record["material"]], []
+    for name, title, scale in (
+        ("stretch_n_per_m", "stretch", 1.0),
+        ("bend_n_m", "bend", 1e6),
+        ("bending_length_m", "bending length", 1e3),
+    ):
         value = record["reached"][name]
-        text = "-" if value is None else f"{scale * value:.4g}"
-        cells += [f"{scale * record['asked'][name]:.4g}", f"**{text}**" if name in record["misses"] else text]
-    return f"| {' | '.join(cells)} | {record['wall_s']:.1f} |\n"
+        cells += [f"{scale * record['asked'][name]:.4g}", "-" if value is None else f"{scale * value:.4g}"]
+        missed += [title] if value is None or name in record["misses"] else []
+    lost = "" if record["explanation"] == NOTHING_LOST else record["explanation"]
+    return [*cells, f"{record['wall_s']:.1f}", ", ".join(missed), lost]
 
 
-def contact_text(kind: str) -> str | None:
-    """Return the table of an engine's contacts with the reasons of its misses; None without a record."""
-    found = {json.dumps(one["asked"]): one for one in records(kind)}
-    known = [found[key] for key in (json.dumps(dict(aim.asked())) for aim in AIMS) if key in found]
-    if not known:
-        return None
-    reasons = []
-    for one in known:
-        if one["misses"] or one["reached"]["friction"] is None:
-            asked = one["asked"]
-            where = f"friction {asked['friction']:g}, restitution {asked['restitution']:g}"
-            reasons.append(f"- {where}, step {asked['timestep_s']:.3g} s: {one['explanation']}\n")
-    said = "Misses:\n\n" + "".join(reasons) if reasons else "All asked values are reached.\n"
-    return written(known, HEAD + "".join(map(row, known)), said, len(AIMS))
+def rows_of(kind: str, engine: str) -> list[list[str]]:
+    """Return the rows of an engine that were measured, in the order of the requests."""
+    if kind == "contacts":
+        by_asked = {json.dumps(one["asked"]): one for one in records(f"recipes of {engine}")}
+        known = [by_asked[key] for key in (json.dumps(dict(aim.asked())) for aim in AIMS) if key in by_asked]
+        cells = [contact_row(one) for one in known]
+    else:
+        by_name = {one["material"]: one for one in records(f"fabrics of {engine}")}
+        known = [by_name[name] for name in fabrics() if name in by_name]
+        cells = [fabric_row(one) for one in known]
+    versions = ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items()) if known else ""
+    return [[engine, versions, *row] for row in cells]
 
 
-def fabric_text(kind: str) -> str | None:
-    """Return the table of an engine's fabrics with what its mapping loses; None without a record."""
-    found = {one["material"]: one for one in records(kind)}
-    known = [found[name] for name in fabrics() if name in found]
-    if not known:
-        return None
-    losses = [f"- {one['material']}: {one['explanation']}\n" for one in known if one["explanation"] != NOTHING_LOST]
-    said = "".join(losses) or "All simulated values are within the tolerances, and the mapping loses nothing.\n"
-    return written(known, FABRIC_HEAD + "".join(map(fabric_row, known)), said, len(fabrics()))
+def table(kind: str) -> list[dict[str, str]]:
+    """Return the rows of a table of the study."""
+    with (STUDY / f"{kind}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
 
 
-def written(known: Sequence[Record], table: str, said: str, count: int) -> str:
-    """Return a table with the versions of its engine, and how many recipes are not measured."""
-    versions = ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items())
-    left = f" {len(known)} of {count} were measured." if len(known) < count else ""
-    return f"Measured with {versions}.{left}\n\n{table}\n{said}"
+def with_rows(kind: str, engine: str) -> str:
+    """Return the text of a table of the study in which the measured rows of an engine take the place of older ones."""
+    found = rows_of(kind, engine)
+    kept = [list(row.values()) for row in table(kind) if row["engine"] != engine or not found]
+    stream = io.StringIO()
+    rows = sorted([*kept, *found], key=lambda row: list(engine_names()).index(row[0]))
+    csv.writer(stream, lineterminator="\n").writerows([COLUMNS[kind], *rows])
+    return stream.getvalue()
+
+
+def summary() -> str:
+    """Return the generated part of the page: how many recipes each engine reached, and what it missed."""
+    contacts, cloth = table("contacts"), table("fabrics")
+    lines = []
+    for engine in dict.fromkeys(row["engine"] for row in contacts):
+        cells = [engine]
+        for rows in (contacts, cloth):
+            own = [row for row in rows if row["engine"] == engine]
+            cells.append(f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else "")
+        walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
+        lines.append([*cells, f"{min(walls):.2g} to {max(walls):.2g}"])
+    misses = [
+        f"- {row['engine']}, friction {row['friction']}, restitution {row['restitution']}, {row['mass [kg]']} kg, step "
+        f"{row['step [s]']} s: friction {row['friction reached']}, restitution {row['restitution reached']}"
+        for row in contacts
+        if row["missed"]
+    ]
+    head = ("engine", "contacts within the tolerance", "fabrics within the tolerance", "wall time of a contact [s]")
+    return "\n".join([*markdown_table(head, lines), "", "Contacts outside the tolerance:", "", *misses])
 
 
 def measure_engine(engine: str) -> None:
@@ -182,37 +195,24 @@ def measure_engine(engine: str) -> None:
             )
 
 
-def write(kind: str, text: str | None) -> bool:
-    """Write a table in the page, which is read again each time, as others may have been written in between."""
-    if text is None:
-        return True
-    pattern = re.compile(f"{re.escape(begin(kind))}.*?{re.escape(end(kind))}", flags=re.DOTALL)
-    new = f"{begin(kind)}\n\n{text}\n{end(kind)}"
-    page, count = pattern.subn(lambda _: new, PAGE.read_text(encoding="utf-8"))
-    if count != 1:
-        print(f"{PAGE}: expected the lines {begin(kind)!r} and {end(kind)!r} once", file=sys.stderr)
-        return False
-    write_whole(PAGE, page.encode())
-    return True
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure the engines of the command line, and write their tables."""
+    """Measure the engines of the command line, and write their rows and the page."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("engines", nargs="*", default=list(engine_names()), metavar="ENGINE")
-    parser.add_argument("--write-only", action="store_true", help="write the tables of what is measured so far")
+    mode = parser.add_mutually_exclusive_group()
+    mode.add_argument("--docs", action="store_true", help="measure nothing; write the summary of the page")
+    mode.add_argument("--check", action="store_true", help="write nothing; fail if the page is not current")
     given = parser.parse_args(arguments)
-    for engine in given.engines:
+    for engine in () if given.docs or given.check else given.engines:
         try:
-            if not given.write_only:
-                measure_engine(engine)
+            measure_engine(engine)
         except MissingExtraError as error:
             print(f"{engine}: not measured: {error}", file=sys.stderr)
             continue
-        contacts, cloth = f"recipes of {engine}", f"fabrics of {engine}"
-        if not (write(contacts, contact_text(contacts)) and write(cloth, fabric_text(cloth))):
-            return 1
-    return 0
+        for kind in COLUMNS:
+            write_whole(STUDY / f"{kind}.csv", with_rows(kind, engine).encode())
+    page = with_part(PAGE.read_text(encoding="utf-8"), "recipes", SCRIPT, summary())
+    return settle({PAGE: page}, f"{SCRIPT} --docs", check=given.check)
 
 
 if __name__ == "__main__":

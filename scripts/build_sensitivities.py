@@ -15,6 +15,8 @@ from collections.abc import Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from generated import SCORING
+
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
@@ -28,7 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Build the tables of sensitivities by simulation.")
     parser.add_argument("--backend", action="append", choices=ENGINES, help="engine; default: all")
     parser.add_argument("--ids", default="*", help="pattern of variants")
-    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "scoring" / "sensitivities")
+    parser.add_argument("--out", type=Path, default=SCORING / "sensitivities")
     options = parser.parse_args(arguments)
     for engine in options.backend or ENGINES:
         for variant in variants():

@@ -24,7 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import write_or_check
+from generated import SCORING, write_or_check
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
@@ -168,7 +168,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--source", type=Path)
     options, rest = parser.parse_known_args(arguments)
     if options.source is not None:
-        facts = Path(__file__).parents[1] / "scoring" / "facts" / "silicone_beam.csv"
+        facts = SCORING / "facts" / "silicone_beam.csv"
         table, sidecar = facts_from(options.source)
         facts.write_text(table, encoding="utf-8", newline="\n")
         facts.with_suffix(".toml").write_text(sidecar, encoding="utf-8", newline="\n")

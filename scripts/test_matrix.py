@@ -27,7 +27,7 @@ from lowest_versions import PYPROJECT, constraints
 ROOT = PYPROJECT.parent
 EXTRAS = ("plot",)
 TEST_TOOLS = ("hypothesis", "pytest", "pytest-xdist")
-COPIED = ("benchmarks", "docs", "examples", "scoring", "scripts", "tests", "README.md", "pyproject.toml")
+COPIED = ("benchmarks", "docs", "examples", "scoring", "scripts", "studies", "tests", "README.md", "pyproject.toml")
 RESOLUTIONS = ("newest", "lowest")
 LOWEST_WITH_DEFORMABLES = "mujoco==4.0.0"
 CONFORMANCE_LIMIT_S = 300.0

@@ -64,7 +64,10 @@ class Table:
 
     def commands(self, root: Path) -> tuple[Command, ...]:
         """Every command of every page in a checkout, in the order of the pages, and the scripts last."""
-        files = sorted({file for pattern in self.pages for file in root.glob(pattern)})
+        # A build of the site leaves copies of the notes of studies.
+        files = sorted(
+            {file for pattern in self.pages for file in root.glob(pattern)} - set(root.glob("docs/studies/*"))
+        )
         pages = [(file.relative_to(root).as_posix(), file.read_text(encoding="utf-8")) for file in files]
         found = [self.command(page, text) for page, content in pages for text in shell_commands(content)]
         return (*found, *(Command("scripts", text, environment) for text, environment in self.scripts.items()))

@@ -35,7 +35,7 @@ def test_wheel_carries_the_data(wheel: Path) -> None:
     assert "gauge_envs/scoring/bands/SlopeSlider-2-wood.csv" in names
     assert "gauge_envs/py.typed" in names
     assert "gauge_command.py" in names
-    assert not any(name.startswith("tests") for name in names)
+    assert not any(name.startswith(("tests", "studies")) for name in names)
 
 
 @pytest.mark.slow  # `make test-matrix` installs the wheel too, and runs more than this.

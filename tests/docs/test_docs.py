@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -10,6 +11,7 @@ import subprocess
 import sys
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,14 +24,18 @@ from gauge_envs.cli.app import app
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
 PAGES = [README, ROOT / "scoring" / "README.md", ROOT / "assets" / "README.md", *sorted(DOCS.rglob("*.md"))]
-PAGES = [page for page in PAGES if "_build" not in page.parts]
+# What a build of the site leaves.
+PAGES = [page for page in PAGES if "_build" not in page.parts and DOCS / "studies" not in page.parents]
+STUDIES = sorted((ROOT / "studies").rglob("README.md"))
+PAGES += STUDIES
 
 RUN_ELSEWHERE = {"adding_an_engine.md", "assets.md", "control.md", "ecosystem.md"}
 """Pages whose code other tests run, as it needs an example package or takes long."""
-COMPILED_ONLY = {"sanity.md", "sanity_newton.md", "sanity_physx.md"}
+COMPILED_ONLY = {"sanity.md", "sanity_stacks.md"}
 """Pages whose code needs a user's own environment, or an engine that may be absent."""
 
 README_WORDS = 900
+NOTE_WORDS = 600
 
 
 def name_of(page: Path) -> str:
@@ -52,6 +58,40 @@ def prose(page: Path) -> str:
 
 def test_the_readme_is_short() -> None:
     assert len(README.read_text(encoding="utf-8").split()) <= README_WORDS
+
+
+# --- studies ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("note", [note for note in STUDIES if note.parent.name != "studies"], ids=name_of)
+def test_a_note_of_a_study_is_short_and_in_the_list(note: Path) -> None:
+    text = note.read_text(encoding="utf-8")
+    assert len(text.split()) <= NOTE_WORDS
+    assert re.findall(r"^## (.+?)(?::.*)?$", text, flags=re.MULTILINE)[:3] == ["Question", "Method", "Result"]
+    assert "## What it does not show" in text
+    listed = (ROOT / "studies" / "README.md").read_text(encoding="utf-8")
+    assert f"]({note.parent.name}/README.md)" in listed
+    quoted = set(re.findall(r"`([\w*]+\.csv)`", text))
+    assert [name for name in quoted if not any(note.parent.glob(name))] == []
+
+
+def test_every_study_has_a_note() -> None:
+    folders = [folder for folder in (ROOT / "studies").iterdir() if folder.is_dir() and folder.name != "__pycache__"]
+    assert len(folders) > 15
+    assert [folder.name for folder in folders if not (folder / "README.md").is_file()] == []
+
+
+SCRIPTS = [file for folder in ("benchmarks", "scripts", "studies") for file in sorted((ROOT / folder).rglob("*.py"))]
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=name_of)
+def test_scripts_import_names_that_exist(script: Path) -> None:
+    """Scripts that take minutes are not run by tests, so that a renamed function would break them unseen."""
+    for node in ast.walk(ast.parse(script.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "gauge_envs":
+            imported = importlib.import_module(node.module or "")
+            absent = [one.name for one in node.names if not hasattr(imported, one.name)]
+            assert [one for one in absent if find_spec(f"{node.module}.{one}") is None] == []
 
 
 # --- links -----------------------------------------------------------------------------------------------------------
@@ -85,7 +125,7 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     listed = {"index"}
     for page in (DOCS / "index.md", DOCS / "api.md"):
         for tree in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
-            listed |= {line for line in tree.splitlines() if line and not line.startswith(":")}
+            listed |= {line for line in tree.splitlines() if line and not line.startswith((":", "studies/"))}
     assert {str(page.relative_to(DOCS).with_suffix("")) for page in PAGES if DOCS in page.parents} == listed
 
 

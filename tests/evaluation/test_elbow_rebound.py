@@ -1,4 +1,4 @@
-"""The rebound that `benchmarks/elbow_rebound.py` reads from heights, against the closed form of a bouncing corner."""
+"""The rebound that the study of tosses reads from heights, against the closed form of a bouncing corner."""
 
 from __future__ import annotations
 

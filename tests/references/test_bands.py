@@ -31,13 +31,6 @@ def sidecar(variant: str) -> dict:
     return tomllib.loads((data_folder("scoring") / "bands" / f"{variant}.toml").read_text(encoding="utf-8"))
 
 
-# Current
-
-
-def test_checked_in_files_are_current() -> None:
-    assert build_bands.main(["--check"]) == 0
-
-
 @pytest.mark.parametrize("name", ["bands/SlopeSlider-2-wood.csv", "bands/BouncingBall-rubber.toml"])
 def test_check_notices_a_changed_and_a_missing_file(name: str, tmp_path: Path, capsys) -> None:
     scoring = tmp_path / "scoring"

@@ -12,8 +12,7 @@ from pydantic import TypeAdapter
 
 pytest.importorskip("matplotlib")
 
-import build_pareto
-from pareto_lessons import LessonError, lessons
+from lessons import DATA, LessonError, lessons
 
 from gauge_envs.tools.cost.figure import draw_pareto, save_pareto
 from gauge_envs.tools.cost.pareto import Family, Phenomenon, Point, Tradeoff
@@ -77,12 +76,8 @@ def test_a_picture_is_written(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def measured() -> Tradeoff:
-    values = json.loads(build_pareto.DATA.read_text(encoding="utf-8"))
+    values = json.loads(DATA.read_text(encoding="utf-8"))
     return TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
-
-
-def test_the_page_and_its_lessons_are_those_of_the_data() -> None:
-    assert build_pareto.main(["--check"]) == 0
 
 
 def changed(found: Tradeoff, name: str, backend: str, **values: Any) -> Tradeoff:

@@ -14,10 +14,6 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import configuration
 
 
-def test_page_is_current() -> None:
-    assert script.main(["--check"]) == 0
-
-
 def test_check_finds_a_page_that_is_not_current(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = json.loads(script.DATA.read_text(encoding="utf-8"))
     row = next(one for one in data["rows"] if "creep-wood" in one["values"])
@@ -26,6 +22,24 @@ def test_check_finds_a_page_that_is_not_current(tmp_path: Path, capsys: pytest.C
     changed.write_text(json.dumps(data), encoding="utf-8")
     assert script.main(["--check", "--data", str(changed)]) == 1
     assert "not current" in capsys.readouterr().err
+
+
+def test_all_rows_are_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert script.main(["--tables"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    rows = json.loads(script.DATA.read_text(encoding="utf-8"))["rows"]
+    assert sum("slide-wood" in row["values"] for row in rows) == sum(
+        line.count(" | ") == 13 for line in lines
+    ) - 2 * len(script.PACKAGES)
+    assert sum(line.startswith("### ") for line in lines) == len(script.PACKAGES)
+
+
+def test_ranges_of_a_package_leave_out_what_is_held() -> None:
+    real, name = script.real_value("slide-wood"), "slide-wood"
+    rows = [{"values": {name: value}} for value in (real, 0.0, None)]
+    assert script.share_range(rows, name) == "100 %, 1 held, 1 fails"
+    assert script.value_range([{"values": {"x": 1.25}}, {"values": {"x": -0.04}}], "x", 1) == "0.0 to 1.2"
+    assert script.value_range([{"values": {}}], "x", 1) == ""
 
 
 def test_all_packages_are_in_the_data_with_their_versions() -> None:
