@@ -28,7 +28,7 @@ from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomeno
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.stated import GRAVITY_ROW
-from gauge_envs.tools.sanity.subject import subject_of, worst_of
+from gauge_envs.tools.sanity.subject import subject_of
 
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""
@@ -170,7 +170,7 @@ class _Side:
         if subject.inapplicable:
             return None, subject.inapplicable
         try:
-            _, worst = worst_of(subject.measured(self._measurements))
+            worst = subject.worst()
         except TimeLimitError:
             return None, "not measured within the time limit"
         return worst.value, worst.remark

@@ -9,10 +9,9 @@ from typing import Any
 
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives
-from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Cure, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
-from gauge_envs.tools.sanity.subject import Subject, worst_of
+from gauge_envs.tools.sanity.subject import Subject
 
 RECOMMENDED_MUJOCO: Mapping[str, Any] = {
     "timestep_s": 0.002,
@@ -56,7 +55,6 @@ class _Step:
 
 
 def find_cure(
-    measurements: Measurements,
     configuration: TrainingConfiguration,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
@@ -69,7 +67,6 @@ def find_cure(
     that this package recommends for the target are tried as a whole. Rows that were inside are measured again.
 
     Args:
-        measurements: Measurements on the backend.
         configuration: The checked configuration.
         flagged: Subjects that are visible or wrong, and count.
         others: Other subjects that count.
@@ -78,18 +75,18 @@ def find_cure(
     """
     if not flagged:
         return None
-    steps = list(_greedy(measurements, flagged, others, dialect, named))
+    steps = list(_greedy(flagged, others, dialect, named))
     changes = {name: value for step in steps for name, value in step.changes.items()}
     mended = steps[-1].mended if steps else 0
-    new = _new_flags(measurements, others, changes) if mended else ()
+    new = _new_flags(others, changes) if mended else ()
     recommended = _recommended(configuration)
     if recommended and (mended < len(flagged) or len(new) >= mended):
-        count = _score(measurements, flagged, recommended)[0]
+        count = _score(flagged, recommended)[0]
         if count > mended or (count and len(new) >= mended):
             first = steps[:1] if count > mended else []
             steps = [*first, _Step(changes=recommended, mended=count, source="this package's recommendation")]
             changes, mended = recommended, count
-            new = _new_flags(measurements, others, changes)
+            new = _new_flags(others, changes)
     if len(new) >= mended:
         return None
     return Cure(
@@ -102,7 +99,6 @@ def find_cure(
 
 
 def _greedy(
-    measurements: Measurements,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
     dialect: Dialect,
@@ -112,15 +108,13 @@ def _greedy(
 
     Of the changes that mend most, the one with the fewest new flags is taken.
     """
-    candidates = [one for one in _candidates(measurements, flagged) if dialect.writes(one.name)]
+    candidates = [one for one in _candidates(flagged) if dialect.writes(one.name)]
     changes: dict[str, Any] = {}
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:
-        scored = [(_score(measurements, left, {**changes, one.name: one.value}), one) for one in candidates]
+        scored = [(_score(left, {**changes, one.name: one.value}), one) for one in candidates]
         scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
-        harms = [
-            len(_new_flags(measurements, others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]
-        ]
+        harms = [len(_new_flags(others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]]
         net = [count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)]
         (count, _), best = scored[net.index(max(net))]
         if not count:
@@ -128,7 +122,7 @@ def _greedy(
         changes[best.name] = best.value
         mended += count
         yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
-        left = [one for one in left if not _is_inside(one.measured(measurements, changes))]
+        left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
         candidates = [one for one in candidates if one.name not in changes]
 
 
@@ -137,21 +131,21 @@ def _preference(one: Alternative, named: Collection[str], mended: int, closeness
     return (mended, one.name != STEP, one.name in named, closeness)
 
 
-def _new_flags(measurements: Measurements, others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
+def _new_flags(others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the rows that are visible or wrong only with the changes."""
     return tuple(
         subject.phenomenon.id
         for subject in others
-        if worst_of(subject.measured(measurements, changes))[1].verdict in (Verdict.VISIBLE, Verdict.WRONG)
+        if subject.worst(changes).verdict in (Verdict.VISIBLE, Verdict.WRONG)
     )
 
 
-def _candidates(measurements: Measurements, flagged: Sequence[Subject]) -> list[Alternative]:
+def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
     found: dict[str, Alternative] = {}
     for subject in flagged:
         for settings in subject.sets.values():
             try:
-                several = alternatives(measurements, subject.phenomenon.scenario, settings)
+                several = alternatives(subject.measurements, subject.phenomenon.scenario, settings)
             except DeclinedError:
                 continue
             for one in (one for values in several.values() for one in values):
@@ -159,15 +153,11 @@ def _candidates(measurements: Measurements, flagged: Sequence[Subject]) -> list[
     return list(found.values())
 
 
-def _score(measurements: Measurements, subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
+def _score(subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
     """Return how many subjects are inside with changes, and minus the sum of all deviations."""
-    outcomes = [subject.measured(measurements, changes) for subject in subjects]
-    total = sum(min(worst_of(one)[1].deviation, LARGEST_DEVIATION) for one in outcomes)
-    return sum(map(_is_inside, outcomes)), -total
-
-
-def _is_inside(outcomes: Mapping[str, Measured]) -> bool:
-    return worst_of(outcomes)[1].verdict is Verdict.INSIDE
+    outcomes = [subject.worst(changes) for subject in subjects]
+    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
+    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
 
 
 def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:

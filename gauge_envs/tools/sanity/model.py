@@ -108,12 +108,13 @@ class FootContact:
     @property
     def text(self) -> str:
         """Coefficients and their origin in one line."""
-        static = "" if self.static_friction == self.friction else f" (static {_range_text(self.static_friction)})"
-        restitution = _range_text(self.restitution)
-        return f"friction {_range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
+        static = "" if self.static_friction == self.friction else f" (static {range_text(self.static_friction)})"
+        restitution = range_text(self.restitution)
+        return f"friction {range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
 
 
-def _range_text(ends: tuple[float, float]) -> str:
+def range_text(ends: tuple[float, float]) -> str:
+    """Return a range in words; one number where its ends are equal."""
     low, high = ends
     return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
 

@@ -99,7 +99,7 @@ class _Run:
         """Yield a row for each phenomenon, those on what the target states at the end."""
         simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID)]
         self._subjects = [subject_of(self._measurements, self._configuration, one) for one in simulated]
-        outcomes = [self._in_time(partial(one.measured, self._measurements)) or {} for one in self._subjects]
+        outcomes = [self._in_time(one.measured) or {} for one in self._subjects]
         defaults = [
             self._in_time(partial(self._measurements.measure, one.phenomenon, {})) if one.sets else None
             for one in self._subjects
@@ -116,8 +116,7 @@ class _Run:
         flagged = [one for one in self._subjects if one.phenomenon.id in flags & explained]
         others = [one for one in self._subjects if one.sets and one.phenomenon.id not in flags and not one.advisory]
         named = {name for row in rows if row.cause is not None for name in row.cause.settings}
-        search = (self._measurements, self._configuration, flagged, others, self._dialect)
-        cure = self._in_time(lambda: find_cure(*search, named=named))
+        cure = self._in_time(partial(find_cure, self._configuration, flagged, others, self._dialect, named))
         for name, (text, changes) in stated_fixes(self._configuration, self._dialect).items():
             if name in flags:
                 cure = _with_fix(cure, name, text, changes, flag_count=len(flags))
@@ -144,7 +143,7 @@ class _Run:
             advisory = ""
         if not advisory and default is not None:
             search = (self._measurements, phenomenon, subject.sets[geoms], configured, default, self._dialect)
-            cause = self._in_time(lambda: find_cause(*search))
+            cause = self._in_time(partial(find_cause, *search))
         row = result_of(
             phenomenon,
             configured,

@@ -18,7 +18,7 @@ from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import MOST_YAML_BYTES, read_yaml
-from gauge_envs.tools.sanity.stacks.physx import SOLVER, Material, PhysxValues, combined, stated_material
+from gauge_envs.tools.sanity.stacks.physx import SOLVER, Material, PhysxValues, combined, drawn_range, stated_material
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 
@@ -161,13 +161,11 @@ def _foot(table: Table) -> Material:
     drawn = next((one for place in DRAWN if (one := _table(table, place)) and one.flag("randomize_friction")), None)
     if drawn is None:
         return stated_material(None, "robot", DEFAULT)
-    ends = drawn.numbers("friction_range", 2)
-    if ends is None or min(ends) < 0.0 or max(ends) == float("inf"):
-        key = drawn.name("friction_range")
-        raise TargetError(f"{drawn.source}: {key} is impossible: give two numbers of 0 or more")
-    both = (min(ends), max(ends))
-    origin = drawn.name("friction_range")
-    return replace(DEFAULT, body="robot", origin=origin, static_friction=both, dynamic_friction=both)
+    ends, key = drawn_range(drawn, "friction_range"), drawn.name("friction_range")
+    if ends is None:
+        raise TargetError(f"{drawn.source}: there is no {key}: give two numbers of 0 or more")
+    ranges = {**DEFAULT.ranges, "static_friction": ends, "dynamic_friction": ends}
+    return replace(DEFAULT, body="robot", origin=key, ranges=ranges)
 
 
 # --- reader ----------------------------------------------------------------------------------------------------------

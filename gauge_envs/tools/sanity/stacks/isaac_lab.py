@@ -7,7 +7,6 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -18,7 +17,16 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import read_yaml
-from gauge_envs.tools.sanity.stacks.physx import DEGREES, SOLVER, Material, PhysxValues, combined, stated_material
+from gauge_envs.tools.sanity.stacks.physx import (
+    COEFFICIENTS,
+    DEGREES,
+    SOLVER,
+    Material,
+    PhysxValues,
+    combined,
+    drawn_range,
+    stated_material,
+)
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 from gauge_envs.tools.sanity.stacks.table import Table
 
@@ -328,25 +336,9 @@ def _randomized(table: Table, foot: Material, values: PhysxValues) -> Material:
             continue
         if bodies not in (None, ".*", [".*"], (".*",)):
             values.notes.append(f"{term} changes {bodies!r} only; they are taken for the feet")
-        return replace(
-            foot,
-            body="robot",
-            origin=term,
-            static_friction=_ends(params, "static_friction_range") or foot.static_friction,
-            dynamic_friction=_ends(params, "dynamic_friction_range") or foot.dynamic_friction,
-            restitution=_ends(params, "restitution_range") or foot.restitution,
-        )
+        ranges = {key: drawn_range(params, f"{key}_range") or foot.ranges[key] for key in COEFFICIENTS}
+        return replace(foot, body="robot", origin=term, ranges=ranges)
     return foot
-
-
-def _ends(table: Table, key: str) -> tuple[float, float] | None:
-    ends = table.numbers(key, 2)
-    if ends is None:
-        return None
-    low, high = sorted(ends)
-    if not 0.0 <= low <= high < math.inf:
-        raise TargetError(f"{table.source}: {table.name(key)} is {low:g} to {high:g}: give numbers of 0 or more")
-    return low, high
 
 
 # --- reader ----------------------------------------------------------------------------------------------------------

@@ -304,7 +304,6 @@ def _of_name(target: Any) -> tuple[Mapping[str, Any], str]:
 
 def _reader(
     accepts: str,
-    *,
     matches: Callable[[Any], bool],
     cfg_of: Callable[[Any], tuple[Mapping[str, Any], str]],
     label: Callable[[Any], str] = str,
@@ -319,7 +318,7 @@ def _reader(
         cfg, source = cfg_of(target)
         return _built(Table(cfg, source=source)).model
 
-    return Reader(accepts=accepts, matches=matches, read=read, model=model, has_geoms=True)
+    return Reader(accepts, matches, read, model=model)
 
 
 def _is_file(target: Any) -> bool:
@@ -342,14 +341,14 @@ READERS = (
     _reader(
         "a task configuration of mjlab",
         _is_cfg,
-        cfg_of=lambda target: (plain(target), "task configuration of mjlab"),
-        label=lambda target: type(target).__name__,
+        lambda target: (plain(target), "task configuration of mjlab"),
+        lambda target: type(target).__name__,
     ),
-    _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), cfg_of=_of_name),
+    _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), _of_name),
     _reader(
         "params/env.yaml of a training run of mjlab",
         _is_file,
-        cfg_of=lambda target: (read_yaml(Path(target), takes_objects=True), f"training run {target}"),
-        label=lambda target: Path(target).name,
+        lambda target: (read_yaml(Path(target), takes_objects=True), f"training run {target}"),
+        lambda target: Path(target).name,
     ),
 )

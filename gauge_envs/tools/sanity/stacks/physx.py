@@ -12,7 +12,7 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.model import FootContact, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.model import FootContact, Need, TrainingConfiguration, range_text
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, number_text
 from gauge_envs.tools.sanity.stacks.table import Table
@@ -127,7 +127,10 @@ class PhysxValues:
 # --- materials -------------------------------------------------------------------------------------------------------
 
 Range = tuple[float, float]
-"""Least and greatest value."""
+"""Least and greatest value; equal where training does not randomize."""
+
+COEFFICIENTS = ("static_friction", "dynamic_friction", "restitution")
+"""Coefficients of a material."""
 
 AVERAGE = "average"
 """Rule of a material that states none."""
@@ -148,78 +151,73 @@ class Material:
     Attributes:
         body: Name of the body: `ground`, `robot`.
         origin: Key that states the material, or what stands in for it.
-        static_friction: Least and greatest coefficient.
-        dynamic_friction: Least and greatest coefficient.
-        restitution: Least and greatest restitution.
+        ranges: Range of each of the `COEFFICIENTS`.
         friction_mode: Rule of combination of friction.
         restitution_mode: Rule of combination of restitution.
     """
 
     body: str
     origin: str
-    static_friction: Range
-    dynamic_friction: Range
-    restitution: Range
+    ranges: Mapping[str, Range]
     friction_mode: str = AVERAGE
     restitution_mode: str = AVERAGE
 
     @classmethod
     def constant(cls, body: str, origin: str, *, friction: float, restitution: float = 0.0) -> Material:
         """Return a material with one coefficient of friction that is not randomized."""
-        both = (friction, friction)
-        return cls(
-            body=body,
-            origin=origin,
-            static_friction=both,
-            dynamic_friction=both,
-            restitution=(restitution, restitution),
-        )
+        values = zip(COEFFICIENTS, (friction, friction, restitution), strict=True)
+        return cls(body=body, origin=origin, ranges={name: (value, value) for name, value in values})
 
     @property
     def text(self) -> str:
         """Body, friction and origin in words."""
-        low, high = self.dynamic_friction
-        friction = f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
-        return f"{self.body} {friction} ({self.origin})"
+        return f"{self.body} {range_text(self.ranges['dynamic_friction'])} ({self.origin})"
 
 
 def stated_material(table: Table | None, body: str, default: Material) -> Material:
     """Return a material with the coefficients of a table; what the table lacks is that of `default`."""
     if table is None:
         return replace(default, body=body)
-
-    def coefficient(key: str, otherwise: Range) -> Range:
+    ranges = dict(default.ranges)
+    for key in COEFFICIENTS:
         number = table.number(key)
-        if number is None:
-            return otherwise
-        if not 0.0 <= number < float("inf"):
+        if number is not None and not 0.0 <= number < math.inf:
             raise TargetError(f"{table.source}: {table.name(key)} is {number:g}: give 0 or more")
-        return number, number
-
+        if number is not None:
+            ranges[key] = number, number
     return Material(
         body=body,
         origin=table.path,
-        static_friction=coefficient("static_friction", default.static_friction),
-        dynamic_friction=coefficient("dynamic_friction", default.dynamic_friction),
-        restitution=coefficient("restitution", default.restitution),
+        ranges=ranges,
         friction_mode=table.choice("friction_combine_mode", MODES) or default.friction_mode,
         restitution_mode=table.choice("restitution_combine_mode", MODES) or default.restitution_mode,
     )
 
 
+def drawn_range(table: Table, key: str) -> Range | None:
+    """Return the range from which training draws a coefficient; None when it is not stated."""
+    ends = table.numbers(key, 2)
+    if ends is None:
+        return None
+    low, high = sorted(ends)
+    if not 0.0 <= low <= high < math.inf:
+        raise TargetError(f"{table.source}: {table.name(key)} is {low:g} to {high:g}: give numbers of 0 or more")
+    return low, high
+
+
 def combined(ground: Material, foot: Material) -> FootContact:
     """Return what a foot meets on the ground."""
     names = list(MODES)
-    friction_mode = max(ground.friction_mode, foot.friction_mode, key=names.index)
-    restitution_mode = max(ground.restitution_mode, foot.restitution_mode, key=names.index)
-
-    def both(mode: str, one: Range, other: Range) -> Range:
-        return MODES[mode](one[0], other[0]), MODES[mode](one[1], other[1])
-
+    friction = max(ground.friction_mode, foot.friction_mode, key=names.index)
+    restitution = max(ground.restitution_mode, foot.restitution_mode, key=names.index)
+    found = []
+    for key, mode in zip(COEFFICIENTS, (friction, friction, restitution), strict=True):
+        (low, high), (other_low, other_high) = ground.ranges[key], foot.ranges[key]
+        found.append((MODES[mode](low, other_low), MODES[mode](high, other_high)))
     return FootContact(
-        friction=both(friction_mode, ground.dynamic_friction, foot.dynamic_friction),
-        static_friction=both(friction_mode, ground.static_friction, foot.static_friction),
-        restitution=both(restitution_mode, ground.restitution, foot.restitution),
-        source=f"{ground.text} and {foot.text}, friction by {friction_mode}"
-        + ("" if restitution_mode == friction_mode else f", restitution by {restitution_mode}"),
+        static_friction=found[0],
+        friction=found[1],
+        restitution=found[2],
+        source=f"{ground.text} and {foot.text}, friction by {friction}"
+        + ("" if restitution == friction else f", restitution by {restitution}"),
     )
