@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -37,15 +37,16 @@ HELD_M_PER_S = 1e-3
 MOST_GEOMS = 4
 """Most geoms of a foot that are listed; of more, the others are counted."""
 
-GEOM_KINDS = {
-    mujoco.mjtGeom.mjGEOM_SPHERE: "sphere",
-    mujoco.mjtGeom.mjGEOM_CAPSULE: "capsule",
-    mujoco.mjtGeom.mjGEOM_ELLIPSOID: "ellipsoid",
-    mujoco.mjtGeom.mjGEOM_CYLINDER: "cylinder",
-    mujoco.mjtGeom.mjGEOM_BOX: "box",
-    mujoco.mjtGeom.mjGEOM_MESH: "hull of a mesh",
+Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+SOLIDS: Mapping[str, tuple[str, Callable[[float, float, float], Solid]]] = {
+    "SPHERE": ("sphere", lambda x, *_: Sphere(radius_m=x)),
+    "CAPSULE": ("capsule", lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y)),
+    "ELLIPSOID": ("ellipsoid", lambda *radii: Ellipsoid(radii_m=radii)),
+    "CYLINDER": ("cylinder", lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y)),
+    "BOX": ("box", lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z))),
 }
-"""Types of geoms that a foot may have, with their names."""
+"""Types of geoms that a foot may have beside meshes: their name, and the solid of a size."""
 
 
 class NoFootError(Exception):
@@ -92,7 +93,8 @@ def read_foot(
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     stance = _stance(model, np.asarray(up))
-    robots = {_first_moving_body(model, int(model.geom_bodyid[geom])) for geom in touching}
+    robot_of = [_first_moving_body(model, int(body)) for body in model.geom_bodyid]
+    robots = {robot_of[geom] for geom in touching}
     joints, bodies = driven(model)
     moved = bodies | {int(model.jnt_bodyid[joint]) for joint in joints}
     if moved:
@@ -101,10 +103,10 @@ def read_foot(
     if not standing:
         raise NoFootError("no robot of the model stands on the ground under its own weight")
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    touching = [g for g in touching if _first_moving_body(model, int(model.geom_bodyid[g])) == robot]
+    touching = [geom for geom in touching if robot_of[geom] == robot]
     support = {geom: _support_m(model, stance, geom) for geom in touching}
     lowest = {geom: float(point[2]) for geom, point in support.items()}
-    own = [geom for geom in range(model.ngeom) if _first_moving_body(model, int(model.geom_bodyid[geom])) == robot]
+    own = [geom for geom, body in enumerate(robot_of) if body == robot]
     top = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
     height = max(top - min(lowest.values()), 1e-3)
     standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
@@ -185,19 +187,18 @@ def _support_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> NDArray[np.
     """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
-    size = model.geom_size[geom]
-    kind = model.geom_type[geom]
+    size, kind = model.geom_size[geom], _kind(model, geom)
     point = down * model.geom_rbound[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
+    if kind == "CAPSULE":
         point = size[0] * down + [0.0, 0.0, size[1] * np.sign(down[2])]
-    elif kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
+    elif kind == "CYLINDER":
         aside = np.array([down[0], down[1], 0.0])
         point = size[0] * aside / max(float(np.linalg.norm(aside)), FLAT) + [0.0, 0.0, size[1] * np.sign(down[2])]
-    elif kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
+    elif kind == "ELLIPSOID":
         point = size**2 * down / np.linalg.norm(size * down)
-    elif kind == mujoco.mjtGeom.mjGEOM_BOX:
+    elif kind == "BOX":
         point = size * np.sign(down)
-    elif kind == mujoco.mjtGeom.mjGEOM_MESH:
+    elif kind == "MESH":
         vertices = _vertices_m(model, geom)
         depths = vertices @ down
         point = vertices[depths > depths.max() - FLAT * float(model.geom_rbound[geom])].mean(axis=0)
@@ -238,28 +239,23 @@ def _parts(model: mujoco.MjModel, stance: _Stance, support_m: dict[int, NDArray[
     )
 
 
-def _solid(model: mujoco.MjModel, geom: int) -> Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion:
-    x, y, z = model.geom_size[geom].tolist()
-    kind = model.geom_type[geom]
-    if kind == mujoco.mjtGeom.mjGEOM_SPHERE:
-        return Sphere(radius_m=x)
-    if kind == mujoco.mjtGeom.mjGEOM_CAPSULE:
-        return Capsule(radius_m=x, length_m=2.0 * y)
-    if kind == mujoco.mjtGeom.mjGEOM_CYLINDER:
-        return Cylinder(radius_m=x, length_m=2.0 * y)
-    if kind == mujoco.mjtGeom.mjGEOM_ELLIPSOID:
-        return Ellipsoid(radii_m=(x, y, z))
-    if kind == mujoco.mjtGeom.mjGEOM_BOX:
-        return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z))
-    if kind == mujoco.mjtGeom.mjGEOM_MESH:
-        vertices = _vertices_m(model, geom)
-        try:
-            hull = vertices[ConvexHull(vertices).vertices]
-        except QhullError:
-            raise NoFootError("the foot is a flat mesh, which the scenes cannot have") from None
-        return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
-    name = mujoco.mjtGeom(int(kind)).name.removeprefix("mjGEOM_").lower()
-    raise NoFootError(f"the foot is a geom of type {name}, which the scenes cannot have")
+def _solid(model: mujoco.MjModel, geom: int) -> Solid:
+    kind = _kind(model, geom)
+    if kind in SOLIDS:
+        return SOLIDS[kind][1](*model.geom_size[geom].tolist())
+    if kind != "MESH":
+        raise NoFootError(f"the foot is a geom of type {kind.lower()}, which the scenes cannot have")
+    vertices = _vertices_m(model, geom)
+    try:
+        hull = vertices[ConvexHull(vertices).vertices]
+    except QhullError:
+        raise NoFootError("the foot is a flat mesh, which the scenes cannot have") from None
+    return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
+
+
+def _kind(model: mujoco.MjModel, geom: int) -> str:
+    """Return the type of a geom, such as `SPHERE`."""
+    return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
 
 
 def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
@@ -273,7 +269,8 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
 def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
     owner = model.body(body).name or f"body {body}"
     names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
-    kinds = [GEOM_KINDS.get(mujoco.mjtGeom(int(model.geom_type[geom])), "geom") for geom in geoms]
+    known = {"MESH": "hull of a mesh"} | {kind: name for kind, (name, _) in SOLIDS.items()}
+    kinds = [known.get(_kind(model, geom), "geom") for geom in geoms]
     texts = [f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]
     if len(texts) > MOST_GEOMS:
         texts = [*texts[: MOST_GEOMS - 1], f"{len(texts) - MOST_GEOMS + 1} more"]

@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 from gauge_envs.backends.mujoco.contact_pairs import GROUND_TYPES
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed, TrainingConfiguration
+from gauge_envs.tools.sanity.probe.mujoco_capture import is_mjx_model
+from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import GEOM_FIELDS, PAIR_FIELDS, WIDTHS, add_pairs, write_fields
+from gauge_envs.tools.sanity.stacks.dialect import rounded
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
 OPTIONS = (
@@ -31,14 +34,7 @@ OPTIONS = (
 REAL_OPTIONS = ("timestep", "impratio", "tolerance", "ls_tolerance")
 """Options that are numbers; those of a model for GPUs are in single precision."""
 
-DIGITS = 6
-"""Digits that a number in single precision states."""
-
 UNREAD = "friction loss, limits and actuators do not matter for the rows and are not read"
-
-
-def _is_model(target: Any, module: str) -> bool:
-    return type(target).__name__ == "Model" and type(target).__module__.startswith(module)
 
 
 def _read(target: Any, pair: GeomPair | None, name: str, engine: str) -> TrainingConfiguration:
@@ -131,8 +127,8 @@ def _set_options(spec: mujoco.MjSpec, option: Any) -> None:
         if value is None and name == "impratio":
             value = _array(option.impratio_invsqrt) ** -2.0
         if value is not None:
-            setattr(spec.option, name, _rounded(_array(value).flat[0]))
-    spec.option.gravity = [_rounded(one) for one in _array(option.gravity).reshape(-1, 3)[0]]
+            setattr(spec.option, name, rounded(float(_array(value).flat[0])))
+    spec.option.gravity = [rounded(float(one)) for one in _array(option.gravity).reshape(-1, 3)[0]]
 
 
 # --- numbers ---------------------------------------------------------------------------------------------------------
@@ -154,22 +150,17 @@ def _column(target: Any, name: str) -> NDArray[np.float64]:
 def _columns(target: Any, kind: str, fields: Iterable[str]) -> dict[str, NDArray[np.float64]]:
     """Return arrays of world 0 with the digits of single precision, by name."""
     names = [f"{kind}_{field}" for field in fields]
-    return {name: np.vectorize(_rounded, otypes=[np.float64])(_column(target, name)) for name in names}
-
-
-def _rounded(value: float) -> float:
-    """Return a number with the digits that single precision states, as a file would state it."""
-    return float(f"{float(value):.{DIGITS}g}")
+    return {name: np.vectorize(rounded, otypes=[np.float64])(_column(target, name)) for name in names}
 
 
 def _is_warp(target: Any) -> bool:
-    return _is_model(target[0] if isinstance(target, tuple) and len(target) == 2 else target, "mujoco_warp")
+    return is_of(target[0] if isinstance(target, tuple) and len(target) == 2 else target, "mujoco_warp", "Model")
 
 
 READERS = (
     Reader(
         "a mujoco.mjx.Model",
-        lambda target: _is_model(target, "mujoco.mjx"),
+        is_mjx_model,
         lambda target, pair: _read(target, pair, "mjx.Model", "with MJX"),
     ),
     Reader("a mujoco_warp.Model, alone or with its Data as (model, data)", _is_warp, _read_warp),

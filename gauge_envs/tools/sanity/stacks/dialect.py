@@ -15,6 +15,11 @@ def number_text(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
+def rounded(value: Any) -> Any:
+    """Return a number without the digits that single precision adds."""
+    return float(number_text(value)) if isinstance(value, float) else value
+
+
 def python_text(value: Any) -> str:
     """Return a value as Python writes it, numbers with six digits."""
     if isinstance(value, list | tuple):

@@ -12,6 +12,7 @@ from typing import Any
 
 from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
 from gauge_envs.tools.sanity.stacks.documents import file_value
@@ -171,11 +172,6 @@ def _configuration(
 # --- a scene in this process -----------------------------------------------------------------------------------------
 
 
-def _is_scene(target: Any) -> bool:
-    kind = type(target)
-    return kind.__name__ == "Scene" and kind.__module__ == "genesis.engine.scene"
-
-
 def _read_scene(scene: Any, _: GeomPair | None) -> TrainingConfiguration:
     """Return the configuration of a scene; a built one also states the constants of its geoms.
 
@@ -208,16 +204,15 @@ def _groups(scene: Any, settings: Mapping[str, Any]) -> tuple[tuple[ContactGroup
     groups = []
     for mixed, names in sorted(counted.items(), key=lambda item: -len(item[1])):
         first, *others = dict.fromkeys(names)
-        groups.append(
-            ContactGroup(
-                geoms=f"{'ground' if ground else 'bodies'} with {first}"
-                + (f" and {len(others)} more" if others else ""),
-                pair_count=len(names),
-                constants={"solref": list(mixed[:2]), "solimp": list(mixed[2:])},
-                is_used=True,
-                settings=_contact_settings(mixed[0], mixed[1], mixed[2:5], settings["timestep_s"]),
-            )
+        more = f" and {len(others)} more" if others else ""
+        group = ContactGroup(
+            geoms=f"{'ground' if ground else 'bodies'} with {first}{more}",
+            pair_count=len(names),
+            constants={"solref": list(mixed[:2]), "solimp": list(mixed[2:])},
+            is_used=True,
+            settings=_contact_settings(mixed[0], mixed[1], mixed[2:5], settings["timestep_s"]),
         )
+        groups.append(group)
     shapes = {mixed[5:] for mixed in counted}
     notes = () if shapes <= {DEFAULT_SHAPE} else ("midpoint and power of the impedance are not carried over",)
     return tuple(groups), notes
@@ -245,7 +240,7 @@ def _read_options(path: Path) -> TrainingConfiguration:
 DIALECTS = (GENESIS,)
 
 READERS = (
-    Reader("a gs.Scene", _is_scene, _read_scene, has_geoms=False),
+    Reader("a gs.Scene", lambda target: is_of(target, "genesis", "Scene"), _read_scene, has_geoms=False),
     Reader(
         "saved options of a Genesis scene (options.json)",
         _is_options_file,

@@ -12,6 +12,7 @@ import copy
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from importlib.metadata import version
 from typing import Any
 
 import mujoco
@@ -19,10 +20,11 @@ import numpy as np
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
+from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.scenario import check_settings
-from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
+from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text, rounded
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader
 
 JUDGED = "SolverMuJoCo"
@@ -36,9 +38,6 @@ CONTACT = ("contact_solref", "contact_solimp")
 
 FORCE_SPACE = 0
 """Newton's code for a shape whose stiffness is a force, so that its contacts depend on the masses."""
-
-SIGNIFICANT_DIGITS = 6
-"""Digits of numbers that Newton keeps in single precision."""
 
 
 def stiffness_and_damping(solref: tuple[float, float]) -> tuple[float, float] | None:
@@ -100,8 +99,7 @@ NEWTON = Newton(
 
 def is_newton(target: Any) -> bool:
     """Return whether an object is a model or a solver of Newton; newton is not imported."""
-    names = {f"{kind.__module__.partition('.')[0]}.{kind.__name__}" for kind in type(target).__mro__}
-    return bool(names & {"newton.Model", "newton.SolverBase"})
+    return is_of(target, "newton", "Model") or is_of(target, "newton", "SolverBase")
 
 
 def newton_configuration(
@@ -118,13 +116,15 @@ def newton_configuration(
     """
     solver = target if hasattr(target, "model") else _default_solver(target)
     kind = type(solver).__name__
-    if not any(base.__name__ == JUDGED for base in type(solver).__mro__):
+    if not is_of(solver, "newton", JUDGED):
         raise TargetError(
             f"{kind}: rigid bodies are judged with {JUDGED} only. Export the scenes with gauge sanity export, run them "
             f"with {kind}, and judge them with gauge sanity judge"
         )
+    given = "" if solver is target else ", with the defaults of SolverMuJoCo"
+    source = f"{type(target).__name__} of Newton {version('newton')}{given}"
     model = _compiled(solver)
-    read = mujoco_configuration(model, name=name or kind, source=_source(solver, target), pair=pair)
+    read = mujoco_configuration(model, name=name or kind, source=source, pair=pair)
     contact = _contact(solver, read.settings)
     settings = _options(solver, read.settings, step_s) | contact
     check_settings("newton", settings)
@@ -162,13 +162,6 @@ def _default_solver(model: Any) -> Any:
             ) from error
 
 
-def _source(solver: Any, target: Any) -> str:
-    import newton
-
-    given = "" if solver is target else ", with the defaults of SolverMuJoCo"
-    return f"{type(target).__name__} of Newton {newton.__version__}{given}"
-
-
 def _compiled(solver: Any) -> mujoco.MjModel:
     """Return a copy of the solver's model with the constants of shapes that it runs with."""
     model = copy.copy(solver.mj_model)
@@ -185,13 +178,13 @@ def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict
     """Return the settings of the Newton backend for the options of a solver."""
     kind = type(solver).__name__
     known = (one for one in NEWTON.settings if one.place == "solver" and one.key in read)
-    settings = {one.name: _rounded(read[one.key]) for one in known}
+    settings = {one.name: rounded(read[one.key]) for one in known}
     settings["integrator"] = settings["integrator"].lower()
     settings["mujoco_contacts"] = bool(getattr(solver, "_use_mujoco_contacts", True))
     if step_s is not None:
         settings["timestep_s"] = step_s
     elif getattr(solver, "_step", 0) and getattr(solver, "mjw_model", None) is not None:
-        settings["timestep_s"] = _rounded(float(solver.mjw_model.opt.timestep.numpy()[0]))
+        settings["timestep_s"] = rounded(float(solver.mjw_model.opt.timestep.numpy()[0]))
     if read["solver"] != "Newton":
         raise TargetError(f"{kind}: solver {read['solver']} is not run, use solver='newton'")
     if settings["integrator"] not in INTEGRATORS:
@@ -201,10 +194,10 @@ def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict
 
 def _contact(solver: Any, read: Mapping[str, Any]) -> dict[str, Any]:
     """Return the contact constants of the Newton backend for those of a pair of shapes."""
-    settings = {name: tuple(map(_rounded, read[name])) for name in CONTACT if read.get(name) is not None}
+    settings = {name: tuple(map(rounded, read[name])) for name in CONTACT if read.get(name) is not None}
     # Newton applies the gain to its own contacts, with the elliptic cone.
     if not getattr(solver, "_use_mujoco_contacts", True) and solver.model.shape_count:
-        settings["contact_kf_n_s_per_m"] = _rounded(float(solver.model.shape_material_kf.numpy().max()))
+        settings["contact_kf_n_s_per_m"] = rounded(float(solver.model.shape_material_kf.numpy().max()))
     return settings
 
 
@@ -236,11 +229,6 @@ def _notes(solver: Any, settings: Mapping[str, Any]) -> list[str]:
     if model.shape_count and model.shape_margin.numpy().any():
         notes.append("margins of shapes are not carried over")
     return notes
-
-
-def _rounded(value: Any) -> Any:
-    """Return a number without the digits that single precision adds."""
-    return float(f"{value:.{SIGNIFICANT_DIGITS}g}") if isinstance(value, float) else value
 
 
 DIALECTS = (NEWTON,)
