@@ -18,7 +18,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, child_refusal
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.dialect import NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import file_content
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
 
@@ -35,7 +35,8 @@ SWITCH = Kind(text=lambda is_on: "enable" if is_on else "disable")
 
 MODEL_SETTINGS = (
     Setting("timestep_s", "option", "timestep"),
-    *(Setting(name, "option", name) for name in ("integrator", "cone", "solver", *SAME_NAME_OPTIONS)),
+    *(Setting(name, "option", name) for name in ("integrator", "cone", "solver")),
+    *(Setting(name, "option", name, WHOLE if name.endswith("iterations") else NUMBER) for name in SAME_NAME_OPTIONS),
     *(Setting(name, "flag", name, SWITCH) for name in (*DISABLE_FLAGS, *ENABLE_FLAGS)),
     Setting("contact_solref", "geom", "solref"),
     Setting("contact_solimp", "geom", "solimp"),

@@ -17,7 +17,7 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.mujoco.model import CONES, INTEGRATORS, SOLVERS
+from gauge_envs.backends.mujoco.model import CONES, ENABLE_FLAGS, INTEGRATORS, SOLVERS
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, read_regular
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
@@ -48,12 +48,6 @@ NAMED = {
 }
 """Options that mjlab states by name, and MuJoCo's constants."""
 
-OPTIONS = (
-    *("timestep", "impratio", "tolerance", "ls_tolerance"),
-    *("iterations", "ls_iterations", "ccd_iterations"),
-)
-"""Options that are numbers."""
-
 FLAGS = {"disableflags": ("mjDSBL_", mujoco.mjtDisableBit), "enableflags": ("mjENBL_", mujoco.mjtEnableBit)}
 """Lists of flags, with the start and the type of MuJoCo's bits."""
 
@@ -69,17 +63,19 @@ REPEATED_GROUP = re.compile(r"\)[*+{]")
 MOST_ENTITIES = 32
 """Most entities of a scene."""
 
-NAME = Kind(text=lambda name: python_text(name.lower()))
 PLACES = {"option": "MujocoCfg", "flag": "MujocoCfg", "geom": "CollisionCfg"}
 """Classes that hold the attributes of a model's elements."""
 
 
 def _argument(one: Setting) -> Setting:
     """Return the argument that states an attribute of a model."""
+    key, kind = one.key, one.kind
     if one.place == "flag":
-        kind = Kind(text=lambda is_on: "()" if is_on else f'("{one.key}",)')
-        return replace(one, place="MujocoCfg", key="disableflags", kind=kind)
-    return replace(one, place=PLACES[one.place], kind=NAME if one.name in NAMED else one.kind)
+        key, shown = ("enableflags", True) if one.name in ENABLE_FLAGS else ("disableflags", False)
+        kind = Kind(text=lambda is_on: f'("{one.key}",)' if is_on is shown else "()")
+    elif key in NAMED:
+        kind = Kind(lambda table, _: table.choice(key, NAMED[key]), lambda name: python_text(name.lower()))
+    return replace(one, place=PLACES[one.place], key=key, kind=kind)
 
 
 MJLAB = Dialect(
@@ -232,15 +228,10 @@ def _matches(pattern: str, name: str) -> bool:
 
 def _set_options(model: mujoco.MjModel, table: Table) -> None:
     options = model.opt
-    for name in OPTIONS:
-        is_whole = isinstance(getattr(options, name), int)
-        value = table.whole(name) if is_whole else table.number(name)
+    for one in MJLAB.settings:
+        value = one.kind.read(table, one.key) if one.place == "MujocoCfg" and one.key not in FLAGS else None
         if value is not None:
-            setattr(options, name, value)
-    for name, known in NAMED.items():
-        choice = table.choice(name, known)
-        if choice is not None:
-            setattr(options, name, int(known[choice]))
+            setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
     gravity = table.value("gravity")
     if isinstance(gravity, list | tuple) and len(gravity) == 3:
         options.gravity[:] = gravity
