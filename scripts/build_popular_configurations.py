@@ -83,14 +83,14 @@ MANISKILL += ("TwoRobotPickCube", "UnitreeG1Stand", "UnitreeG1TransportBox", "Un
 
 def playground_tasks() -> Sequence[str]:
     """Return all tasks of MuJoCo Playground."""
-    from gauge_envs.tools.sanity.readers import playground
+    from gauge_envs.tools.sanity.stacks import playground
 
     return [f"playground:{name}" for name in playground.playground_tasks()]
 
 
 def mjlab_tasks() -> Sequence[str]:
     """Return all tasks of mjlab."""
-    from gauge_envs.tools.sanity.readers import mjlab
+    from gauge_envs.tools.sanity.stacks import mjlab
 
     return [f"mjlab:{name}" for name in mjlab.mjlab_tasks()]
 

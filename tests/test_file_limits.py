@@ -27,7 +27,7 @@ from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.usd import source
 from gauge_envs.scene.usd.reader import from_usd
-from gauge_envs.tools.sanity.target import configuration
+from gauge_envs.tools.sanity.stacks import configuration
 
 NAME = "SlopeSlider-2-wood"
 

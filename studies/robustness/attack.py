@@ -57,9 +57,9 @@ from gauge_envs.tools.dataset.trial import TrialError, parse_trial
 from gauge_envs.tools.leaderboard.submission import read_statement
 from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.probe.program import document as probe_document
-from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration
-from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
-from gauge_envs.tools.sanity.readers.yaml_document import read_yaml
+from gauge_envs.tools.sanity.stacks.documents import read_yaml
+from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
+from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
 from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.tools.sweep.store import update_store

@@ -31,8 +31,8 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.assets.build import shape_to_obj
-from gauge_envs.tools.sanity.foot import FootGeometry
 from gauge_envs.tools.sanity.phenomena.foot import foot_scene
+from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
 TETRAHEDRON = ConvexUnion(pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),))
 SOLIDS = {

@@ -10,24 +10,33 @@ Example:
 from typing import TYPE_CHECKING
 
 from gauge_envs.tools import door
-from gauge_envs.tools.sanity.foot import FootGeometry
-from gauge_envs.tools.sanity.model import (
-    Cause,
-    ContactGroup,
-    Cure,
-    Curve,
-    GroupOutcome,
-    Need,
-    PhenomenonResult,
-    Reality,
-    RealityKind,
-    Report,
-    SettingTrial,
-    TrainingConfiguration,
-    Verdict,
-)
-from gauge_envs.tools.sanity.run import check
-from gauge_envs.tools.sanity.target import Target, configuration
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.against import Comparison, compare
+    from gauge_envs.tools.sanity.exchange.export import export
+    from gauge_envs.tools.sanity.exchange.judge import judge
+    from gauge_envs.tools.sanity.exchange.loop import run as run_exported
+    from gauge_envs.tools.sanity.model import (
+        Cause,
+        ContactGroup,
+        Cure,
+        Curve,
+        GroupOutcome,
+        Need,
+        PhenomenonResult,
+        Reality,
+        RealityKind,
+        Report,
+        SettingTrial,
+        TrainingConfiguration,
+        Verdict,
+    )
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
+    from gauge_envs.tools.sanity.robot.foot import FootGeometry
+    from gauge_envs.tools.sanity.run import check
+    from gauge_envs.tools.sanity.stacks import configuration
+    from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
+    from gauge_envs.tools.sanity.stacks.newton import newton_configuration
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
@@ -35,6 +44,7 @@ if TYPE_CHECKING:
 __all__ = [
     "BackendMuJoCoWarp",
     "Cause",
+    "Comparison",
     "ContactGroup",
     "Cure",
     "Curve",
@@ -50,8 +60,17 @@ __all__ = [
     "TrainingConfiguration",
     "Verdict",
     "check",
+    "compare",
     "configuration",
+    "export",
+    "judge",
+    "newton_configuration",
+    "run_exported",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "mujoco_warp_run")
+    __getattr__ = door(
+        __name__,
+        *("model", "robot.foot", "stacks", "run", "against", "stacks.gymnasium_env", "stacks.newton"),
+        *("exchange.export", "exchange.judge", "mujoco_warp_run"),
+    )

@@ -1,7 +1,7 @@
 """Compare two training configurations in physical terms: where a policy was trained, and where it runs.
 
 Example:
-    >>> from gauge_envs.tools.sanity.against import compare
+    >>> from gauge_envs.tools.sanity import compare
     >>> comparison = compare("mujoco", "mujoco", only=["gravity"])
     >>> [row.id for row in comparison.rows][:2]
     ['step', 'gravity']
@@ -13,7 +13,7 @@ import math
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -22,13 +22,13 @@ import numpy as np
 from gauge_envs.files import json_ready, versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.engine import Engine, simulation_limit_s
-from gauge_envs.tools.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
-from gauge_envs.tools.sanity.measure import Measurements, TimeLimitError
+from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.phenomena import Phenomenon, phenomena
-from gauge_envs.tools.sanity.selection import selection
-from gauge_envs.tools.sanity.subject import subject_of, worst_of
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.stacks import configuration
+from gauge_envs.tools.sanity.stated import GRAVITY_ROW
+from gauge_envs.tools.sanity.subject import subject_of
 
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""
@@ -38,7 +38,6 @@ STEP_RATIO = 0.01
 
 FRICTION_SLIDES = {"slide-wood": "straight", "slide-turned": "turned by 45 degrees"}
 """Slides that show the friction that a foot meets, and their direction."""
-
 
 REBOUND = "rebound-slow"
 """Rebound that shows the restitution that a foot meets: feet land at 2 m/s at most."""
@@ -134,28 +133,25 @@ def compare(
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; None for no limit.
     """
-    from gauge_envs.tools.sanity.target import configuration
-
     started = time.perf_counter()
-    limit_s = math.inf if time_limit_s is None else time_limit_s
     chosen = selection(only, include_deformables=include_deformables)
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
         names = dict.fromkeys(target.backend for target in targets)
-        limit = simulation_limit_s(time_limit_s)
-        engines = {name: stack.enter_context(Engine(name, limit)) for name in names}
+        engines = {name: stack.enter_context(Engine(name, simulation_limit_s(time_limit_s))) for name in names}
+        limit_s = math.inf if time_limit_s is None else time_limit_s
         known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
-        one, other = (_Side(target, known[target.backend]) for target in targets)
-        rows = [_facts_row("step", "step of the engine", "s", one.step_s(), other.step_s(), ratio=STEP_RATIO)]
+        sides = [_Side(target, known[target.backend]) for target in targets]
+        rows = [_step_row(sides)]
         if GRAVITY_ID in chosen:
-            rows.append(_gravity_row(one.configuration, other.configuration))
-        measured = [_row(p, one, other) for p in phenomena(include_deformables=True) if p.id in chosen]
-        known_rows = {row.id: row for row in measured}
+            rows.append(_gravity_row(sides))
+        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID)]
+        measured = {one.id: _measured_row(one, sides) for one in simulated}
     found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
     return Comparison(
-        trained=one.configuration,
-        deployed=other.configuration,
-        rows=(*rows, *_foot_rows(one, other, known_rows), *_rebound_rows(one, other, known_rows), *measured),
+        trained=targets[0],
+        deployed=targets[1],
+        rows=(*rows, *_friction_rows(sides, measured), *_restitution_rows(sides, measured), *measured.values()),
         versions={**found, **versions()},
         wall_s=time.perf_counter() - started,
     )
@@ -174,20 +170,31 @@ class _Side:
         if subject.inapplicable:
             return None, subject.inapplicable
         try:
-            _, worst = worst_of(subject.measured(self._measurements))
+            worst = subject.worst()
         except TimeLimitError:
             return None, "not measured within the time limit"
         return worst.value, worst.remark
 
     def step_s(self) -> float | None:
         """Return the step for a cube on a board [s]; None when the backend declines the scene."""
-        scenario = phenomena(["slide-wood"])[0].scenario
+        scenario = phenomenon("slide-wood").scenario
         try:
             force = self._measurements.in_force(scenario, next(iter(self.configuration.contact_sets.values())))
         except DeclinedError:
             return None
         step = force.get("timestep_s")
         return None if step is None else float(step)
+
+    def gravity(self) -> tuple[float, np.ndarray]:
+        """Return the size of gravity, and its components along and across the ground, shape [2]."""
+        gravity = self.configuration.gravity_m_per_s2
+        if Need.GRAVITY in self.configuration.inapplicable:
+            return 0.0, np.zeros(2)
+        if gravity is None:
+            return GRAVITY_M_PER_S2, np.array([-GRAVITY_M_PER_S2, 0.0])
+        vector, up = np.asarray(gravity), np.asarray(self.configuration.up)
+        along = float(vector @ up)
+        return float(np.linalg.norm(vector)), np.array([along, float(np.linalg.norm(vector - along * up))])
 
     def stated_friction(self) -> float | None:
         """Return the sliding friction of a foot on the ground; None when the target states none."""
@@ -196,39 +203,95 @@ class _Side:
         used = [group.constants for group in self.configuration.contact_groups if group.is_used]
         return float(used[0]["friction"][0]) if used else None
 
-    def foot_remark(self) -> str:
-        """Return the materials that a foot meets; empty when the target states none."""
-        return "" if self.configuration.foot_contact is None else self.configuration.foot_contact.text
+    def restitution(self, rebound: float | None, real: float) -> float | None:
+        """Return the restitution that a foot meets; None when unknown.
 
-    def restitution(self, row: ChangeRow, value: float | None) -> float | None:
-        """Return the restitution that a foot meets, from the rebound of a ball; None when unknown."""
+        Args:
+            rebound: Rebound of a ball; None when unknown.
+            real: Rebound of a real ball.
+        """
         foot = self.configuration.foot_contact
         if foot is None:
             return None
         if not any(foot.restitution):
             return 0.0
-        (phenomenon,) = phenomena([row.id])
-        return None if value is None else foot.mean_restitution * value / phenomenon.reality.value
+        return None if rebound is None else foot.mean_restitution * rebound / real
 
 
-def _row(phenomenon: Phenomenon, one: _Side, other: _Side) -> ChangeRow:
-    (trained, first), (deployed, second) = one.value(phenomenon), other.value(phenomenon)
-    tolerance = phenomenon.reality.tolerance
+# --- rows ------------------------------------------------------------------------------------------------------------
+
+
+def _row(
+    name: str, title: str, unit: str, values: Sequence[float | None], tolerance: float, remarks: Sequence[str] = ()
+) -> ChangeRow:
+    """Return the row on a value where the policy was trained, and where it runs."""
+    trained, deployed = values
+    shown = [f"{where}: {text}" for where, text in zip(("trained", "deployed"), remarks, strict=False) if text]
     return ChangeRow(
-        id=phenomenon.id,
-        title=phenomenon.title,
-        unit=phenomenon.unit,
+        id=name,
+        title=title,
+        unit=unit,
         trained=trained,
         deployed=deployed,
         tolerance=tolerance,
         change=_change(trained, deployed, tolerance),
-        remark=_both(first, second),
+        remark="; ".join(shown),
     )
 
 
-def _both(first: str, second: str) -> str:
-    """Return the remarks of both sides in one line."""
-    return "; ".join([f"trained: {first}"] * bool(first) + [f"deployed: {second}"] * bool(second))
+def _measured_row(one: Phenomenon, sides: Sequence[_Side]) -> ChangeRow:
+    values, remarks = zip(*(side.value(one) for side in sides), strict=True)
+    return _row(one.id, one.title, one.unit, values, one.reality.tolerance, remarks)
+
+
+def _step_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on the step. A difference is visible at most, since it may do no harm."""
+    steps = [side.step_s() for side in sides]
+    row = _row("step", "step of the engine", "s", steps, STEP_RATIO * max(abs(step or 0.0) for step in steps))
+    return replace(row, change=Change.VISIBLE) if row.change is Change.LARGE else row
+
+
+def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on gravity, by the length of the difference of both."""
+    (trained, first), (deployed, second) = (side.gravity() for side in sides)
+    apart, tolerance = float(np.linalg.norm(first - second)), GRAVITY_ROW.reality.tolerance
+    remark = "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
+    row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance)
+    return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
+
+
+def _friction_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
+    found: list[ChangeRow] = []
+    stated = [side.stated_friction() for side in sides]
+    has_both = None not in stated
+    known = [1.0 if mu is None or not has_both else mu for mu in stated]
+    feet = [side.configuration.foot_contact for side in sides]
+    for name, direction in FRICTION_SLIDES.items():
+        if name not in rows:
+            continue
+        slide = phenomenon(name)
+        real = _friction(slide.reality.value)
+        measured = (rows[name].trained, rows[name].deployed)
+        values = [None if a is None else _friction(a) / real * mu for a, mu in zip(measured, known, strict=True)]
+        tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real * max(known)
+        title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
+        title += "" if has_both else ", over the stated one"
+        remarks = ["" if foot is None else foot.text for foot in feet] if has_both and not found else []
+        found.append(_row(f"foot-{direction.split(' ')[0]}", title, "1", values, tolerance, remarks))
+    return found
+
+
+def _restitution_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
+    row = rows.get(REBOUND)
+    if row is None:
+        return []
+    reality, measured = phenomenon(REBOUND).reality, (row.trained, row.deployed)
+    values = [side.restitution(value, reality.value) for side, value in zip(sides, measured, strict=True)]
+    if None in values:
+        return []
+    return [_row("foot-restitution", "restitution that a foot meets", "1", values, reality.tolerance)]
 
 
 def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:
@@ -243,105 +306,6 @@ def _change(trained: float | None, deployed: float | None, tolerance: float) -> 
 def _size(row: ChangeRow) -> float:
     assert row.trained is not None and row.deployed is not None, "only known rows change"
     return abs(row.trained - row.deployed) / row.tolerance
-
-
-def _facts_row(
-    name: str, title: str, unit: str, trained: float | None, deployed: float | None, *, ratio: float
-) -> ChangeRow:
-    """Return a row on a stated number, with a relative tolerance. A difference is visible, since it may do no harm."""
-    tolerance = ratio * max(abs(trained or 0.0), abs(deployed or 0.0))
-    change = _change(trained, deployed, tolerance)
-    return ChangeRow(
-        id=name,
-        title=title,
-        unit=unit,
-        trained=trained,
-        deployed=deployed,
-        tolerance=tolerance,
-        change=Change.VISIBLE if change is Change.LARGE else change,
-    )
-
-
-def _gravity_row(one: TrainingConfiguration, other: TrainingConfiguration) -> ChangeRow:
-    (trained, first), (deployed, second) = _gravity(one), _gravity(other)
-    tilted = float(np.linalg.norm(first - second))
-    tolerance = GRAVITY_REALITY.tolerance
-    return ChangeRow(
-        id=GRAVITY_ID,
-        title=GRAVITY_TITLE,
-        unit="m/s^2",
-        trained=trained,
-        deployed=deployed,
-        tolerance=tolerance,
-        change=_change(0.0, tilted, tolerance),
-        remark="the directions differ" if tilted > abs(trained - deployed) + tolerance else "",
-    )
-
-
-def _gravity(configuration: TrainingConfiguration) -> tuple[float, np.ndarray]:
-    """Return the size of gravity, and its components along and across the ground, shape [2]."""
-    if Need.GRAVITY in configuration.inapplicable:
-        return 0.0, np.zeros(2)
-    if configuration.gravity_m_per_s2 is None:
-        return GRAVITY_M_PER_S2, np.array([-GRAVITY_M_PER_S2, 0.0])
-    vector, up = np.asarray(configuration.gravity_m_per_s2), np.asarray(configuration.up)
-    along = float(vector @ up)
-    return float(np.linalg.norm(vector)), np.array([along, float(np.linalg.norm(vector - along * up))])
-
-
-def _foot_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
-    """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
-    found: list[ChangeRow] = []
-    for name, direction in FRICTION_SLIDES.items():
-        if name not in rows:
-            continue
-        (slide,) = phenomena([name])
-        real = _friction(slide.reality.value)
-        shares = [None if a is None else _friction(a) / real for a in (rows[name].trained, rows[name].deployed)]
-        stated = [one.stated_friction(), other.stated_friction()]
-        has_both = None not in stated
-        trained, deployed = (
-            None if share is None else share * (mu if has_both and mu is not None else 1.0)
-            for share, mu in zip(shares, stated, strict=True)
-        )
-        tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real
-        tolerance *= max(mu for mu in stated if mu is not None) if has_both else 1.0
-        found.append(
-            ChangeRow(
-                id=f"foot-{direction.split(' ')[0]}",
-                title=f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
-                + ("" if has_both else ", over the stated one"),
-                unit="1",
-                trained=trained,
-                deployed=deployed,
-                tolerance=tolerance,
-                change=_change(trained, deployed, tolerance),
-                remark=_both(one.foot_remark(), other.foot_remark()) if has_both and not found else "",
-            )
-        )
-    return found
-
-
-def _rebound_rows(one: _Side, other: _Side, rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
-    """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
-    row = rows.get(REBOUND)
-    if row is None:
-        return []
-    trained, deployed = one.restitution(row, row.trained), other.restitution(row, row.deployed)
-    if trained is None or deployed is None:
-        return []
-    (phenomenon,) = phenomena([REBOUND])
-    return [
-        ChangeRow(
-            id="foot-restitution",
-            title="restitution that a foot meets",
-            unit="1",
-            trained=trained,
-            deployed=deployed,
-            tolerance=phenomenon.reality.tolerance,
-            change=_change(trained, deployed, phenomenon.reality.tolerance),
-        )
-    ]
 
 
 def _friction(acceleration_m_per_s2: float) -> float:

@@ -9,11 +9,10 @@ from itertools import combinations
 from typing import Any
 
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives, preset_label
-from gauge_envs.tools.sanity.languages import Language
-from gauge_envs.tools.sanity.languages.toml import Toml
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
-from gauge_envs.tools.sanity.phenomena import Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""
@@ -31,7 +30,7 @@ def find_cause(
     settings: Mapping[str, Any],
     configured: Measured,
     default: Measured,
-    language: Language | None = None,
+    dialect: Dialect = TOML,
 ) -> Cause | None:
     """Find the settings that are responsible for a visible or wrong phenomenon.
 
@@ -48,7 +47,7 @@ def find_cause(
         settings: The configuration's settings.
         configured: Outcome in the configuration.
         default: Outcome with this package's preset.
-        language: Language of the target; a settings file if None.
+        dialect: Dialect of the target.
 
     Returns:
         The cause; None when the phenomenon is inside the interval of reality, was declined, or the engine died.
@@ -56,13 +55,8 @@ def find_cause(
     nothing_to_explain = configured.verdict in (Verdict.INSIDE, Verdict.DECLINED) or configured.engine_died
     if nothing_to_explain or default.verdict is Verdict.DECLINED:
         return None
-    search = _Search(measurements, phenomenon, settings, configured, default, language or Toml())
-    cause = search.put_back_one()
-    if cause is not None:
-        return cause
-    if not search.explains(default):
-        return search.default_is_no_better()
-    return search.each_alone() or search.together() or search.unexplained()
+    search = _Search(measurements, phenomenon, settings, configured, default, dialect)
+    return search.put_back_one() or search.default_is_no_better() or search.each_alone() or search.together()
 
 
 class _Search:
@@ -75,21 +69,17 @@ class _Search:
         settings: Mapping[str, Any],
         configured: Measured,
         default: Measured,
-        language: Language,
+        dialect: Dialect,
     ) -> None:
-        self._measurements = measurements
-        self._phenomenon = phenomenon
-        self._settings = settings
-        self._configured = configured
-        self._default = default
-        self._language = language
+        self._measurements, self._phenomenon, self._settings = measurements, phenomenon, settings
+        self._configured, self._default, self._dialect = configured, default, dialect
         self._others = alternatives(measurements, phenomenon.scenario, settings)
         self._best = {name: several[-1] for name, several in self._others.items()}
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
         self._alone: dict[str, Measured] = {}
 
-    def explains(self, changed: Measured) -> bool:
+    def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
         return math.isfinite(changed.deviation) and changed.deviation <= max(
             INSIDE_WITHIN, 0.5 * self._configured.deviation
@@ -103,7 +93,7 @@ class _Search:
             self._put_back[name], self._best[name] = min(
                 measured, key=lambda pair: 0.0 if pair[0].verdict is Verdict.INSIDE else pair[0].deviation
             )
-        close = {name: changed for name, changed in self._put_back.items() if self.explains(changed)}
+        close = {name: changed for name, changed in self._put_back.items() if self._explains(changed)}
         if not close:
             return None
         best = min(close, key=lambda name: close[name].deviation)
@@ -146,43 +136,51 @@ class _Search:
         """Apply each setting alone to the default and return those that suffice, if putting them all back helps."""
         self._alone |= {name: self._on_default(name) for name in self._others if name not in self._alone}
         suffice = tuple(
-            name for name, one in self._alone.items() if one.verdict is not Verdict.DECLINED and not self.explains(one)
+            name for name, one in self._alone.items() if one.verdict is not Verdict.DECLINED and not self._explains(one)
         )
         if not suffice:
             return None
         changed = self._with_put_back(suffice)
-        if not self.explains(changed):
+        if not self._explains(changed):
             # Training may not afford the preset's own step, but it shows what is responsible.
             found, self._best = self._best, self._best | {name: self._of_preset(name) for name in suffice}
             changed = self._with_put_back(suffice)
-            if not self.explains(changed):
+            if not self._explains(changed):
                 self._best = found
                 return None
         alone = ", ".join(f"{name} {self._measured_text(self._alone[name])}" for name in suffice)
         return self._cause(suffice, changed, also=f" (each alone on this package's preset: {alone})")
 
-    def together(self) -> Cause | None:
-        """Put back pairs, then the best pair with a third setting; return the first group that explains the error."""
-        matter = [name for name in self._others if self._matters(name)]
+    def together(self) -> Cause:
+        """Put back pairs, then the best pair with a third setting; return the first group that explains the error.
+
+        Without such a group, only the whole configuration explains it.
+        """
+        # A setting matters if it has a visible effect, put back or alone.
+        matter = [
+            name
+            for name in self._others
+            if _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
+        ]
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
             groups = [g for g in combinations(matter, size) if set(group) <= set(g)]
             if not groups:
-                return None
+                break
             measured = {g: self._with_put_back(g) for g in groups}
             group = min(measured, key=lambda g: measured[g].deviation)
-            if self.explains(measured[group]):
+            if self._explains(measured[group]):
                 return self._cause(group, measured[group])
-        return None
+        return self._unexplained(f"no reset of up to {LARGEST_GROUP} settings explains it: " + ", ".join(self._others))
 
-    def unexplained(self) -> Cause:
-        """Return that only the whole configuration explains the error."""
-        line = f"no reset of up to {LARGEST_GROUP} settings explains it: " + ", ".join(self._others)
-        return Cause(settings=(), line=line, tried=tuple(self._tried))
+    def default_is_no_better(self) -> Cause | None:
+        """Return that this package's preset has at least half of the error, if it has."""
+        if self._explains(self._default):
+            return None
+        text = self._measured_text(self._default)
+        return self._unexplained(f"no setting alone explains it; this package's preset: {text}")
 
-    def default_is_no_better(self) -> Cause:
-        """Return that this package's preset has at least half of the error."""
-        line = f"no setting alone explains it; this package's preset: {self._measured_text(self._default)}"
+    def _unexplained(self, line: str) -> Cause:
         return Cause(settings=(), line=line, tried=tuple(self._tried))
 
     def _of_preset(self, name: str) -> Alternative:
@@ -195,20 +193,14 @@ class _Search:
     def _with_put_back(self, names: tuple[str, ...]) -> Measured:
         return self._changed({name: self._best[name].value for name in names})
 
-    def _changed(self, changes: dict[str, Any]) -> Measured:
-        measured = self._measurements.measure(self._phenomenon, {**self._settings, **changes})
-        self._tried.append(SettingTrial(changes=changes, value=measured.value))
+    def _changed(self, changes: dict[str, Any], *, on_default: bool = False) -> Measured:
+        settings = changes if on_default else {**self._settings, **changes}
+        measured = self._measurements.measure(self._phenomenon, settings)
+        self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=on_default))
         return measured
 
     def _on_default(self, name: str) -> Measured:
-        changes = {name: self._best[name].was}
-        measured = self._measurements.measure(self._phenomenon, changes)
-        self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=True))
-        return measured
-
-    def _matters(self, name: str) -> bool:
-        """Return whether a setting has a visible effect, put back or alone; only such settings are tried in pairs."""
-        return _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
+        return self._changed({name: self._best[name].was}, on_default=True)
 
     # --- words ---
 
@@ -219,15 +211,14 @@ class _Search:
         return f"{measured.value:.3g}{unit}"
 
     def _assignment(self, name: str) -> str:
-        text = self._language.assignment(name, self._best[name].value)
-        return text if self._language.writes(name) else f"{text} (which the target has no key for)"
-
-    def _replacement(self, one: Alternative) -> str:
-        return f"{self._assignment(one.name)} instead of {self._language.value_text(one.name, one.was)}"
+        text = self._dialect.assignment(name, self._best[name].value)
+        return text if self._dialect.writes(name) else f"{text} (which the target has no key for)"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
         chosen = [self._best[name] for name in names]
-        subject = " and ".join(map(self._replacement, chosen))
+        subject = " and ".join(
+            f"{self._assignment(one.name)} instead of {self._dialect.value_text(one.name, one.was)}" for one in chosen
+        )
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
         verb = "brings" if len(names) == 1 else "bring"

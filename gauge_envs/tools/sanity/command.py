@@ -82,8 +82,8 @@ def sanity(
     regression from --baseline, or when nothing could be measured.
     """
     from gauge_envs.tools.sanity import check, configuration
-    from gauge_envs.tools.sanity.selection import selection
-    from gauge_envs.tools.sanity.target import compiled_model
+    from gauge_envs.tools.sanity.phenomena import selection
+    from gauge_envs.tools.sanity.stacks import compiled_model
 
     if target is None:
         raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
@@ -116,7 +116,7 @@ def sanity(
 
 def _with_deformables(patterns: Sequence[str]) -> bool:
     """Return whether a pattern chooses deformable bodies: it is '*', or matches no row of rigid bodies."""
-    from gauge_envs.tools.sanity.selection import selection
+    from gauge_envs.tools.sanity.phenomena import selection
 
     each = (pattern.strip() for text in patterns for pattern in text.split(","))
     return any(pattern == "*" or not any(fnmatchcase(name, pattern) for name in selection()) for pattern in each)
@@ -212,8 +212,8 @@ def sanity_export(
     """
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.tools.sanity.export import export
-    from gauge_envs.tools.sanity.export_manifest import scenes
+    from gauge_envs.tools.sanity.exchange.export import export
+    from gauge_envs.tools.sanity.exchange.scenes import scenes
 
     written = export(folder, only=only or [])
     text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"
@@ -236,7 +236,7 @@ def sanity_judge(
     Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
     measured. A scene without a motion file is declined.
     """
-    from gauge_envs.tools.sanity.judge import judge
+    from gauge_envs.tools.sanity.exchange.judge import judge
 
     files, is_bad = _checked_files(out), _judged_by(fail_on, baseline)
     report = judge(folder, only=only or [], engine=label)

@@ -9,11 +9,9 @@ from typing import Any
 
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives
-from gauge_envs.tools.sanity.languages import Language
-from gauge_envs.tools.sanity.languages.toml import Toml
-from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Cure, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.subject import Subject, worst_of
+from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.subject import Subject
 
 RECOMMENDED_MUJOCO: Mapping[str, Any] = {
     "timestep_s": 0.002,
@@ -29,7 +27,7 @@ RECOMMENDED_MUJOCO: Mapping[str, Any] = {
 """Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
 
 RECOMMENDED_PHYSX: Mapping[str, Any] = {"solver": "TGS", "position_iterations": 10, "velocity_iterations": 1}
-"""The same for PhysX, in the language of a training stack."""
+"""The same for PhysX, in the dialect of a training stack."""
 
 AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
 """Recommended settings that are kept where the target has more."""
@@ -57,11 +55,10 @@ class _Step:
 
 
 def find_cure(
-    measurements: Measurements,
     configuration: TrainingConfiguration,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
-    language: Language,
+    dialect: Dialect,
     named: Collection[str] = (),
 ) -> Cure | None:
     """Return the change that mends most flagged rows; None when no change mends one.
@@ -70,32 +67,31 @@ def find_cure(
     that this package recommends for the target are tried as a whole. Rows that were inside are measured again.
 
     Args:
-        measurements: Measurements on the backend.
         configuration: The checked configuration.
         flagged: Subjects that are visible or wrong, and count.
         others: Other subjects that count.
-        language: Language of the target.
+        dialect: Dialect of the target.
         named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
     """
     if not flagged:
         return None
-    steps = list(_greedy(measurements, flagged, others, language, named))
+    steps = list(_greedy(flagged, others, dialect, named))
     changes = {name: value for step in steps for name, value in step.changes.items()}
     mended = steps[-1].mended if steps else 0
-    new = _new_flags(measurements, others, changes) if mended else ()
+    new = _new_flags(others, changes) if mended else ()
     recommended = _recommended(configuration)
     if recommended and (mended < len(flagged) or len(new) >= mended):
-        count = _score(measurements, flagged, recommended)[0]
+        count = _score(flagged, recommended)[0]
         if count > mended or (count and len(new) >= mended):
             first = steps[:1] if count > mended else []
             steps = [*first, _Step(changes=recommended, mended=count, source="this package's recommendation")]
             changes, mended = recommended, count
-            new = _new_flags(measurements, others, changes)
+            new = _new_flags(others, changes)
     if len(new) >= mended:
         return None
     return Cure(
         changes=changes,
-        line=_line(configuration, steps, language, len(flagged), new),
+        line=_line(configuration, steps, dialect, len(flagged), new),
         flag_count=len(flagged),
         mended_count=mended,
         new_flags=new,
@@ -103,25 +99,22 @@ def find_cure(
 
 
 def _greedy(
-    measurements: Measurements,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
-    language: Language,
+    dialect: Dialect,
     named: Collection[str],
 ) -> Iterator[_Step]:
     """Yield the single change that mends most, then further ones beside it; each must mend a further flag.
 
     Of the changes that mend most, the one with the fewest new flags is taken.
     """
-    candidates = [one for one in _candidates(measurements, flagged) if language.writes(one.name)]
+    candidates = [one for one in _candidates(flagged) if dialect.writes(one.name)]
     changes: dict[str, Any] = {}
     left, mended = list(flagged), 0
     while left and candidates and len(changes) < MOST_CHANGES:
-        scored = [(_score(measurements, left, {**changes, one.name: one.value}), one) for one in candidates]
+        scored = [(_score(left, {**changes, one.name: one.value}), one) for one in candidates]
         scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
-        harms = [
-            len(_new_flags(measurements, others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]
-        ]
+        harms = [len(_new_flags(others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]]
         net = [count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)]
         (count, _), best = scored[net.index(max(net))]
         if not count:
@@ -129,7 +122,7 @@ def _greedy(
         changes[best.name] = best.value
         mended += count
         yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
-        left = [one for one in left if not _is_inside(one.measured(measurements, changes))]
+        left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
         candidates = [one for one in candidates if one.name not in changes]
 
 
@@ -138,21 +131,21 @@ def _preference(one: Alternative, named: Collection[str], mended: int, closeness
     return (mended, one.name != STEP, one.name in named, closeness)
 
 
-def _new_flags(measurements: Measurements, others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
+def _new_flags(others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
     """Return the rows that are visible or wrong only with the changes."""
     return tuple(
         subject.phenomenon.id
         for subject in others
-        if worst_of(subject.measured(measurements, changes))[1].verdict in (Verdict.VISIBLE, Verdict.WRONG)
+        if subject.worst(changes).verdict in (Verdict.VISIBLE, Verdict.WRONG)
     )
 
 
-def _candidates(measurements: Measurements, flagged: Sequence[Subject]) -> list[Alternative]:
+def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
     found: dict[str, Alternative] = {}
     for subject in flagged:
         for settings in subject.sets.values():
             try:
-                several = alternatives(measurements, subject.phenomenon.scenario, settings)
+                several = alternatives(subject.measurements, subject.phenomenon.scenario, settings)
             except DeclinedError:
                 continue
             for one in (one for values in several.values() for one in values):
@@ -160,15 +153,11 @@ def _candidates(measurements: Measurements, flagged: Sequence[Subject]) -> list[
     return list(found.values())
 
 
-def _score(measurements: Measurements, subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
+def _score(subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
     """Return how many subjects are inside with changes, and minus the sum of all deviations."""
-    outcomes = [subject.measured(measurements, changes) for subject in subjects]
-    total = sum(min(worst_of(one)[1].deviation, LARGEST_DEVIATION) for one in outcomes)
-    return sum(map(_is_inside, outcomes)), -total
-
-
-def _is_inside(outcomes: Mapping[str, Measured]) -> bool:
-    return worst_of(outcomes)[1].verdict is Verdict.INSIDE
+    outcomes = [subject.worst(changes) for subject in subjects]
+    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
+    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
 
 
 def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
@@ -179,7 +168,7 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
     recommended: Mapping[str, Any] = {}
     if configuration.is_model:
         recommended = RECOMMENDED_MUJOCO
-    elif configuration.backend == "physx" and configuration.language != Toml.name:
+    elif configuration.backend == "physx" and configuration.language != TOML.name:
         recommended = RECOMMENDED_PHYSX
     changes = {}
     for name, value in recommended.items():
@@ -197,12 +186,12 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
 
 
 def _line(
-    configuration: TrainingConfiguration, steps: Sequence[_Step], language: Language, flags: int, new: Sequence[str]
+    configuration: TrainingConfiguration, steps: Sequence[_Step], dialect: Dialect, flags: int, new: Sequence[str]
 ) -> str:
     parts = []
     for number, step in enumerate(steps):
         geoms = _geoms_that_change(configuration, step.changes)
-        text = language.paste_text(step.changes, geoms=geoms)
+        text = dialect.paste_text(step.changes, geoms=geoms)
         whole = step.source == "this package's recommendation"
         if not number:
             count = f"{step.mended} of {flags} flags go" if flags > 1 else "the one flag goes"

@@ -1,29 +1,105 @@
-"""Measure phenomena with settings, run each rollout once, and give verdicts."""
+"""Measure phenomena with settings, run each rollout once, and give verdicts.
+
+A backend runs in this process; one of another package runs in another process, which may crash, exit or hang.
+"""
 
 from __future__ import annotations
 
 import json
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from types import TracebackType
+from typing import Any, Self
 
-from gauge_envs.backends import Backend
+from gauge_envs.backends import Backend, backend, backend_names, is_bundled, versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
+from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
-from gauge_envs.tools.sanity.engine import Engine, EngineDiedError
 from gauge_envs.tools.sanity.model import INSIDE_WITHIN, VISIBLE_WITHIN, Reality, Verdict
-from gauge_envs.tools.sanity.phenomena import Phenomenon, PhenomenonValue
-from gauge_envs.tools.sanity.scenario import Scenario
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, PhenomenonValue
+from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
+
+SIMULATION_LIMIT_S = 600.0
+"""Default time limit of a simulation in another process [s]."""
 
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
 
+_Run = Callable[[Backend, Scenario, Mapping[str, Any]], Any]
+
+
+def simulation_limit_s(time_limit_s: float | None) -> float:
+    """Return the time limit of one simulation in another process [s], from that of a whole check.
+
+    A limit of less than a second would leave no time to start the process.
+    """
+    return SIMULATION_LIMIT_S if time_limit_s is None else min(max(time_limit_s, 1.0), SIMULATION_LIMIT_S)
+
+
+class EngineDiedError(DivergedError):
+    """The process of an engine died, or exceeded its time limit."""
+
 
 class TimeLimitError(GaugeError):
     """The time of a check is used up, and another rollout would be needed."""
+
+
+class Engine:
+    """A backend that runs scenarios. An installed backend of another package runs in another process.
+
+    Args:
+        engine: The backend, or the name of an installed one.
+        time_limit_s: Time limit of a simulation in another process [s].
+    """
+
+    _backend: Backend | None
+
+    def __init__(self, engine: Backend | str, time_limit_s: float = SIMULATION_LIMIT_S) -> None:
+        self._worker = Worker(time_limit_s)
+        if isinstance(engine, str) and engine in backend_names() and not is_bundled(engine):
+            self.name, self._backend = engine, None
+            try:
+                self.versions = self._worker.call(versions_of, engine)
+            except CrashError as error:
+                raise CrashError(f"backend {engine!r} cannot be imported: {error}") from None
+            return
+        self._backend = backend(engine) if isinstance(engine, str) else engine
+        self.name, self.versions = self._backend.name, self._backend.versions()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._worker.close()
+
+    def call(self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]) -> Any:
+        """Return the value of a function of the backend, a scenario and settings."""
+        if self._backend is not None:
+            return function(self._backend, scenario, settings)
+        try:
+            value, missing, divergence = self._worker.call(_there, function, self.name, scenario, settings)
+        except GaugeError as error:
+            raise EngineDiedError(str(error)) from None
+        if missing is not None:
+            raise DeclinedError(missing)
+        if divergence is not None:
+            raise DivergedError(divergence)
+        return value
+
+
+def _there(
+    function: _Run, name: str, scenario: Scenario, settings: Mapping[str, Any]
+) -> tuple[Any, tuple[str, ...] | None, str | None]:
+    """Return the value of a function of a backend and a scenario, or why it declined or diverged."""
+    try:
+        return function(backend(name), scenario, settings), None, None
+    except DeclinedError as error:
+        return None, error.missing, None
+    except DivergedError as error:
+        return None, None, str(error)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,8 +115,8 @@ class Measured:
         engine_died: Whether the process of the engine died or exceeded its time limit.
     """
 
-    value: float | None
-    deviation: float
+    value: float | None = None
+    deviation: float = math.inf
     verdict: Verdict
     remark: str = ""
     rollout: Rollout | None = None
@@ -66,9 +142,11 @@ class Measurements:
         key = _key(scenario, settings)
         if key not in self._in_force:
             try:
-                self._in_force[key] = self._engine.settings_in_force(scenario, settings)
+                self._in_force[key] = self._engine.call(settings_in_force, scenario, settings)
             except DeclinedError as declined:
                 self._in_force[key] = declined
+            except EngineDiedError as died:
+                self._in_force[key] = DeclinedError((str(died),))
         known = self._in_force[key]
         if isinstance(known, DeclinedError):
             raise known
@@ -78,13 +156,11 @@ class Measurements:
         """Measure a phenomenon; an outcome also exists when the backend declines or the rollout diverges."""
         rollout = self._rollout(phenomenon.scenario, settings)
         if isinstance(rollout, DeclinedError):
-            return Measured(value=None, deviation=math.inf, verdict=Verdict.DECLINED, remark=str(rollout))
-        if isinstance(rollout, EngineDiedError):
-            return Measured(
-                value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=str(rollout), engine_died=True
-            )
+            return Measured(verdict=Verdict.DECLINED, remark=str(rollout))
         if isinstance(rollout, DivergedError):
-            return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=f"diverged: {rollout}")
+            died = isinstance(rollout, EngineDiedError)
+            remark = str(rollout) if died else f"diverged: {rollout}"
+            return Measured(verdict=Verdict.WRONG, remark=remark, engine_died=died)
         return judged(phenomenon.read(rollout), phenomenon.reality, rollout)
 
     def _rollout(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
@@ -95,7 +171,7 @@ class Measurements:
             try:
                 # A stated step gives every rollout of the scenario the same sampling rule.
                 step = {k: v for k, v in self.in_force(scenario, settings).items() if k == "timestep_s"}
-                self._rollouts[key] = self._engine.run(scenario, {**settings, **step})
+                self._rollouts[key] = self._engine.call(run_scenario, scenario, {**settings, **step})
             except (DeclinedError, DivergedError) as outcome:
                 self._rollouts[key] = outcome
         return self._rollouts[key]
@@ -108,17 +184,15 @@ def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
 def judged(measured: PhenomenonValue, reality: Reality, rollout: Rollout) -> Measured:
     """Return the outcome of a phenomenon whose value was measured in a rollout."""
     if not math.isfinite(measured.value):
-        remark = measured.failure or "it does not happen"
-        return Measured(value=None, deviation=math.inf, verdict=Verdict.WRONG, remark=remark, rollout=rollout)
+        return Measured(verdict=Verdict.WRONG, remark=measured.failure or "it does not happen", rollout=rollout)
     deviation = abs(measured.value - reality.value) / reality.tolerance
     if measured.failure:
         deviation = max(deviation, FAILURE_DEVIATION)
+    verdict = Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG
     return Measured(
-        value=measured.value, deviation=deviation, verdict=_verdict(deviation), remark=measured.failure, rollout=rollout
+        value=measured.value,
+        deviation=deviation,
+        verdict=Verdict.INSIDE if deviation <= INSIDE_WITHIN else verdict,
+        remark=measured.failure,
+        rollout=rollout,
     )
-
-
-def _verdict(deviation: float) -> Verdict:
-    if deviation <= INSIDE_WITHIN:
-        return Verdict.INSIDE
-    return Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG

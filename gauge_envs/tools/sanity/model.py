@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from enum import StrEnum
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from scipy.stats import t as student
 
 from gauge_envs.files import json_ready
-from gauge_envs.tools.sanity.contact_capacity import ContactCapacity
-from gauge_envs.tools.sanity.foot import FootGeometry
-from gauge_envs.tools.sanity.foot_contact import FootContact
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
 INSIDE_WITHIN = 1.0
 """Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
@@ -78,6 +78,110 @@ class ContactGroup:
 
 
 @dataclass(frozen=True, kw_only=True)
+class FootContact:
+    """Friction and restitution of a foot on the ground, after the materials of both are combined.
+
+    Ranges have equal ends where training does not randomize.
+
+    Attributes:
+        friction: Least and greatest coefficient of sliding friction.
+        static_friction: Least and greatest coefficient of static friction.
+        restitution: Least and greatest restitution.
+        source: Origin of both materials, and how they are combined.
+    """
+
+    friction: tuple[float, float]
+    static_friction: tuple[float, float]
+    restitution: tuple[float, float]
+    source: str
+
+    @property
+    def mean_friction(self) -> float:
+        """Centre of the range of sliding friction."""
+        return 0.5 * sum(self.friction)
+
+    @property
+    def mean_restitution(self) -> float:
+        """Centre of the range of restitution."""
+        return 0.5 * sum(self.restitution)
+
+    @property
+    def text(self) -> str:
+        """Coefficients and their origin in one line."""
+        static = "" if self.static_friction == self.friction else f" (static {range_text(self.static_friction)})"
+        restitution = range_text(self.restitution)
+        return f"friction {range_text(self.friction)}{static}, restitution {restitution}: {self.source}"
+
+
+def range_text(ends: tuple[float, float]) -> str:
+    """Return a range in words; one number where its ends are equal."""
+    low, high = ends
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class CapacityLimits:
+    """Limits of an engine's memory for contacts.
+
+    Attributes:
+        njmax: Most constraint rows of a world; None when the engine chooses it.
+        naconmax: Most contacts of all worlds together; None when the engine chooses it.
+        worlds: Number of worlds that share `naconmax`; None when unknown.
+    """
+
+    njmax: int | None = None
+    naconmax: int | None = None
+    worlds: int | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactNeed:
+    """Contacts and constraint rows that a model needs, counted in MuJoCo's C engine.
+
+    Attributes:
+        rows: Most constraint rows of a world at one time.
+        contacts: Most contacts of a world at one time.
+        mean_contacts: Largest mean number of contacts of all motions at the same time.
+        situation: Motion in which most rows are needed.
+    """
+
+    rows: int
+    contacts: int
+    mean_contacts: float
+    situation: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactCapacity:
+    """Limits of a target, and what its own model needs.
+
+    Attributes:
+        limits: The limits.
+        need: What its model needs; None when it cannot be counted.
+        reason: Why it cannot be counted; empty when it can.
+    """
+
+    limits: CapacityLimits
+    need: ContactNeed | None = None
+    reason: str = ""
+
+    @property
+    def missing_rows(self) -> int:
+        """Constraint rows of a world for which there is no place."""
+        if self.need is None or self.limits.njmax is None:
+            return 0
+        return max(0, self.need.rows - self.limits.njmax)
+
+    @property
+    def missing_contacts(self) -> float:
+        """Contacts of a world, in the mean of all worlds, for which there is no place."""
+        limits = self.limits
+        if self.need is None or limits.naconmax is None or limits.worlds is None:
+            return 0.0
+        return max(0.0, self.need.mean_contacts - limits.naconmax / limits.worlds)
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrainingConfiguration:
     """Numerical settings that a policy is trained with.
 
@@ -95,7 +199,7 @@ class TrainingConfiguration:
         up: Unit vector away from the ground, shape [3].
         is_model: Whether it was read from a MuJoCo model, for which this package recommends settings as a whole.
         foot_geometry: Foot of the robot; None when the target has none, or does not state it.
-        language: Name of the language in which changes are written; see `gauge_envs.tools.sanity.languages`.
+        language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.stacks`.
         foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
         capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
     """

@@ -6,27 +6,25 @@ again here, on the CPU, to see whether it holds there. The first run of a kernel
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from importlib.metadata import version
 from typing import Any
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Support
 from gauge_envs.backends.mujoco.backend import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.backends.shared.snapshot import Snapshot
 from gauge_envs.errors import BackendError, MissingExtraError
-from gauge_envs.scene import Pose, Scene
-from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, most_needed_data
+from gauge_envs.scene import Scene
 from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.model import CapacityLimits, PhenomenonResult, Report, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.phenomena import phenomenon
+from gauge_envs.tools.sanity.robot.contact_capacity import most_needed_data
 from gauge_envs.tools.sanity.subject import subject_of
 
 MOST_ROWS, MOST_CONTACTS = 1024, 256
@@ -40,9 +38,6 @@ ROWS_OF_CONTACT = 6
 
 TOO_LARGE = "the scene needs more memory for contacts than is reserved"
 """Start of the reason why a scene is not run to its end."""
-
-FIELDS = frozenset(SettingsMuJoCo.model_fields)
-"""Settings of scenes; a cure may name others, such as gravity."""
 
 EFFECT_S = 0.5
 """Time for which a model moves with too little memory and with enough [s]."""
@@ -78,73 +73,31 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
 
     def __init__(self, scene: Scene, settings: Mapping[str, Any], *built: Any) -> None:
         super().__init__(scene, settings, *built)
-        self._warp, self._device = _started()
-        self._is_changed = True
         self._most_contacts = FEWEST_CONTACTS + CONTACTS_OF_BODY * len(scene.bodies)
-        with self._device:
-            self._on_warp = self._warp.put_model(self.model)
-            # It runs into its limit of iterations on purpose, with settings that allow one.
-            self._on_warp.opt.warn_overflow = 0
-        self._state = self._put()
+        self._put()
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start; the seed has no effect."""
         super().reset(seed)
-        self._state = self._put()
-        self._is_changed = True
+        self._put()
 
-    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Write the body's pose and velocity, and the force that gives its large mass the acceleration."""
-        super().drive(body, pose, velocity, acceleration)
-        self._is_changed = True
-
-    def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
-        """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
-        super().apply_wrench(body, wrench)
-        self._is_changed = True
-
-    def advance(self, seconds: float) -> None:
-        """Step the model on mujoco_warp."""
-        self._step(round(seconds / self._timestep_s))
-
-    def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
-        """Advance and return positions; see `Simulation.sample_positions`."""
-        positions = np.empty((count, len(names), 3))
-        for row in positions:
-            self.advance(interval_s)
-            row[:] = self.body_states(names)[:, :3]
-        return positions
-
-    def restore(self, state: Snapshot) -> None:
-        """Restore a state, without the accelerations with which the solver starts."""
-        super().restore(state)
-        self._is_changed = True
+    def _put(self) -> None:
+        most = self._most_contacts
+        self._on_warp, self._state = _put(self.model, self.data, njmax=ROWS_OF_CONTACT * most, naconmax=most)
 
     def _step(self, count: int) -> None:
-        state = self._state
-        with self._device:
-            if self._is_changed:
-                for name in ("qpos", "qvel", "xfrc_applied"):
-                    values = getattr(self.data, name)
-                    getattr(state, name).assign(values.reshape(1, *values.shape))
-                self._is_changed = False
+        state, (warp, device) = self._state, _started()
+        with device:
+            for name in ("qpos", "qvel", "xfrc_applied"):
+                values = getattr(self.data, name)
+                getattr(state, name).assign(values.reshape(1, *values.shape))
             for _ in range(count):
-                self._warp.step(self._on_warp, state)
+                warp.step(self._on_warp, state)
         self.data.qpos[:], self.data.qvel[:] = state.qpos.numpy()[0], state.qvel.numpy()[0]
         self.data.time += count * self._timestep_s
         # mujoco_warp does not count contacts beyond its memory, so full memory is too small.
         if state.nefc.numpy()[0] > state.njmax or state.nacon.numpy()[0] >= self._most_contacts:
             raise BackendError(f"{TOO_LARGE}: {self._most_contacts} contacts")
-
-    def _put(self) -> Any:
-        """Return the data on mujoco_warp, with memory for the contacts of all bodies."""
-        with self._device:
-            return self._warp.put_data(
-                self.model,
-                self.data,
-                naconmax=self._most_contacts,
-                njmax=ROWS_OF_CONTACT * self._most_contacts,
-            )
 
 
 def with_mujoco_warp(report: Report, *, model: mujoco.MjModel | None = None) -> Report:
@@ -161,21 +114,18 @@ def with_mujoco_warp(report: Report, *, model: mujoco.MjModel | None = None) -> 
         note = f"{engine} runs models of MuJoCo; the target runs on {configuration.backend}"
         return replace(report, notes=(*report.notes, note))
     measurements = Measurements(backend)
-    rows, held, flagged = [], 0, 0
-    for row in report.rows:
-        if not row.is_flag or not row.experiment:
-            rows.append(row)
-            continue
-        again, holds = _again(
-            measurements, configuration, row, engine, {} if report.cure is None else report.cure.changes
-        )
-        flagged, held = flagged + 1, held + holds
-        rows.append(again)
+    cure = {} if report.cure is None else report.cure.changes
+    changes = {name: value for name, value in cure.items() if name in SettingsMuJoCo.model_fields}
+    rows, held = list(report.rows), []
+    for place, row in enumerate(rows):
+        if row.is_flag and row.experiment:
+            text, holds = _again(measurements, configuration, row, engine, changes)
+            rows[place] = replace(row, remark=f"{row.remark}; {text}" if row.remark else text)
+            held.append(holds)
     limits = None if configuration.capacity is None else configuration.capacity.limits
-    notes = [f"{held} of {flagged} flags hold on {engine}"] if flagged else []
+    notes = [f"{sum(held)} of {len(held)} flags hold on {engine}"] if held else []
     if model is not None and limits is not None:
-        effect = overflow_effect(model, limits)
-        notes.append(f"on {engine}, {effect}")
+        notes.append(f"on {engine}, {overflow_effect(model, limits)}")
     return replace(report, rows=tuple(rows), notes=(*report.notes, *notes))
 
 
@@ -212,14 +162,12 @@ def _moved(
     model: mujoco.MjModel, start: mujoco.MjData, njmax: int, naconmax: int, seconds: float
 ) -> tuple[mujoco.MjData, int, int]:
     """Return the data after some time on mujoco_warp, and the constraint rows and contacts that the start needs."""
-    warp, device = _started()
     end, blank = mujoco.MjData(model), mujoco.MjData(model)
     for name in ("qpos", "qvel", "act", "ctrl", "mocap_pos", "mocap_quat"):
         getattr(blank, name)[:] = getattr(start, name)
+    warp, device = _started()
+    on_warp, state = _put(model, blank, njmax=njmax, naconmax=naconmax)
     with device:
-        on_warp = warp.put_model(model)
-        on_warp.opt.warn_overflow = 0
-        state = warp.put_data(model, blank, naconmax=naconmax, njmax=njmax)
         warp.forward(on_warp, state)
         rows, contacts = int(state.nefc.numpy()[0]), int(state.nacon.numpy()[0])
         for _ in range(round(seconds / model.opt.timestep)):
@@ -228,35 +176,40 @@ def _moved(
     return end, rows, contacts
 
 
+def _put(model: mujoco.MjModel, data: mujoco.MjData, *, njmax: int, naconmax: int) -> tuple[Any, Any]:
+    """Return a model and its data on mujoco_warp, with memory for so many constraint rows and contacts."""
+    warp, device = _started()
+    with device:
+        on_warp = warp.put_model(model)
+        # It runs into its limit of iterations on purpose, with settings that allow one.
+        on_warp.opt.warn_overflow = 0
+        return on_warp, warp.put_data(model, data, naconmax=naconmax, njmax=njmax)
+
+
 def _again(
     measurements: Measurements,
     configuration: TrainingConfiguration,
     row: PhenomenonResult,
     engine: str,
-    cure: Mapping[str, Any],
-) -> tuple[PhenomenonResult, bool]:
-    """Return a flagged row with its outcome on mujoco_warp, also with the cure, and whether it is flagged there too."""
-    subject = subject_of(measurements, configuration, phenomena([row.phenomenon], include_deformables=True)[0])
-    phenomenon = subject.phenomenon
+    changes: Mapping[str, Any],
+) -> tuple[str, bool]:
+    """Return the outcome of a flagged row on mujoco_warp, also with changes, and whether it is flagged there too."""
+    subject = subject_of(measurements, configuration, phenomenon(row.phenomenon))
     settings = subject.sets.get(row.geoms) or next(iter(subject.sets.values()))
-    measured = measurements.measure(phenomenon, settings)
+    measured = measurements.measure(subject.phenomenon, settings)
     if measured.verdict is Verdict.DECLINED or TOO_LARGE in measured.remark:
-        return _remarked(row, f"not run on {engine}: {measured.remark}"), False
+        return f"not run on {engine}: {measured.remark}", False
     unit = "" if row.unit == "1" else f" {row.unit}"
     holds = measured.verdict in (Verdict.VISIBLE, Verdict.WRONG)
-    real = f"of {row.reality.value:.3g}{unit}"
-    value = measured.remark if measured.value is None else f"{measured.value:.3g} {real}"
+    value = measured.remark
+    if measured.value is not None:
+        value = f"{measured.value:.3g} of {row.reality.value:.3g}{unit}"
     text = f"{'holds' if holds else 'does not hold'} on {engine}: {value}"
-    changes = {name: value for name, value in cure.items() if name in FIELDS}
     if changes:
         cured = measurements.measure(subject.phenomenon, {**settings, **changes})
         after = cured.remark if cured.value is None else f"{cured.value:.3g}"
         text += f", and {after} there with the change on top"
-    return _remarked(row, text), holds
-
-
-def _remarked(row: PhenomenonResult, text: str) -> PhenomenonResult:
-    return replace(row, remark=f"{row.remark}; {text}" if row.remark else text)
+    return text, holds
 
 
 def _started() -> tuple[Any, Any]:

@@ -3,20 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cached_property
 from math import floor
 from typing import Any
 
-from gauge_envs.backends import Backend, Simulation
+from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
+from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.rollout import DeclinedError, Rollout, record
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+TRIAL_VARIANT = "BouncingBall-rubber"
+"""Settings are checked on the scene of this variant, which builds fast."""
+
+TRIAL_LIMIT_S = 300.0
+"""Time limit of that check in another process [s]."""
 
 
 def _unchanged(scene: Scene) -> Scene:
@@ -69,8 +77,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         scenario: The scenario.
         settings: Settings of the backend; the backend's default for the scene completes them.
     """
-    simulation = _built(backend, scenario, settings)
-    try:
+    with closing(_built(backend, scenario, settings)) as simulation:
         simulation.reset(0)
         return record(
             simulation,
@@ -80,17 +87,12 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
             nodes_of=scenario.nodes_of,
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
         )
-    finally:
-        simulation.close()
 
 
 def settings_in_force(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return every numerical setting that a scenario would run with, those of the preset included."""
-    simulation = _built(backend, scenario, settings)
-    try:
+    with closing(_built(backend, scenario, settings)) as simulation:
         return dict(simulation.settings)
-    finally:
-        simulation.close()
 
 
 def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Simulation:
@@ -113,3 +115,20 @@ def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, A
     if step is None:
         return dict(settings)
     return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}
+
+
+def check_settings(name: str, settings: Mapping[str, Any]) -> None:
+    """Build a scene with settings of a backend."""
+    if name not in backend_names() or is_bundled(name):
+        _build_once(name, settings)
+        return
+    with Worker(TRIAL_LIMIT_S) as worker:
+        try:
+            worker.call(_build_once, name, settings)
+        except GaugeError as error:
+            raise TargetError(f"backend {name!r}: {error}") from None
+
+
+def _build_once(name: str, settings: Mapping[str, Any]) -> None:
+    # An action of an environment takes a whole number of steps, so the step serves as the interval of the suite.
+    backend(name).build(load_experiment(TRIAL_VARIANT).scene, _with_interval(settings, 0.0)).close()

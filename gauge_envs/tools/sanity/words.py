@@ -11,11 +11,9 @@ from gauge_envs.pages.document import Document, Heading, Paragraph, Tone
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import quantity_text, vector_text, with_unit
 from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison
-from gauge_envs.tools.sanity.capacity import CAPACITY_ID, CAPACITY_REALITY, CAPACITY_TITLE
-from gauge_envs.tools.sanity.gravity import GRAVITY_ID, GRAVITY_REALITY, GRAVITY_TITLE
 from gauge_envs.tools.sanity.model import PhenomenonResult, Reality, Report, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.selection import selection
+from gauge_envs.tools.sanity.phenomena import phenomena, selection
+from gauge_envs.tools.sanity.stated import STATED_ROWS
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
@@ -83,8 +81,7 @@ def top_line(report: Report) -> str:
 def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
     """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
-    known = [(GRAVITY_ID, GRAVITY_TITLE, GRAVITY_REALITY, "m/s^2")]
-    known += [(CAPACITY_ID, CAPACITY_TITLE, CAPACITY_REALITY, "1")]
+    known = [(row.phenomenon, row.title, row.reality, row.unit) for row in STATED_ROWS]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return Table(
         columns=(

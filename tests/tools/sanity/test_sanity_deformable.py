@@ -16,7 +16,8 @@ from gauge_envs.scene import Rope
 from gauge_envs.tools.sanity.cause import find_cause
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Verdict
-from gauge_envs.tools.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import run_scenario
 
 MUJOCO = backend("mujoco")

@@ -21,8 +21,8 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.scene import Motion
-from gauge_envs.tools.sanity.export import export
-from gauge_envs.tools.sanity.export_manifest import MANIFEST, scenes
+from gauge_envs.tools.sanity import export
+from gauge_envs.tools.sanity.exchange.scenes import MANIFEST, scenes
 from gauge_envs.tools.sanity.phenomena import phenomena
 
 RUNNER = CliRunner()

@@ -24,10 +24,11 @@ from gauge_envs.cli.app import app
 from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, mujoco_warp_run, run
-from gauge_envs.tools.sanity.export_manifest import scenes
-from gauge_envs.tools.sanity.foot import REFERENCE_FOOT, FootGeometry
+from gauge_envs.tools.sanity.exchange.scenes import scenes
 from gauge_envs.tools.sanity.measure import Measurements
-from gauge_envs.tools.sanity.phenomena.foot import DEPTH_MM, DROP_M, PUSH, foot_phenomena, foot_scene
+from gauge_envs.tools.sanity.phenomena import phenomenon
+from gauge_envs.tools.sanity.phenomena.foot import DEPTH_MM, DROP_M, PUSH, foot_scene
+from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 MUJOCO = backend("mujoco")
@@ -71,7 +72,7 @@ def rows_of(report: Report) -> dict[str, Any]:
 
 
 def row(name: str, foot: FootGeometry = REFERENCE_FOOT) -> Any:
-    return next(one for one in foot_phenomena(foot) if one.id == name)
+    return phenomenon(name, foot)
 
 
 # --- what is read ----------------------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ import yaml
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.languages import language
-from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration
+from gauge_envs.tools.sanity.stacks import dialect
+from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 
 pytest.importorskip("sapien")
 
@@ -187,7 +187,7 @@ def test_a_wrong_value_is_named(sim: dict[str, Any], message: str) -> None:
 
 
 def test_changes_are_keys_of_the_file() -> None:
-    written = language("isaac_gym")
+    written = dialect("isaac_gym")
     text = written.paste_text({"bounce_threshold_m_per_s": 0.2, "timestep_s": 0.002, "solver": "TGS"})
     assert text == (
         "sim.physx.bounce_threshold_velocity = 0.2; sim.dt = 0.002; sim.substeps = 1; sim.physx.solver_type = 1"

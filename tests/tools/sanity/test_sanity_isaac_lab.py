@@ -17,10 +17,10 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import Verdict, check, configuration
 from gauge_envs.tools.sanity.against import Change, compare
-from gauge_envs.tools.sanity.languages import language
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
-from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration, isaac_lab_yaml
-from gauge_envs.tools.sanity.readers.yaml_document import yaml_document
+from gauge_envs.tools.sanity.stacks import dialect
+from gauge_envs.tools.sanity.stacks.documents import yaml_document
+from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
 
 pytest.importorskip("sapien")
 
@@ -211,7 +211,7 @@ def test_other_engines_and_other_files_are_declined() -> None:
         isaac_lab_configuration(other, name="env.yaml", source="test")
     for text, message in {"a: 1": r"there is no sim\.dt", "[1]": "the file is a list", "": "the file is empty"}.items():
         with pytest.raises(TargetError, match=message):
-            isaac_lab_yaml(text, name="env.yaml", source="test")
+            isaac_lab_configuration(yaml_document(text), name="env.yaml", source="test")
 
 
 def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
@@ -240,7 +240,7 @@ def test_isaac_lab_3_has_its_solver_at_another_place() -> None:
     found = read(sim__physics=physics | {"bounce_threshold_velocity": 0.2}, sim__physx=None)
     assert found.settings == configuration(G1).settings | {"bounce_threshold_m_per_s": 0.2}
     assert found.origins["bounce_threshold_m_per_s"] == "sim.physics.bounce_threshold_velocity"
-    text = language(found.language).paste_text({"bounce_threshold_m_per_s": 0.1, "solver": "TGS"})
+    text = dialect(found.language).paste_text({"bounce_threshold_m_per_s": 0.1, "solver": "TGS"})
     assert text == "self.sim.physics.bounce_threshold_velocity = 0.1; self.sim.physics.solver_type = 1"
     assert not any("not known" in note for note in found.notes)
 
@@ -271,7 +271,7 @@ def test_impacts_count_where_a_restitution_is_stated() -> None:
 
 
 def test_changes_are_lines_of_python() -> None:
-    written = language("isaac_lab")
+    written = dialect("isaac_lab")
     lines = {
         "timestep_s": (0.0025, "self.sim.dt = 0.0025"),
         "solver": ("PGS", "self.sim.physx.solver_type = 0"),

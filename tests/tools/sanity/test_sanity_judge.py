@@ -20,11 +20,8 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError, TrajectoryFileError
-from gauge_envs.tools.sanity import Report, Verdict, check
-from gauge_envs.tools.sanity.export import export
-from gauge_envs.tools.sanity.export_loop import run
-from gauge_envs.tools.sanity.export_manifest import COLUMNS, MANIFEST
-from gauge_envs.tools.sanity.judge import judge
+from gauge_envs.tools.sanity import Report, Verdict, check, export, judge, run_exported
+from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST
 
 RUNNER = CliRunner()
 EXAMPLES = ROOT / "examples" / "sanity_export"
@@ -47,7 +44,7 @@ World = example("run_mujoco").World
 
 def simulated(folder: Path, world: type[Any], *only: str) -> Report:
     export(folder, only=only)
-    run(folder, world)
+    run_exported(folder, world)
     return judge(folder, only=only)
 
 
@@ -153,7 +150,7 @@ def test_another_order_of_the_quaternion_is_named(tmp_path: Path) -> None:
             return [x, y, z, i, j, k, w, *speed]
 
     export(tmp_path / "engine", only=["creep-wood", "rebound"])
-    run(tmp_path / "engine", Xyzw)
+    run_exported(tmp_path / "engine", Xyzw)
     for only in ("creep-wood", "rebound"):
         with pytest.raises(TrajectoryFileError, match="seems to have x, y, z, w; write w first"):
             judge(tmp_path / "engine", only=[only])
@@ -328,7 +325,7 @@ def test_columns_may_have_another_order(resting: Path) -> None:
 
 def test_a_body_with_fewer_samples_is_an_error(tmp_path: Path) -> None:
     export(tmp_path / "engine", only=["rebound"])
-    run(tmp_path / "engine", World)
+    run_exported(tmp_path / "engine", World)
     motion = tmp_path / "engine" / "drop" / "motion.csv"
     change(motion, lambda rows: rows[:-1])
     with pytest.raises(TrajectoryFileError, match="body 'ball-4' has"):

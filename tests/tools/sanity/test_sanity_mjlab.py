@@ -12,9 +12,8 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.languages import language
-from gauge_envs.tools.sanity.readers.mjlab import mjlab_configuration, mjlab_tasks
-from gauge_envs.tools.sanity.target import compiled_model, configuration
+from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
+from gauge_envs.tools.sanity.stacks.mjlab import mjlab_configuration, mjlab_tasks
 
 IS_INSTALLED = find_spec("mjlab") is not None
 
@@ -194,7 +193,7 @@ def test_a_robot_that_is_not_here_is_left_out(tmp_path: Path) -> None:
     [
         ("timestep: 0.005", "timestep: fast", "sim.mujoco.timestep is 'fast', and a number is expected"),
         ("iterations: 10", "iterations: 1.5", "sim.mujoco.iterations is 1.5, and a whole number is expected"),
-        ("cone: pyramidal", "cone: round", "sim.mujoco.cone is 'round'; it may be pyramidal, elliptic"),
+        ("cone: pyramidal", "cone: round", "sim.mujoco.cone is 'round': choose one of pyramidal, elliptic"),
         ("[eulerdamp]", "[magic]", "'magic' is no flag of MuJoCo"),
         ("'.*_collision'", "'(.*)+x'", "is too long or repeats a group"),
         ("'.*_collision'", "'['", "is not valid"),
@@ -235,12 +234,12 @@ def test_a_configuration_in_this_process() -> None:
 def test_names_that_do_not_exist(package: Path) -> None:
     with pytest.raises(TargetError, match="has no task 'Walk'; it has Mjlab-Walk-Flat-Dog, Mjlab-Walk-Rough-Dog"):
         configuration("mjlab:Walk")
-    with pytest.raises(TargetError, match="x: the configuration is no table"):
+    with pytest.raises(TargetError, match="x: the file is a list, and a table is expected"):
         mjlab_configuration([], name="x", source="x")  # type: ignore[arg-type]
 
 
 def test_changes_are_written_as_configuration_classes() -> None:
-    mjlab = language("mjlab")
+    mjlab = dialect("mjlab")
     changes = {"njmax": 50, "cone": "elliptic", "timestep_s": 0.002, "contact_solref": (0.004, 1.0)}
     assert mjlab.paste_text(changes, geoms="terrain with foot") == (
         'SimulationCfg(njmax=50, mujoco=MujocoCfg(cone="elliptic", timestep=0.002)) and '

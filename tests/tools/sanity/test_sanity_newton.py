@@ -17,12 +17,14 @@ import warp as wp  # noqa: E402
 from gauge_envs.errors import TargetError  # noqa: E402
 from gauge_envs.scene import Box  # noqa: E402
 from gauge_envs.tools.sanity import Need, Verdict, check, configuration  # noqa: E402
-from gauge_envs.tools.sanity.engine import Engine  # noqa: E402
-from gauge_envs.tools.sanity.languages import language  # noqa: E402
-from gauge_envs.tools.sanity.languages.newton import stiffness_and_damping  # noqa: E402
-from gauge_envs.tools.sanity.measure import Measurements  # noqa: E402
+from gauge_envs.tools.sanity.measure import Engine, Measurements  # noqa: E402
 from gauge_envs.tools.sanity.phenomena import phenomena  # noqa: E402
-from gauge_envs.tools.sanity.readers.newton_model import is_newton, newton_configuration  # noqa: E402
+from gauge_envs.tools.sanity.stacks import dialect  # noqa: E402
+from gauge_envs.tools.sanity.stacks.newton import (  # noqa: E402
+    is_newton,
+    newton_configuration,
+    stiffness_and_damping,
+)
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 
@@ -173,7 +175,7 @@ def test_the_reported_stiffness_gives_the_solref_in_newton(solref: tuple[float, 
 
 
 def test_changes_are_python_that_newton_takes() -> None:
-    python = language("newton")
+    python = dialect("newton")
     changes = {"iterations": 100, "cone": "elliptic", "contact_solref": (0.02, 1.0), "timestep_s": 0.002}
     text = python.paste_text(changes)
     assert text == (

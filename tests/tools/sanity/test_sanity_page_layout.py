@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 from test_sanity_report import ADVICE, CONFIGURATION, CONSTANTS, CREEP, PERIOD, SLIDE, WALL, report
 
-from gauge_envs.tools.sanity.foot import REFERENCE_FOOT
 from gauge_envs.tools.sanity.model import ContactGroup, Cure, GroupOutcome, Report, Verdict
 from gauge_envs.tools.sanity.page import sanity_page
+from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

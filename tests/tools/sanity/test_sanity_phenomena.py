@@ -19,7 +19,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Reality, RealityKind, Verdict
-from gauge_envs.tools.sanity.phenomena import Phenomenon, phenomena
+from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.friction import PRINTED_MM, creep_bound_mm_per_s
 from gauge_envs.tools.sanity.scenario import run_scenario
 

@@ -11,11 +11,11 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, contact_capacity
-from gauge_envs.tools.sanity.languages import language
-from gauge_envs.tools.sanity.readers.packaged_mjcf import packaged_model
-from gauge_envs.tools.sanity.readers.playground import playground_task, playground_tasks
-from gauge_envs.tools.sanity.target import compiled_model, configuration
+from gauge_envs.tools.sanity.model import CapacityLimits
+from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
+from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
+from gauge_envs.tools.sanity.stacks.packaged_mjcf import packaged_model
+from gauge_envs.tools.sanity.stacks.playground import playground_task, playground_tasks
 
 IS_INSTALLED = find_spec("mujoco_playground") is not None
 
@@ -118,8 +118,10 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_task_is_read_from_its_source(package: Path) -> None:
     task = playground_task("playground:DogWalk")
-    assert (task.world_count, task.limits) == (512, CapacityLimits(njmax=40, naconmax=2048, worlds=512))
     read = configuration("playground:DogWalk")
+    assert task.world_count == 512
+    assert read.capacity is not None
+    assert read.capacity.limits == CapacityLimits(njmax=40, naconmax=2048, worlds=512)
     options = {name: read.settings[name] for name in ("timestep_s", "iterations", "ls_iterations", "ccd_iterations")}
     assert options == {"timestep_s": 0.004, "iterations": 1, "ls_iterations": 5, "ccd_iterations": 20}
     # The floor has priority, so the feet's solimp does not count.
@@ -210,7 +212,7 @@ def test_height_fields_are_not_counted() -> None:
 
 
 def test_changes_are_written_as_overrides_and_mjcf() -> None:
-    playground = language("playground")
+    playground = dialect("playground")
     changes = {"timestep_s": 0.002, "njmax": 50, "cone": "elliptic"}
     assert (
         playground.paste_text(changes)

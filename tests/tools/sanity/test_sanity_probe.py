@@ -191,7 +191,7 @@ def test_the_model_of_a_file_is_the_original(file: Path) -> None:
 
 
 def test_the_robot_of_a_file_stands_as_the_original(file: Path) -> None:
-    from gauge_envs.tools.sanity.probe_model import ModelData, build_saved_model
+    from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 
     original = mujoco.MjModel.from_xml_string(HARD)
     built, notes = build_saved_model(ModelData.model_validate(json.loads(file.read_text())["data"]), "file")
@@ -348,7 +348,7 @@ def test_files_that_are_too_large_or_no_files_are_refused(tmp_path: Path) -> Non
     for path, message in ((large, "limit is 16 MB"), (pipe, "not a regular file"), (deep, "nested|Expecting|objects")):
         with pytest.raises(TargetError, match=message):
             configuration(path)
-    with pytest.raises(TargetError, match="No such file"):
+    with pytest.raises(TargetError, match="there is no such file"):
         configuration(tmp_path / f"none{SUFFIX}")
 
 

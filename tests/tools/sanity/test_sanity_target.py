@@ -18,8 +18,8 @@ from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.errors import GaugeError, ParameterError, TargetError, UnknownNameError
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
-from gauge_envs.tools.sanity.mujoco_model import mujoco_configuration
-from gauge_envs.tools.sanity.target import configuration
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.stacks import configuration
 
 LOCOMOTION = ("HalfCheetah-v5", "Ant-v5", "Hopper-v5", "Walker2d-v5", "Humanoid-v5", "HumanoidStandup-v5", "Pusher-v5")
 
@@ -344,7 +344,7 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None
         ("CartPole-v1", TargetError, r"CartPole-v1 is .*CartPoleEnv, which has no MuJoCo model; give a Gymnasium id"),
         ("Nope-v1", TargetError, r"'Nope-v1': gymnasium.make fails: .*Nope.* doesn't exist"),
         ("nowhere.xml", TargetError, "nowhere.xml: there is no such file"),
-        ("nowhere.toml", TargetError, "nowhere.toml: cannot be read: No such file"),
+        ("nowhere.toml", TargetError, "nowhere.toml: there is no such file"),
         ("mujoco:nope", UnknownNameError, "unknown MuJoCo preset 'nope'"),
         (3, TargetError, "int cannot be checked"),
     ],
@@ -483,7 +483,7 @@ def test_a_cube_moves_as_in_the_model_that_the_settings_are_from(name: str) -> N
 
 
 def test_a_model_that_takes_too_much_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.tools.sanity.readers.mujoco_model.MODEL_CPU_S", 2)
+    monkeypatch.setattr("gauge_envs.tools.sanity.stacks.mjcf.MODEL_CPU_S", 2)
     bomb = '<replicate count="10000000" offset="1 0 0"><geom size="1"/></replicate>'
     (tmp_path / "bomb.xml").write_text(f"<mujoco><worldbody>{bomb}</worldbody></mujoco>")
     with pytest.raises(TargetError, match=r"loading it (takes more than 2 s|needs more than 1000 MB)"):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,13 +16,12 @@ from gauge_envs.errors import MissingExtraError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import record
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.capacity import capacity_row
-from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, most_needed_data
-from gauge_envs.tools.sanity.languages import language
-from gauge_envs.tools.sanity.model import Report, TrainingConfiguration
+from gauge_envs.tools.sanity.model import CapacityLimits, Report, TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_warp_run import EFFECT_S, BackendMuJoCoWarp, overflow_effect, with_mujoco_warp
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.target import configuration
+from gauge_envs.tools.sanity.robot.contact_capacity import most_needed_data
+from gauge_envs.tools.sanity.stacks import configuration, dialect
+from gauge_envs.tools.sanity.stated import capacity_row, stated_rows
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
@@ -121,14 +119,14 @@ def test_data_states_an_overflow() -> None:
         mujoco_warp.forward(there, data)
     read = configuration((there, data))
     assert read.capacity is not None and read.capacity.limits == CapacityLimits(njmax=5, naconmax=1, worlds=1)
-    row = capacity_row(read, language("mjcf"))
+    row = capacity_row(read, dialect("mjcf"))
     # Two balls touch the floor, and there is place for one.
     assert row is not None and row.verdict.value == "wrong" and row.cause is not None
     assert "naconmax" in row.cause.settings
     there, data = on_warp(model, njmax=20, naconmax=9)
     with wp.ScopedDevice("cpu"):
         mujoco_warp.forward(there, data)
-    row = capacity_row(configuration((there, data)), language("mjcf"))
+    row = capacity_row(configuration((there, data)), dialect("mjcf"))
     assert row is not None and row.verdict.value == "inside"
 
 
@@ -188,5 +186,6 @@ def test_the_effect_of_an_overflow_is_measured() -> None:
 
 def test_limits_of_the_engine_are_described() -> None:
     read = configuration(mujoco.MjModel.from_xml_string(BALLS))
-    assert capacity_row(read, language("mjcf")) is None
-    assert capacity_row(replace(read, capacity=None), language("toml")) is None
+    assert stated_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[0].phenomenon == "gravity"
+    (row,) = stated_rows(read, dialect("mjcf"), ["contact-capacity"])
+    assert (row.verdict.value, row.remark) == ("declined", "the target states no limit of its memory for contacts")

@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.readers.yaml_document import MOST_DEPTH, MOST_YAML_BYTES, read_yaml, yaml_document
+from gauge_envs.tools.sanity.stacks.documents import MOST_DEPTH, MOST_YAML_BYTES, read_yaml, yaml_document
 
 LETTERS = "abcdefghi"
 

@@ -2,32 +2,84 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache
+from importlib import import_module
+from typing import TYPE_CHECKING
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.tools.sanity.phenomena import (
-    carrying,
-    edges,
-    foot,
-    friction,
-    impact,
-    lines,
-    solids,
-    stacking,
-    swing,
-    textile,
-)
-from gauge_envs.tools.sanity.phenomena.phenomenon import Phenomenon, PhenomenonValue, Trace
 
-__all__ = ["Phenomenon", "PhenomenonValue", "Trace", "phenomena"]
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+    from gauge_envs.tools.sanity.robot.foot import FootGeometry
+
+__all__ = ["CAPACITY_ID", "GRAVITY_ID", "RIGID", "phenomena", "phenomenon", "selection"]
+
+GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
+"""Rows on what a target states, which need no rollout."""
+
+RIGID: Mapping[str, tuple[str, ...]] = {
+    "foot-creep": ("foot", "creep"),
+    "foot-push": ("foot", "push"),
+    "foot-slide": ("foot", "slide"),
+    "foot-landing-depth": ("foot", "depth"),
+    "foot-rebound": ("foot", "rebound"),
+    "foot-rest": ("foot", "rest"),
+    "creep-wood": ("friction", "creep", "wood"),
+    "creep-plastic": ("friction", "creep", "plastic"),
+    "creep-metal": ("friction", "creep", "metal"),
+    "rest-height": ("friction", "rest_height", "wood"),
+    "slide-wood": ("friction", "slide", "wood"),
+    "slide-plastic": ("friction", "slide", "plastic"),
+    "slide-metal": ("friction", "slide", "metal"),
+    "slide-turned": ("friction", "turned_slide", "wood"),
+    "rebound": ("impact", "rebound"),
+    "rebound-slow": ("impact", "slow_rebound"),
+    "momentum": ("impact", "momentum"),
+    "period": ("rigid", "period"),
+    "energy": ("rigid", "energy"),
+    "carry-wood": ("friction", "carry", "wood"),
+    "carry-plastic": ("friction", "carry", "plastic"),
+    "carry-metal": ("friction", "carry", "metal"),
+    "slip": ("friction", "slip"),
+    "seam": ("rigid", "seam"),
+    "point": ("rigid", "point"),
+    "wall-sag": ("rigid", "wall_sag"),
+    "wall-drift": ("rigid", "wall_drift"),
+}
+"""Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
+
+DEFORMABLE: Mapping[str, tuple[str, ...]] = {
+    "cloth-carry": ("deformable", "cloth_carry"),
+    "cloth-sag": ("deformable", "cloth_sag"),
+    "fling-lag": ("deformable", "fling_lag"),
+    "foam-stretch": ("deformable", "foam", "stretch", "FoamStretching-soft", "foam_stretching", "pulled"),
+    "foam-compress": ("deformable", "foam", "compress", "FoamCompressing-soft", "foam_compressing", "compressed"),
+    "beam": ("deformable", "beam"),
+    "rope-length": ("deformable", "rope_length"),
+    "foot-lag": ("deformable", "foot_lag"),
+}
+"""The same for deformable bodies."""
+
+
+def _known(*, include_deformables: bool) -> tuple[str, ...]:
+    return (*RIGID, *DEFORMABLE) if include_deformables else tuple(RIGID)
 
 
 @cache
-def _all() -> dict[str, Phenomenon]:
-    modules = (foot, friction, impact, swing, carrying, edges, stacking, textile, solids, lines)
-    return {one.id: one for module in modules for one in module.phenomena()}
+def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
+    """Return a phenomenon by its id.
+
+    Args:
+        name: The id.
+        foot: Foot of the target, for rows that need one; that of a small quadruped if None.
+    """
+    module, function, *arguments = {**RIGID, **DEFORMABLE}[name]
+    make = getattr(import_module(f"{__name__}.{module}"), function)
+    made: Phenomenon = make(*arguments) if foot is None else make(foot)
+    return replace(made, id=name)
 
 
 def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[Phenomenon, ...]:
@@ -37,8 +89,22 @@ def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) ->
         only: Ids or patterns such as `creep-*`; all when empty.
         include_deformables: Whether to include phenomena of deformable bodies.
     """
-    known = {name: one for name, one in _all().items() if include_deformables or not one.scenario.scene.deformables}
-    for pattern in only:
+    return tuple(map(phenomenon, _matching(only, _known(include_deformables=include_deformables))))
+
+
+def selection(only: Sequence[str] = (), *, include_deformables: bool = False) -> tuple[str, ...]:
+    """Return ids of rows in a fixed order: all, or those that match one of the patterns.
+
+    Args:
+        only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
+        include_deformables: Whether to include phenomena of deformable bodies.
+    """
+    patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
+    return _matching(patterns, (GRAVITY_ID, CAPACITY_ID, *_known(include_deformables=include_deformables)))
+
+
+def _matching(patterns: Sequence[str], known: tuple[str, ...]) -> tuple[str, ...]:
+    for pattern in patterns:
         if not any(fnmatchcase(name, pattern) for name in known):
             raise UnknownNameError("phenomenon", pattern, known)
-    return tuple(one for name, one in known.items() if not only or any(fnmatchcase(name, p) for p in only))
+    return tuple(name for name in known if not patterns or any(fnmatchcase(name, pattern) for pattern in patterns))

@@ -7,6 +7,7 @@ from typing import Any
 
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
+from gauge_envs.tools.sanity.model import Reality
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
 """File that `recorded` reads; sources name it."""
@@ -27,6 +28,20 @@ def recorded(recording: str, fact: str) -> dict[str, Any]:
     return table
 
 
+def recorded_reality(recording: str, fact: str, *, trial: str = "one recorded trial", more: str = "") -> Reality:
+    """Return the reality of a measurement in a published recording.
+
+    Args:
+        recording: Name of the recording.
+        fact: Name of the measurement.
+        trial: What was recorded, for the source.
+        more: End of the source.
+    """
+    found = recorded(recording, fact)
+    source = f"{trial} ({RECORDINGS}){more}"
+    return Reality.measured(found["value"], scatter=found["sigma"], trial_count=1, source=source)
+
+
 def position_scatter_mm(variant: str) -> float:
     """Return the standard deviation of a recorded position along one axis [mm], from the published E_RMSE.
 
@@ -37,11 +52,13 @@ def position_scatter_mm(variant: str) -> float:
     return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
 
 
-def rigid_tolerance(millimetres: float, of: str) -> dict[str, Any]:
-    """Return tolerance and rationale of a law on rigid bodies at rest, as arguments of `Reality.law`.
+def rigid_law(source: str, millimetres: float, of: str) -> Reality:
+    """Return the law that something does not move, of which the eye sees a deviation.
 
     Args:
+        source: The law.
         millimetres: Tolerance [mm].
         of: Length that shows how small the tolerance is.
     """
-    return {"tolerance": millimetres, "rationale": f"the eye sees {millimetres:g} mm on {of}"}
+    rationale = f"the eye sees {millimetres:g} mm on {of}"
+    return Reality.law(0.0, tolerance=millimetres, source=source, rationale=rationale)

@@ -6,20 +6,26 @@ board. Without a configuration, the rows have the foot of a small quadruped.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.metrics import fitted_acceleration
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
-from gauge_envs.tools.sanity.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.facts import facts
-from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SETTLED_S, SLIDE_S, creep_bound_mm_per_s
-from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.friction import (
+    HOLD_S,
+    SLIDE_S,
+    creeping,
+    real_friction,
+    real_slides,
+    sliding,
+)
+from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
 
 FOOT, GROUND = "foot", "ground"
@@ -53,21 +59,6 @@ STILL_S = 0.05
 
 AT_REST_M_PER_S = 0.01
 """Speed below which a landed foot is at rest [m/s]."""
-
-
-def phenomena() -> Iterator[Phenomenon]:
-    """Yield the rows with the reference foot."""
-    yield from foot_phenomena(REFERENCE_FOOT)
-
-
-def foot_phenomena(foot: FootGeometry) -> Iterator[Phenomenon]:
-    """Yield the rows with a foot."""
-    yield _creep(foot)
-    yield _push(foot)
-    yield _slide(foot)
-    yield _depth(foot)
-    yield _rebound(foot)
-    yield _rest(foot)
 
 
 # --- scenes ----------------------------------------------------------------------------------------------------------
@@ -109,11 +100,9 @@ def foot_scene(
     )
 
 
-def _replaced(
-    _: Scene, *, foot: FootGeometry, friction: float, slope_deg: float, lift_m: float, seconds: float
-) -> Scene:
-    """Return the scene of a foot instead of a cube on a board."""
-    return foot_scene(foot, friction=friction, slope_deg=slope_deg, lift_m=lift_m, seconds=seconds)
+def _replaced(_: Scene, *, foot: FootGeometry, friction: float, **options: float) -> Scene:
+    """Return the scene of a foot instead of a cube on a board; it can be sent to another process."""
+    return foot_scene(foot, friction=friction, **options)
 
 
 def _scenario(
@@ -124,34 +113,25 @@ def _scenario(
         name=f"foot-{kind}-{foot.digest}",
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
-        change=partial(_replaced, foot=foot, friction=_friction(), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds),
+        change=partial(
+            _replaced, foot=foot, friction=real_friction(MATERIAL), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
+        ),
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 
 
-def _friction() -> float:
-    """Return the friction that real slides of the wooden cube show."""
-    return float(facts("slope_slider_30deg_summary")[MATERIAL]["friction"]["mean"])
-
-
 def _source(law: str, foot: FootGeometry) -> str:
-    return (
-        f"{law}; extrapolated: mu = {_friction():.3f} is that of the measured cube of {MATERIAL}; the foot is "
-        f"{foot.description}; {foot.assumption}"
-    )
+    cube = f"mu = {real_friction(MATERIAL):.3f} is that of the measured cube of {MATERIAL}"
+    return f"{law}; extrapolated: {cube}; the foot is {foot.description}; {foot.assumption}"
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
 
 
-def _along_mm(rollout: Rollout) -> FloatArray:
-    """Return displacements of the foot in the frame of the ground [mm], shape [sample_count, 3]; x is downhill."""
-    ground = rollout.scene.body(GROUND).pose.rotation
-    return np.asarray(1e3 * ground.apply(rollout.displacement(FOOT), inverse=True))
-
-
 def _downhill_mm(rollout: Rollout) -> FloatArray:
-    return _along_mm(rollout)[:, 0]
+    """Return displacements of the foot down the ground [mm], shape [sample_count]."""
+    ground = rollout.scene.body(GROUND).pose.rotation
+    return np.asarray(1e3 * ground.apply(rollout.displacement(FOOT), inverse=True)[:, 0])
 
 
 def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
@@ -161,117 +141,65 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
     return np.asarray(1e3 * (heights.min(axis=1) + rollout.position(FOOT)[:, 2]))
 
 
-def _acceleration(rollout: Rollout) -> PhenomenonValue:
-    return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
-
-
 # --- on a slope ------------------------------------------------------------------------------------------------------
 
 
-def _creep(foot: FootGeometry) -> Phenomenon:
-    scenario = _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False)
-    bound = creep_bound_mm_per_s(scenario.variant)
-
-    def read(rollout: Rollout) -> PhenomenonValue:
-        late = rollout.between(SETTLED_S, HOLD_S)
-        return PhenomenonValue(value=float(np.polyfit(rollout.times_s[late], _downhill_mm(rollout)[late], 1)[0]))
-
-    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return np.zeros_like(times_s), bound * times_s
-
-    return Phenomenon(
-        id="foot-creep",
-        title=f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
-        quantity="creep",
-        scenario=scenario,
-        unit="mm/s",
-        reality=Reality.law(
-            0.0,
-            tolerance=bound,
-            source=_source("Coulomb, tan 10 deg < mu", foot),
-            rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
-        ),
-        needs_friction=True,
-        needs_foot=True,
-        read=read,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
+def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the creep of a foot at rest on a slope."""
+    made = creeping(
+        f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
+        _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False),
+        _downhill_mm,
+        source=_source("Coulomb, tan 10 deg < mu", foot),
+        rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
+    return replace(made, needs_foot=True)
 
 
-def _push(foot: FootGeometry) -> Phenomenon:
-    slope = float(np.degrees(np.arctan(PUSH * _friction())))
-    return _sliding(
-        foot,
-        name="foot-push",
-        title=f"foot of the robot: acceleration when pushed with {PUSH:g} times its friction",
-        law=f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N",
-        slope_deg=slope,
-    )
+def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot that is pushed a little more than its friction holds."""
+    title = f"acceleration when pushed with {PUSH:g} times its friction"
+    law = f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N"
+    return _sliding(foot, "push", title, law, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
 
 
-def _slide(foot: FootGeometry) -> Phenomenon:
-    return _sliding(
-        foot,
-        name="foot-slide",
-        title=f"foot of the robot: acceleration on {SLIDE_DEG:.0f} degrees",
-        law=f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)",
-        slope_deg=SLIDE_DEG,
-    )
+def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot on a steep slope."""
+    law = f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)"
+    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", law, SLIDE_DEG)
 
 
-def _sliding(foot: FootGeometry, *, name: str, title: str, law: str, slope_deg: float) -> Phenomenon:
-    trials = facts("slope_slider_30deg_summary")[MATERIAL]["acceleration_m_s2"]
+def _sliding(foot: FootGeometry, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
     slope = np.radians(slope_deg)
-    value = GRAVITY_M_PER_S2 * float(np.sin(slope) - _friction() * np.cos(slope))
-    real = Reality.measured(
-        trials["mean"],
-        scatter=trials["std"],
-        trial_count=facts("slope_slider_30deg_summary")[MATERIAL]["trial_count"],
-        source="",
+    real = Reality.law(
+        GRAVITY_M_PER_S2 * float(np.sin(slope) - real_friction(MATERIAL) * np.cos(slope)),
+        tolerance=real_slides(MATERIAL).tolerance,
+        source=_source(law, foot),
+        rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
     )
-
-    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return 500.0 * value * times_s**2, 500.0 * real.tolerance * times_s**2
-
-    return Phenomenon(
-        id=name,
-        title=title,
-        quantity="acceleration",
-        scenario=_scenario(name.removeprefix("foot-"), foot, seconds=SLIDE_S, slope_deg=slope_deg),
-        unit="m/s^2",
-        reality=Reality.law(
-            value,
-            tolerance=real.tolerance,
-            source=_source(law, foot),
-            rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
-        ),
-        needs_friction=True,
-        needs_foot=True,
-        read=_acceleration,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
-    )
+    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
+    return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
 
 
-def _landing(foot: FootGeometry) -> Scenario:
-    return _scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M)
-
-
-def _fall_s() -> float:
-    return float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2))
-
-
-def _depth(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=-float(_lowest_mm(rollout, foot).min()))
-
+def _landed(foot: FootGeometry, **attributes: Any) -> Phenomenon:
+    """Return a row on a foot that was dropped."""
     return Phenomenon(
-        id="foot-landing-depth",
+        scenario=_scenario("landing", foot, seconds=LANDING_S, slope_deg=0.0, lift_m=DROP_M),
+        needs_foot=True,
+        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        **attributes,
+    )
+
+
+def depth(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the depth of a foot in the ground after a drop."""
+    return _landed(
+        foot,
         title=f"foot of the robot: depth in the ground after a drop of {1e3 * DROP_M:.0f} mm",
         quantity="depth",
-        scenario=_landing(foot),
         unit="mm",
         reality=Reality.law(
             0.0,
@@ -279,24 +207,22 @@ def _depth(foot: FootGeometry) -> Phenomenon:
             source=_source("rigid bodies do not overlap", foot),
             rationale="a rubber ball of 20 mm radius (2 MPa) that lands with 3 kg is compressed as much (Hertz)",
         ),
-        needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=lambda rollout: -_lowest_mm(rollout, foot).min(),
     )
 
 
-def _rebound(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
-        heights = _lowest_mm(rollout, foot)
-        landed = int(np.argmin(heights))
-        hop = max(float(heights[landed:].max()), 0.0)
-        return PhenomenonValue(value=float(np.sqrt(hop / (1e3 * DROP_M))))
+def rebound(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the speed of a foot after a landing over that before."""
 
-    return Phenomenon(
-        id="foot-rebound",
+    def ratio(rollout: Rollout) -> float:
+        heights = _lowest_mm(rollout, foot)
+        hop = max(float(heights[int(np.argmin(heights)) :].max()), 0.0)
+        return float(np.sqrt(hop / (1e3 * DROP_M)))
+
+    return _landed(
+        foot,
         title="foot of the robot: speed after a landing over that before",
         quantity="rebound",
-        scenario=_landing(foot),
         unit="1",
         reality=Reality.law(
             0.0,
@@ -305,24 +231,25 @@ def _rebound(foot: FootGeometry) -> Phenomenon:
             rationale=f"a hop of {1e3 * HOP**2 * DROP_M:.0f} mm, which the eye sees",
         ),
         is_impact=True,
-        needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=ratio,
     )
 
 
-def _rest(foot: FootGeometry) -> Phenomenon:
-    def read(rollout: Rollout) -> PhenomenonValue:
-        moving = np.flatnonzero(np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S)
-        last = float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
-        failure = "it still moves at the end" if last > rollout.times_s[-1] - STILL_S else ""
-        return PhenomenonValue(value=max(last - _fall_s(), 0.0), failure=failure)
+def rest(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the time of a foot from a landing to rest."""
 
-    return Phenomenon(
-        id="foot-rest",
+    def last_s(rollout: Rollout) -> float:
+        """Return the last time at which the foot moves [s]."""
+        moving = np.flatnonzero(np.abs(rollout.velocity(FOOT)[:, 2]) > AT_REST_M_PER_S)
+        return float(rollout.times_s[moving[-1]]) if len(moving) else 0.0
+
+    def failure(rollout: Rollout) -> str:
+        return "it still moves at the end" if last_s(rollout) > rollout.times_s[-1] - STILL_S else ""
+
+    return _landed(
+        foot,
         title="foot of the robot: time from a landing to rest",
         quantity="time",
-        scenario=_landing(foot),
         unit="s",
         reality=Reality.law(
             0.0,
@@ -330,14 +257,6 @@ def _rest(foot: FootGeometry) -> Phenomenon:
             source=_source("a foot that steps stays on the ground", foot),
             rationale="the stance of a trot; a foot that lands longer never rests before the next step",
         ),
-        needs_foot=True,
-        read=read,
-        trace=Trace(label="height of the lowest sole [mm]", values=lambda rollout: _lowest_mm(rollout, foot)),
+        value=lambda rollout: max(last_s(rollout) - float(np.sqrt(2.0 * DROP_M / GRAVITY_M_PER_S2)), 0.0),
+        failure=failure,
     )
-
-
-def with_foot(phenomenon: Phenomenon, foot: FootGeometry | None) -> Phenomenon:
-    """Return a row with the foot of a target; rows on other objects are unchanged."""
-    if foot is None or not phenomenon.needs_foot:
-        return phenomenon
-    return next(one for one in foot_phenomena(foot) if one.id == phenomenon.id)

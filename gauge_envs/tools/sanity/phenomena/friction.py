@@ -1,11 +1,12 @@
-"""Friction on a slope: creep of a cube at rest, its resting height, and the acceleration of a sliding cube.
+"""Friction of a cube: creep and resting height on a slope, slides, and what a turntable does to it.
 
-A sliding cube has the friction that the same trials show, so that the row judges what an engine makes of it.
+A sliding cube has the friction that the same trials show, so that the row judges what an engine makes of it. A cube on
+a turntable rotates with the plate if friction suffices, and slips when the plate stops.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +17,9 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.facts import facts, rigid_tolerance
-from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
+from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, position_scatter_mm, recorded, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
-
-MATERIALS = ("wood", "plastic", "metal")
 
 HOLD_S, SETTLED_S = 1.0, 0.5
 """Simulated time, and time after which the cube has sunk into a soft contact and only creeps [s]."""
@@ -34,15 +33,11 @@ SLIDE_S = 0.5
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
 
+TURN_S = 94 / 30
+"""Time of the published frames of the turntable [s]."""
 
-def phenomena() -> Iterator[Phenomenon]:
-    """Yield creep and sliding of three materials, and the resting height of a cube."""
-    for material in MATERIALS:
-        yield _creep(material)
-    yield _rest(MATERIALS[0])
-    for material in MATERIALS:
-        yield _slide(material)
-    yield _turned_slide(MATERIALS[0])
+STEADY_S = (2.3, 3.0)
+"""Time between the acceleration after the first stop and the last published frame [s]."""
 
 
 def _hold_scenario(material: str) -> Scenario:
@@ -75,55 +70,65 @@ def creep_bound_mm_per_s(variant: str) -> float:
     return float(np.sqrt(24.0 * PRINTED_MM * rmse.mean)) * 30.0 / (rmse.frames - 1)
 
 
-def _creep(material: str) -> Phenomenon:
-    scenario = _hold_scenario(material)
+def creeping(
+    title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], source: str, rationale: str
+) -> Phenomenon:
+    """Return the creep of a body at rest on a slope.
 
-    def read(rollout: Rollout) -> PhenomenonValue:
-        late = rollout.between(SETTLED_S, HOLD_S)
-        return PhenomenonValue(value=float(np.polyfit(rollout.times_s[late], _downhill_mm(rollout)[late], 1)[0]))
-
+    Args:
+        title: Title.
+        scenario: Scenario of the body.
+        downhill_mm: Function from a rollout to the displacement downhill [mm], shape [sample_count].
+        source: The law.
+        rationale: Reason for the bound that the published scores of a real cube give.
+    """
     bound = creep_bound_mm_per_s(scenario.variant)
+
+    def speed_mm_per_s(rollout: Rollout) -> float:
+        late = rollout.between(SETTLED_S, HOLD_S)
+        return float(np.polyfit(rollout.times_s[late], downhill_mm(rollout)[late], 1)[0])
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.zeros_like(times_s), bound * times_s
 
     return Phenomenon(
-        id=f"creep-{material}",
-        title=f"static friction, {material}: creep on 10 degrees",
+        title=title,
         quantity="creep",
         scenario=scenario,
         unit="mm/s",
-        reality=Reality.law(
-            0.0,
-            tolerance=bound,
-            source="Coulomb, tan 10 deg < mu",
-            rationale=f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
-            "which allows no faster creep",
-        ),
+        reality=Reality.law(0.0, tolerance=bound, source=source, rationale=rationale),
         needs_friction=True,
-        read=read,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
+        value=speed_mm_per_s,
+        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
     )
 
 
-def _rest(material: str) -> Phenomenon:
-    scenario = _hold_scenario(material)
+def creep(material: str) -> Phenomenon:
+    """Return the creep of a cube at rest."""
+    return creeping(
+        f"static friction, {material}: creep on 10 degrees",
+        _hold_scenario(material),
+        _downhill_mm,
+        source="Coulomb, tan 10 deg < mu",
+        rationale=f"E_RMSE and E_DTW of real {material} cubes on this slope are equal as printed (paper, Table 5), "
+        "which allows no faster creep",
+    )
+
+
+def rest_height(material: str) -> Phenomenon:
+    """Return the gap between a cube at rest and its board."""
 
     def heights_mm(rollout: Rollout) -> FloatArray:
         return _gap_mm(rollout.scene) + _on_board_mm(rollout)[:, 2]
 
-    def read(rollout: Rollout) -> PhenomenonValue:
-        return PhenomenonValue(value=float(heights_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean()))
-
     return Phenomenon(
-        id="rest-height",
         title="resting height: gap between cube and board",
         quantity="gap",
-        scenario=scenario,
+        scenario=_hold_scenario(material),
         unit="mm",
-        reality=Reality.law(0.0, source="rigid bodies touch", **rigid_tolerance(0.5, "the edge of 50 mm of the cube")),
+        reality=rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
         needs_friction=True,
-        read=read,
+        value=lambda rollout: heights_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
         trace=Trace(label="gap [mm]", values=heights_mm, is_level=True),
     )
 
@@ -139,42 +144,58 @@ def _gap_mm(scene: Scene) -> float:
 # --- sliding ---------------------------------------------------------------------------------------------------------
 
 
-def _slide(material: str) -> Phenomenon:
+def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], FloatArray], real: Reality) -> Phenomenon:
+    """Return the acceleration of a body that slides down a slope.
+
+    Args:
+        title: Title.
+        scenario: Scenario of the body.
+        downhill_mm: Function from a rollout to the displacement downhill [mm], shape [sample_count].
+        real: The acceleration in reality.
+    """
+
+    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        return 500.0 * real.value * times_s**2, 500.0 * real.tolerance * times_s**2
+
+    return Phenomenon(
+        title=title,
+        quantity="acceleration",
+        scenario=scenario,
+        unit="m/s^2",
+        reality=real,
+        needs_friction=True,
+        # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
+        # ground counts, since a camera would record it.
+        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, downhill_mm(rollout)),
+        trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
+    )
+
+
+def real_slides(material: str, source: str = "") -> Reality:
+    """Return the acceleration of real cubes on 30 degrees."""
     trials = facts("slope_slider_30deg_summary")[material]
-    friction = float(trials["friction"]["mean"])
+    found = trials["acceleration_m_s2"]
+    return Reality.measured(found["mean"], scatter=found["std"], trial_count=trials["trial_count"], source=source)
+
+
+def real_friction(material: str) -> float:
+    """Return the friction that real slides of a cube show."""
+    return float(facts("slope_slider_30deg_summary")[material]["friction"]["mean"])
+
+
+def slide(material: str) -> Phenomenon:
+    """Return the acceleration of a sliding cube."""
+    friction = real_friction(material)
     scenario = Scenario(
         name=f"slide-{material}",
         variant=f"SlopeSlider-2-{material}",
         seconds=SLIDE_S,
         parameters={"cube.friction": friction},
     )
-    real = Reality.measured(
-        trials["acceleration_m_s2"]["mean"],
-        scatter=trials["acceleration_m_s2"]["std"],
-        trial_count=trials["trial_count"],
-        source="real slides (scoring/facts/slope_slider_30deg_summary.toml); the cube has the friction that they "
-        f"show, mu = {friction:.3f}",
-    )
-
-    def read(rollout: Rollout) -> PhenomenonValue:
-        # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
-        # ground counts, since a camera would record it.
-        return PhenomenonValue(value=1e-3 * fitted_acceleration(rollout.times_s, _downhill_mm(rollout)))
-
-    def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        return 500.0 * real.value * times_s**2, 500.0 * real.tolerance * times_s**2
-
-    return Phenomenon(
-        id=f"slide-{material}",
-        title=f"kinetic friction, {material}: acceleration on 30 degrees",
-        quantity="acceleration",
-        scenario=scenario,
-        unit="m/s^2",
-        reality=real,
-        needs_friction=True,
-        read=read,
-        trace=Trace(label="displacement downhill [mm]", values=_downhill_mm, reality=reality),
-    )
+    shown = f"the cube has the friction that they show, mu = {friction:.3f}"
+    source = f"real slides (scoring/facts/slope_slider_30deg_summary.toml); {shown}"
+    title = f"kinetic friction, {material}: acceleration on 30 degrees"
+    return sliding(title, scenario, _downhill_mm, real_slides(material, source))
 
 
 def _turned(scene: Scene) -> Scene:
@@ -189,15 +210,15 @@ def _turned_pose(pose: Pose, turn: Rotation) -> Pose:
     return replace(pose, position_m=(x, y, z), quaternion=(w, i, j, k))
 
 
-def _turned_slide(material: str) -> Phenomenon:
-    straight = _slide(material)
+def turned_slide(material: str) -> Phenomenon:
+    """Return the acceleration of a cube that slides in another direction."""
+    straight = slide(material)
     scenario = replace(straight.scenario, name=f"slide-turned-{material}", change=_turned)
     friction = next(c.friction for c in scenario.scene.contacts if "board" in c.second)
     downhill = scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = scenario.scene.gravity_m_per_s2 * float(-downhill[2] - friction * np.hypot(*downhill[:2]))
     return replace(
         straight,
-        id="slide-turned",
         title=f"isotropic friction, {material}: acceleration on 30 degrees, board turned by {TURN_DEG:.0f} degrees",
         scenario=scenario,
         reality=Reality.law(
@@ -206,4 +227,67 @@ def _turned_slide(material: str) -> Phenomenon:
             source=f"g (sin 30 - mu cos 30) with mu = {friction:.3f}, in every direction",
             rationale=f"covers {COVERAGE:.0%} of further real slides on the board that is not turned",
         ),
+    )
+
+
+# --- on a turntable --------------------------------------------------------------------------------------------------
+
+
+def _on_plate_mm(rollout: Rollout) -> FloatArray:
+    """Return positions of the cube in the plate's frame [mm], shape [sample_count, 3]."""
+    arm = rollout.position("cube") - rollout.position("plate")
+    return np.asarray(1e3 * rollout.rotation("plate").apply(arm, inverse=True))
+
+
+def carry(material: str) -> Phenomenon:
+    """Return the slip of a cube on a slow turntable."""
+    scenario = Scenario(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S)
+
+    def slip_mm(rollout: Rollout) -> FloatArray:
+        place = _on_plate_mm(rollout)[:, :2]
+        return np.asarray(np.linalg.norm(place - place[0], axis=1))
+
+    return Phenomenon(
+        title=f"static friction, {material}: slip on a slow turntable within 3 s",
+        quantity="slip",
+        scenario=scenario,
+        unit="mm",
+        reality=Reality.law(
+            0.0,
+            # The plane of the plate has two axes.
+            tolerance=float(np.sqrt(2.0)) * position_scatter_mm(scenario.variant),
+            source="Coulomb, omega^2 r < mu g",
+            rationale="standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
+        ),
+        needs_friction=True,
+        value=lambda rollout: slip_mm(rollout)[-1],
+        trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
+    )
+
+
+def slip() -> Phenomenon:
+    """Return the slip of a cube when the turntable reverses."""
+    scenario = Scenario(name="stop", variant="Turntable-3-metal", seconds=TURN_S)
+    radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
+
+    def slip_deg(rollout: Rollout) -> FloatArray:
+        place = _on_plate_mm(rollout)
+        angle = np.unwrap(np.arctan2(place[:, 1], place[:, 0]))
+        return np.asarray(np.degrees(angle - angle[0]))
+
+    return Phenomenon(
+        title="kinetic friction, metal: slip when the turntable reverses",
+        quantity="slip",
+        scenario=scenario,
+        unit="deg",
+        reality=Reality.measured(
+            recorded("turntable", "slip_after_first_stop_deg")["value"],
+            scatter=float(np.degrees(position_scatter_mm(scenario.variant) / radius_mm)),
+            trial_count=1,
+            source=f"one recorded trial ({RECORDINGS}); scatter: of a position along the circle of {scenario.variant} "
+            "(paper, Table 5)",
+        ),
+        needs_friction=True,
+        value=lambda rollout: slip_deg(rollout)[rollout.between(*STEADY_S)].mean(),
+        trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )

@@ -5,7 +5,6 @@ The ball has the restitution that the same trials show, so that the row judges w
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -16,17 +15,9 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.tools.sanity.model import Reality
+from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.facts import PUBLISHED_TRIALS, facts
-from gauge_envs.tools.sanity.phenomena.phenomenon import FloatArray, Phenomenon, PhenomenonValue, Trace
 from gauge_envs.tools.sanity.scenario import Scenario
-
-
-def phenomena() -> Iterator[Phenomenon]:
-    """Yield the rebound of the ball, its rebound from a slower impact, and the momentum through the cradle."""
-    yield _rebound()
-    yield _slow_rebound()
-    yield _cradle()
-
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
 
@@ -39,7 +30,6 @@ CLEAR_MM = 2.0
 LIFTS_M = (-0.008, -0.004, 0.0, 0.004, 0.008)
 """Changes of the start height [m]. With a large step, the rebound depends on the phase of the step at the impact: in a
 step of 0.01 s a ball falls by 28 mm."""
-
 
 SLOW_DROP_S = 0.45
 """Time beyond the top of the bounce after the slow impact of a ball that keeps all its speed (0.31 s) [s]."""
@@ -79,11 +69,16 @@ def _several_balls(scene: Scene) -> Scene:
     )
 
 
+def _gap_mm(scene: Scene, name: str, height_m: FloatArray | float) -> FloatArray:
+    """Return the gap between a ball at a height [m] and the ground [mm], with the shape of the height."""
+    ball, ground = scene.body(name), scene.body("ground")
+    assert isinstance(ball.shape, Sphere)
+    return np.asarray(1e3 * (height_m - ground.pose.position_m[2] - ball.shape.radius_m))
+
+
 def _height_mm(rollout: Rollout, name: str) -> FloatArray:
     """Return the gap between a ball and the ground [mm], shape [sample_count]."""
-    ball, ground = rollout.scene.body(name), rollout.scene.body("ground")
-    assert isinstance(ball.shape, Sphere)
-    return np.asarray(1e3 * (rollout.position(name)[:, 2] - ground.pose.position_m[2] - ball.shape.radius_m))
+    return _gap_mm(rollout.scene, name, rollout.position(name)[:, 2])
 
 
 def _rebound_ratio(rollout: Rollout, name: str) -> float:
@@ -106,30 +101,30 @@ def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> f
     return float(start + speed**2 / (4.0 * fall))
 
 
-def _rebound() -> Phenomenon:
+def rebound() -> Phenomenon:
+    """Return the speed of a ball after an impact over that before."""
     trials = facts("bouncing_ball_summary")
     restitution = float(trials["rebound_ratio"]["mean"])
-    scenario = Scenario(
-        name="drop",
-        variant="BouncingBall-rubber",
-        seconds=DROP_S,
-        parameters={"ball.restitution": restitution},
-        change=_several_balls,
-    )
-    names = [ball.name for ball in scenario.scene.dynamic_bodies]
+    names = [f"ball-{index}" for index in range(len(LIFTS_M))]
     drawn = names[LIFTS_M.index(0.0)]
 
-    def read(rollout: Rollout) -> PhenomenonValue:
-        ratios = [_rebound_ratio(rollout, name) for name in names]
-        stuck = ratios.count(0.0)
-        failure = f"{stuck} of {len(ratios)} drops do not leave the ground again" if stuck else ""
-        return PhenomenonValue(value=float(np.mean(ratios)), failure=failure)
+    def ratios(rollout: Rollout) -> list[float]:
+        return [_rebound_ratio(rollout, name) for name in names]
+
+    def failure(rollout: Rollout) -> str:
+        stuck = ratios(rollout).count(0.0)
+        return f"{stuck} of {len(names)} drops do not leave the ground again" if stuck else ""
 
     return Phenomenon(
-        id="rebound",
         title="restitution: speed of a ball after an impact over that before",
         quantity="rebound",
-        scenario=scenario,
+        scenario=Scenario(
+            name="drop",
+            variant="BouncingBall-rubber",
+            seconds=DROP_S,
+            parameters={"ball.restitution": restitution},
+            change=_several_balls,
+        ),
         unit="1",
         reality=Reality.measured(
             restitution,
@@ -138,20 +133,21 @@ def _rebound() -> Phenomenon:
             source="real drops (scoring/facts/bouncing_ball_summary.toml); the ball has the restitution that they show",
         ),
         is_impact=True,
-        read=read,
+        value=lambda rollout: float(np.mean(ratios(rollout))),
+        failure=failure,
         trace=Trace(label="height of the ball [mm]", values=lambda rollout: _height_mm(rollout, drawn)),
     )
 
 
-def _slow_rebound() -> Phenomenon:
-    fast = _rebound()
+def slow_rebound() -> Phenomenon:
+    """Return the same for a slower impact."""
+    fast = rebound()
     scenario = replace(fast.scenario, name="drop-slow", seconds=SLOW_DROP_S, change=_lowered_balls)
-    names = [ball.name for ball in scenario.scene.dynamic_bodies]
-    height_m = 1e-3 * float(np.mean([_start_mm(scenario.scene, name) for name in names]))
-    speed = float(np.sqrt(2.0 * scenario.scene.gravity_m_per_s2 * height_m))
+    balls, scene = scenario.scene.dynamic_bodies, scenario.scene
+    height_m = 1e-3 * float(np.mean([_gap_mm(scene, ball.name, ball.pose.position_m[2]) for ball in balls]))
+    speed = float(np.sqrt(2.0 * scene.gravity_m_per_s2 * height_m))
     return replace(
         fast,
-        id="rebound-slow",
         title=f"restitution: the same at {speed:.1f} m/s, the ball's third impact",
         scenario=scenario,
         reality=Reality.law(
@@ -162,13 +158,6 @@ def _slow_rebound() -> Phenomenon:
             rationale="twice the largest difference between both recorded ratios",
         ),
     )
-
-
-def _start_mm(scene: Scene, name: str) -> float:
-    """Return the gap between a ball and the ground at the start [mm]."""
-    ball, ground = scene.body(name), scene.body("ground")
-    assert isinstance(ball.shape, Sphere)
-    return 1e3 * (ball.pose.position_m[2] - ground.pose.position_m[2] - ball.shape.radius_m)
 
 
 # --- momentum --------------------------------------------------------------------------------------------------------
@@ -190,24 +179,23 @@ SHARE_OF_SPEED = 0.1
 def _with_gaps(scene: Scene) -> Scene:
     """Return the scene with gaps between neighbours."""
     shifts = {body.name: index * GAP_M for index, body in enumerate(scene.dynamic_bodies)}
+
+    def shifted(name: str, place_m: tuple[float, float, float]) -> tuple[float, float, float]:
+        x, y, z = place_m
+        return x, y + shifts.get(name, 0.0), z
+
     return replace(
         scene,
         bodies=tuple(
-            replace(
-                body, pose=replace(body.pose, position_m=_shifted(body.pose.position_m, shifts.get(body.name, 0.0)))
-            )
+            replace(body, pose=replace(body.pose, position_m=shifted(body.name, body.pose.position_m)))
             for body in scene.bodies
         ),
-        joints=tuple(replace(j, anchor_m=_shifted(j.anchor_m, shifts[j.body])) for j in scene.joints),
+        joints=tuple(replace(joint, anchor_m=shifted(joint.body, joint.anchor_m)) for joint in scene.joints),
     )
 
 
-def _shifted(place_m: tuple[float, float, float], along_m: float) -> tuple[float, float, float]:
-    x, y, z = place_m
-    return x, y + along_m, z
-
-
-def _cradle() -> Phenomenon:
+def momentum() -> Phenomenon:
+    """Return the momentum that passes through a row of balls."""
     scenario = Scenario(
         name="cradle",
         variant="NewtonsCradle-metal",
@@ -217,30 +205,31 @@ def _cradle() -> Phenomenon:
     )
     scene = scenario.scene
     names = [body.name for body in scene.dynamic_bodies]
-    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(scenario, j)) for j in scene.joints if isinstance(j, Hinge)}
+    rest = {j.body: 1e3 * (j.anchor_m[2] - _arm_m(scene, j)) for j in scene.joints if isinstance(j, Hinge)}
     drop = 1e3 * scene.body(names[0]).pose.position_m[2] - rest[names[0]]
+    leaves_mm = SHARE_OF_SPEED**2 * drop
     real = published_baselines(scenario.variant)["mte"]
     assert real.std is not None, "MTE is published with its standard deviation"
 
     def rise_mm(rollout: Rollout, name: str) -> FloatArray:
         return 1e3 * rollout.position(name)[:, 2] - rest[name]
 
-    def read(rollout: Rollout) -> PhenomenonValue:
-        after = rollout.times_s > PASSED_S
-        leaving = [n for n in names if rise_mm(rollout, n)[after].max() > SHARE_OF_SPEED**2 * drop]
-        others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
-        value = momentum_transfer_efficiency(
+    def efficiency(rollout: Rollout) -> float:
+        found = momentum_transfer_efficiency(
             1e3 * rollout.position(names[-1])[:, 2],
             drop_height_mm=drop,
             rest_height_mm=rest[names[-1]],
-            leave_height_mm=SHARE_OF_SPEED**2 * drop,
+            leave_height_mm=leaves_mm,
         )
-        return PhenomenonValue(
-            value=value if np.isfinite(value) else 0.0, failure="" if leaving == names[-1:] else others
-        )
+        return found if np.isfinite(found) else 0.0
+
+    def failure(rollout: Rollout) -> str:
+        after = rollout.times_s > PASSED_S
+        leaving = [name for name in names if rise_mm(rollout, name)[after].max() > leaves_mm]
+        others = f"{len(leaving)} of {len(names)} balls swing out, in reality the last one"
+        return "" if leaving == names[-1:] else others
 
     return Phenomenon(
-        id="momentum",
         title="momentum transfer through a row of five balls",
         quantity="momentum",
         scenario=scenario,
@@ -253,10 +242,11 @@ def _cradle() -> Phenomenon:
             source="momentum transfer efficiency of real trials (paper, Table 5), with the restitution that reproduces "
             "it; the calibrated restitution, 0.20, contradicts it",
         ),
-        read=read,
+        value=efficiency,
+        failure=failure,
         trace=Trace(label="height of the last ball [mm]", values=lambda rollout: rise_mm(rollout, names[-1])),
     )
 
 
-def _arm_m(scenario: Scenario, hinge: Hinge) -> float:
-    return float(np.linalg.norm(np.asarray(scenario.scene.body(hinge.body).pose.position_m) - hinge.anchor_m))
+def _arm_m(scene: Scene, hinge: Hinge) -> float:
+    return float(np.linalg.norm(np.asarray(scene.body(hinge.body).pose.position_m) - hinge.anchor_m))

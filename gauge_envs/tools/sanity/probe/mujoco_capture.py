@@ -13,23 +13,30 @@ NAMED_OPTIONS = {"integrator": "mjtIntegrator", "cone": "mjtCone", "solver": "mj
 
 FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 
-ARRAYS = (
-    *("body_parentid", "body_pos", "body_quat", "body_mass", "body_ipos", "body_iquat", "body_inertia", "body_mocapid"),
-    *("jnt_type", "jnt_bodyid", "jnt_pos", "jnt_axis", "jnt_limited", "jnt_range"),
-    *(
-        "geom_bodyid",
-        "geom_contype",
-        "geom_conaffinity",
-        "geom_condim",
-        "geom_priority",
-        "geom_solmix",
-        "geom_friction",
+WIDTHS = {
+    "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1},
+    "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2},
+    "geom": dict(
+        dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1),
+        friction=3,
+        solref=2,
+        solimp=5,
+        margin=1,
+        gap=1,
+        size=3,
+        pos=3,
+        quat=4,
+        rbound=1,
     ),
-    *("geom_solref", "geom_solimp", "geom_margin", "geom_gap", "geom_size", "geom_pos", "geom_quat", "geom_rbound"),
-    *("pair_dim", "pair_geom1", "pair_geom2", "pair_friction", "pair_solref", "pair_solreffriction", "pair_solimp"),
-    *("pair_margin", "pair_gap", "exclude_signature"),
-)
-"""Arrays of a compiled model of MuJoCo that are written as they are."""
+    "pair": dict(
+        {"dim": 1, "geom1": 1, "geom2": 1, "friction": 5, "solref": 2, "solreffriction": 2, "solimp": 5},
+        margin=1,
+        gap=1,
+    ),
+    "exclude": {"signature": 1},
+}
+ARRAYS = {f"{kind}_{name}": width for kind, columns in WIDTHS.items() for name, width in columns.items()}
+"""Arrays of a compiled model of MuJoCo that are written as they are, with their number of columns."""
 
 MESHES = ("mjGEOM_MESH", "mjGEOM_SDF")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, is_dataclass
 from pathlib import Path, PurePath
 from typing import Any, TypeAlias
 
@@ -44,6 +44,8 @@ COMPARISONS: Mapping[type[ast.cmpop], Callable[[Any, Any], Any]] = {
     ast.Is: operator.is_,
     ast.IsNot: operator.is_not,
 }
+
+UNARY: Mapping[type[ast.unaryop], Callable[[Any], Any]] = {ast.Not: operator.not_, ast.USub: operator.neg}
 
 PLAIN = (bool, int, float, str, bytes, list, tuple, dict, set, PurePath, type(None))
 """Types whose values are known as a whole."""
@@ -85,6 +87,9 @@ class Unknown:
 
 
 UNKNOWN = Unknown()
+
+DEEPEST_VALUE = 40
+"""Deepest nesting of values that `plain` returns."""
 
 
 @dataclass(frozen=True)
@@ -141,3 +146,41 @@ class Instance:
 
     kind: PythonClass | External
     attributes: dict[str, Any] = field(default_factory=dict)
+
+
+@dataclass
+class Frame:
+    """Names of a call: its module, its local names, and the function."""
+
+    module: Module
+    names: dict[str, Any] = field(default_factory=dict)
+    function: Function | None = None
+
+
+def plain(value: Any, depth: int = 0) -> Any:
+    """Return a value of a source, or of an object in this process, in plain containers.
+
+    Functions become their names. What is not known, or has no plain form, becomes None.
+    """
+    if depth > DEEPEST_VALUE or value is None or isinstance(value, bool | int | float | str):
+        return None if depth > DEEPEST_VALUE else value
+    if isinstance(value, Function):
+        return value.name
+    if isinstance(value, Instance):
+        value = value.attributes
+    elif is_dataclass(value) and not isinstance(value, type):
+        value = {one.name: getattr(value, one.name, None) for one in fields(value)}
+    elif hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(one, depth + 1) for key, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(one, depth + 1) for one in value]
+    if callable(value):
+        return f"{getattr(value, '__module__', '')}.{getattr(value, '__qualname__', '')}"
+    return value if isinstance(value, bool | int | float | str) else None
+
+
+def source_path(args: list[Any], _: dict[str, Any]) -> Any:
+    """Return the path of a text, as a known function of a source."""
+    return Path(args[0]) if args and isinstance(args[0], str | Path) else UNKNOWN

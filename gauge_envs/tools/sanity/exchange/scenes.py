@@ -1,0 +1,176 @@
+"""Describe the scenes of a sanity check for users of other simulators: the manifest of an exported folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import cache
+from typing import Any, Literal
+
+from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.files import json_ready, versions
+from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
+from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.tools.assets.urdf import BodyFile, body_files
+from gauge_envs.tools.sanity.phenomena import phenomena, selection
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.scenario import Scenario
+
+FORMAT, VERSION = "gauge-sanity-export", 1
+
+MANIFEST = "manifest.json"
+MOTION = "motion.csv"
+DRIVERS = "drivers.csv"
+
+COLUMNS = (
+    *("time_s", "body", "x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"),
+    *("vx_m_per_s", "vy_m_per_s", "vz_m_per_s"),
+)
+"""Columns of a motion file; the last three may be left out."""
+
+CONSTANTS: tuple[Literal["friction", "restitution"], ...] = ("friction", "restitution")
+"""Contact constants of a pair."""
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedScene:
+    """A scenario and the phenomena that are measured in it.
+
+    Attributes:
+        scenario: The scenario.
+        phenomena: Its phenomena.
+    """
+
+    scenario: Scenario
+    phenomena: tuple[Phenomenon, ...]
+
+    @property
+    def name(self) -> str:
+        """Name of the scenario, and of its folder."""
+        return self.scenario.name
+
+    @property
+    def recorded(self) -> tuple[str, ...]:
+        """Names of the bodies whose motion is recorded: all that are not fixed."""
+        return tuple(body.name for body in self.scenario.scene.bodies if body.motion is not Motion.FIXED)
+
+    def entry(self) -> dict[str, Any]:
+        """Return the description of the scene, JSON-ready."""
+        scene = self.scenario.scene
+        files = body_files(scene)
+        constants = _body_constants(scene)
+        described: dict[str, Any] = json_ready(
+            {
+                "name": self.name,
+                "experiment": self.scenario.id,
+                "seconds": self.scenario.seconds,
+                "longest_interval_s": self.scenario.interval_s,
+                "gravity_m_per_s2": [0.0, 0.0, -scene.gravity_m_per_s2],
+                "bodies": [_body(body, files[body.name], constants.get(body.name, {})) for body in scene.bodies],
+                "hinges": [asdict(joint) for joint in scene.joints if isinstance(joint, Hinge)],
+                "contacts": [
+                    {name: getattr(contact, name) for name in ("first", "second", *CONSTANTS)}
+                    for contact in scene.contacts
+                ],
+                "mjcf": "scene.xml",
+                "usd": "scene.usda",
+                "drivers": DRIVERS if scene.drivers else None,
+                "motion": MOTION,
+                "recorded": self.recorded,
+                "phenomena": [_phenomenon(one) for one in self.phenomena],
+            }
+        )
+        return described
+
+
+@cache
+def _all_scenes() -> tuple[ExportedScene, ...]:
+    grouped: dict[str, list[Phenomenon]] = {}
+    for one in phenomena():
+        # A scene with a robot's foot needs a target, and files have no compounds.
+        if not one.needs_foot:
+            grouped.setdefault(one.scenario.name, []).append(one)
+    return tuple(ExportedScene(several[0].scenario, tuple(several)) for several in grouped.values())
+
+
+def scenes(only: Sequence[str] = ()) -> tuple[ExportedScene, ...]:
+    """Return the scenes of rigid bodies in a fixed order, without those of a target's own foot.
+
+    Args:
+        only: Ids of phenomena or patterns; scenes without one of them are left out. All when empty.
+    """
+    chosen = selection(only)
+    return tuple(scene for scene in _all_scenes() if any(one.id in chosen for one in scene.phenomena))
+
+
+def manifest(chosen: Sequence[ExportedScene]) -> dict[str, Any]:
+    """Return the manifest of a folder with scenes, JSON-ready."""
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "gauge_envs": versions()["gauge-envs"],
+        "units": "SI; quaternions in the order w, x, y, z; z is up; body frames as in the URDF and MJCF files",
+        "columns": list(COLUMNS),
+        "scenes": [scene.entry() for scene in chosen],
+    }
+
+
+def _body(body: RigidBody, file: BodyFile, constants: Mapping[str, Mapping[str, float]]) -> dict[str, Any]:
+    centre, inertia = body_mass_properties(body)
+    volume = body.shape.volume_m3
+    return {
+        "name": body.name,
+        "motion": {Motion.KINEMATIC: "driven"}.get(body.motion, body.motion.value),
+        # Polyhedra are in the files alone.
+        "shape": {name: value for name, value in asdict(body.shape).items() if name != "pieces_m"},
+        "mass_kg": body.mass_kg,
+        "density_kg_per_m3": body.mass_kg / volume if volume else 0.0,
+        "center_of_mass_m": centre.tolist(),
+        "inertia_kg_m2": inertia.tolist(),
+        "position_m": body.pose.position_m,
+        "quaternion_wxyz": body.pose.quaternion,
+        "velocity_m_per_s": body.linear_velocity_m_per_s,
+        "angular_velocity_rad_per_s": body.angular_velocity_rad_per_s,
+        "friction_by_rule": constants.get("friction", {}),
+        "restitution_by_rule": constants.get("restitution", {}),
+        "urdf": f"urdf/{file.file}",
+        "urdf_root_position_m": file.root_position_m,
+        "urdf_root_quaternion_wxyz": file.root_quaternion,
+        "urdf_root_is_fixed": file.is_root_fixed,
+        "urdf_link": file.link,
+        "urdf_origin_in_link_m": file.origin_in_link_m,
+    }
+
+
+def _body_constants(scene: Scene) -> dict[str, dict[str, dict[str, float]]]:
+    """Return friction and restitution of each body by rule of combination, where the rule can give those of all pairs.
+
+    Returns:
+        Value by name of the body, constant and rule.
+    """
+    alike: dict[tuple[bool, ...], list[str]] = {}
+    for body in scene.bodies:
+        sides = (side for contact in scene.contacts for side in (contact.first, contact.second))
+        alike.setdefault(tuple(body.name in side for side in sides), []).append(body.name)
+    # Two bodies of a kind stand for all of them: a wall has thousands of equal pairs.
+    kinds = {name: names for names in alike.values() for name in names[:2]}
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for constant in CONSTANTS:
+        pairs = {pair: value for pair, value in pair_values(scene, constant).items() if kinds.keys() >= set(pair)}
+        for rule in Combination:
+            try:
+                values = body_values(pairs, rule)
+            except UnsupportedSceneError:
+                continue
+            for one, value in values.items():
+                for name in kinds[one]:
+                    # The solution of the equations ends with rounding.
+                    found.setdefault(name, {}).setdefault(constant, {})[rule.value] = round(value, 9)
+    return found
+
+
+def _phenomenon(one: Phenomenon) -> dict[str, Any]:
+    described = {name: getattr(one, name) for name in ("id", "title", "quantity", "unit")}
+    reality = {name: getattr(one.reality, name) for name in ("value", "tolerance", "source", "rationale")}
+    return {**described, "kind": one.reality.kind.value, **reality}

@@ -1,0 +1,291 @@
+"""Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.mujoco.contact_pairs import ContactPairs, PairKind, can_move
+from gauge_envs.backends.mujoco.model_settings import contact_settings
+from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
+from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.sanity.model import ContactGroup
+from gauge_envs.tools.sanity.probe.mujoco_capture import STANDING, driven
+from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
+
+STANDS_WITHIN = 0.1
+"""Height above the lowest point, over the height of the robot, up to which a body counts as standing."""
+
+SOLE_WITHIN = 0.01
+"""Height above the lowest point of a foot, over the height of the robot, up to which a geom is part of its sole."""
+
+UPRIGHT = 0.7
+"""Least vertical component of a slide joint with which a robot can rise and fall."""
+
+FLAT = 1e-3
+"""Component of a unit vector below which a face or an edge counts as level."""
+
+HELD_M_PER_S = 1e-3
+"""Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
+
+MOST_GEOMS = 4
+"""Most geoms of a foot that are listed; of more, the others are counted."""
+
+Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
+
+SOLIDS: Mapping[str, tuple[str, Callable[[float, float, float], Solid]]] = {
+    "SPHERE": ("sphere", lambda x, *_: Sphere(radius_m=x)),
+    "CAPSULE": ("capsule", lambda x, y, _: Capsule(radius_m=x, length_m=2.0 * y)),
+    "ELLIPSOID": ("ellipsoid", lambda *radii: Ellipsoid(radii_m=radii)),
+    "CYLINDER": ("cylinder", lambda x, y, _: Cylinder(radius_m=x, length_m=2.0 * y)),
+    "BOX": ("box", lambda x, y, z: Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z))),
+}
+"""Types of geoms that a foot may have beside meshes: their name, and the solid of a size."""
+
+
+class NoFootError(Exception):
+    """A model has no foot; the message is the reason."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Stance:
+    """Pose of a model in which its robot stands.
+
+    Attributes:
+        label: Name of the pose.
+        positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
+        rotations: Rotations of the geoms to that frame.
+        joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
+    """
+
+    label: str
+    positions_m: NDArray[np.float64]
+    rotations: Rotation
+    joint_axes: NDArray[np.float64]
+
+
+def read_foot(
+    model: mujoco.MjModel,
+    pairs: ContactPairs,
+    groups: Sequence[ContactGroup],
+    up: tuple[float, float, float],
+) -> FootGeometry:
+    """Return the foot of the heaviest robot of a model.
+
+    A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
+    actuator, unless the model has none. Its feet are the bodies that can touch the ground and lie lowest in the
+    keyframe `home`, or in the initial pose with joints within their limits. Of several feet, the lowest one is read.
+
+    Args:
+        model: The compiled model.
+        pairs: All pairs of geoms that can collide.
+        groups: Contact constants, those that are judged marked as used.
+        up: Unit vector away from the ground, shape [3].
+    """
+    geoms = np.unique(pairs.geoms[_ground_rows(pairs)])
+    touching = [int(geom) for geom in geoms[can_move(model)[geoms]]]
+    if not touching:
+        raise NoFootError("the model has no ground that a moving geom can touch")
+    stance = _stance(model, np.asarray(up))
+    robot_of = [_first_moving_body(model, int(body)) for body in model.geom_bodyid]
+    robots = {robot_of[geom] for geom in touching}
+    joints, bodies = driven(model)
+    moved = bodies | {int(model.jnt_bodyid[joint]) for joint in joints}
+    if moved:
+        robots &= {_first_moving_body(model, body) for body in moved}
+    standing = [body for body in robots if _can_fall(model, stance, body, joints)]
+    if not standing:
+        raise NoFootError("no robot of the model stands on the ground under its own weight")
+    robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
+    touching = [geom for geom in touching if robot_of[geom] == robot]
+    support = {geom: _support_m(model, stance, geom) for geom in touching}
+    lowest = {geom: float(point[2]) for geom, point in support.items()}
+    own = [geom for geom, body in enumerate(robot_of) if body == robot]
+    top = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
+    height = max(top - min(lowest.values()), 1e-3)
+    standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
+    feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
+    body = min(feet, key=lambda one: (min(lowest[geom] for geom in feet[one]), one))
+    mass = float(model.body_subtreemass[robot])
+    return FootGeometry(
+        name=model.body(body).name or f"body {body}",
+        geoms=_geoms_text(model, feet[body], body),
+        parts=_parts(model, stance, {geom: support[geom] for geom in feet[body]}),
+        load_kg=mass / len(feet),
+        robot_mass_kg=mass,
+        foot_count=len(feet),
+        pose=stance.label,
+        sets=_sets(model, pairs, groups, {geom for several in feet.values() for geom in several}),
+        softening=float(model.body_invweight0[body, 0]) * COPIES * mass / len(feet),
+    )
+
+
+def _ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
+    """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
+    kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
+    return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
+
+
+# --- stance ----------------------------------------------------------------------------------------------------------
+
+
+def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
+    data = mujoco.MjData(model)
+    label = "initial pose"
+    names = [model.key(index).name for index in range(model.nkey)]
+    known = next((name for name in STANDING if name in names), None)
+    if known is not None:
+        mujoco.mj_resetDataKeyframe(model, data, names.index(known))
+        label = f"keyframe {known}"
+    for joint in np.flatnonzero(model.jnt_limited):
+        # A comparison of an enumerator with NumPy's integers depends on the order, so both become Python's.
+        if int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
+            place = model.jnt_qposadr[joint]
+            data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
+    mujoco.mj_kinematics(model, data)
+    turn = Rotation.identity()
+    if up[2] < 1.0:
+        turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
+    return _Stance(
+        label=label,
+        positions_m=turn.apply(data.geom_xpos),
+        rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
+        joint_axes=turn.apply(data.xaxis),
+    )
+
+
+def _first_moving_body(model: mujoco.MjModel, body: int) -> int:
+    """Return the body nearest to the world that moves a body; the body itself when nothing moves it."""
+    first = body
+    while body:
+        if model.body_dofnum[body]:
+            first = body
+        body = int(model.body_parentid[body])
+    return int(first)
+
+
+def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int, driven_joints: set[int]) -> bool:
+    """Return whether the first joints of a body let it rise and fall."""
+    weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
+    for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE:
+            return True
+        if model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_SLIDE:
+            falls = weight > HELD_M_PER_S * model.dof_damping[model.jnt_dofadr[joint]]
+            if abs(stance.joint_axes[joint, 2]) > UPRIGHT and joint not in driven_joints and falls:
+                return True
+    return False
+
+
+def _support_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> NDArray[np.float64]:
+    """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
+    down = -stance.rotations[geom].as_matrix()[2]
+    down[np.abs(down) < FLAT] = 0.0
+    size, kind = model.geom_size[geom], _kind(model, geom)
+    point = down * model.geom_rbound[geom]
+    if kind == "CAPSULE":
+        point = size[0] * down + [0.0, 0.0, size[1] * np.sign(down[2])]
+    elif kind == "CYLINDER":
+        aside = np.array([down[0], down[1], 0.0])
+        point = size[0] * aside / max(float(np.linalg.norm(aside)), FLAT) + [0.0, 0.0, size[1] * np.sign(down[2])]
+    elif kind == "ELLIPSOID":
+        point = size**2 * down / np.linalg.norm(size * down)
+    elif kind == "BOX":
+        point = size * np.sign(down)
+    elif kind == "MESH":
+        vertices = _vertices_m(model, geom)
+        depths = vertices @ down
+        point = vertices[depths > depths.max() - FLAT * float(model.geom_rbound[geom])].mean(axis=0)
+    return np.asarray(stance.positions_m[geom] + stance.rotations[geom].apply(point))
+
+
+def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) -> dict[int, list[int]]:
+    """Return the geoms of each foot that lie as low as its lowest one, within a height.
+
+    A body that carries another one that stands is no foot.
+    """
+    bodies: dict[int, list[int]] = {}
+    for geom in lowest_m:
+        bodies.setdefault(int(model.geom_bodyid[geom]), []).append(geom)
+    carrying = set()
+    for body in bodies:
+        while body := int(model.body_parentid[body]):
+            carrying.add(body)
+    return {
+        body: [geom for geom in geoms if lowest_m[geom] <= min(lowest_m[other] for other in geoms) + within_m]
+        for body, geoms in bodies.items()
+        if body not in carrying
+    }
+
+
+# --- solids ----------------------------------------------------------------------------------------------------------
+
+
+def _parts(model: mujoco.MjModel, stance: _Stance, support_m: dict[int, NDArray[np.float64]]) -> tuple[Part, ...]:
+    """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
+    origin = min(support_m.values(), key=lambda point: float(point[2]))
+    return tuple(
+        Part(
+            shape=_solid(model, geom),
+            pose=Pose.from_rotation(vector(stance.positions_m[geom] - origin), stance.rotations[geom]),
+        )
+        for geom in support_m
+    )
+
+
+def _solid(model: mujoco.MjModel, geom: int) -> Solid:
+    kind = _kind(model, geom)
+    if kind in SOLIDS:
+        return SOLIDS[kind][1](*model.geom_size[geom].tolist())
+    if kind != "MESH":
+        raise NoFootError(f"the foot is a geom of type {kind.lower()}, which the scenes cannot have")
+    vertices = _vertices_m(model, geom)
+    try:
+        hull = vertices[ConvexHull(vertices).vertices]
+    except QhullError:
+        raise NoFootError("the foot is a flat mesh, which the scenes cannot have") from None
+    return ConvexUnion(pieces_m=(tuple(vector(point) for point in hull),))
+
+
+def _kind(model: mujoco.MjModel, geom: int) -> str:
+    """Return the type of a geom, such as `SPHERE`."""
+    return str(mujoco.mjtGeom(int(model.geom_type[geom])).name).removeprefix("mjGEOM_")
+
+
+def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
+    """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
+    mesh = model.geom_dataid[geom]
+    first = model.mesh_vertadr[mesh]
+    vertices: NDArray[np.float64] = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
+    return vertices
+
+
+def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
+    owner = model.body(body).name or f"body {body}"
+    names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
+    known = {"MESH": "hull of a mesh"} | {kind: name for kind, (name, _) in SOLIDS.items()}
+    kinds = [known.get(_kind(model, geom), "geom") for geom in geoms]
+    texts = [f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]
+    if len(texts) > MOST_GEOMS:
+        texts = [*texts[: MOST_GEOMS - 1], f"{len(texts) - MOST_GEOMS + 1} more"]
+    return ", ".join(texts)
+
+
+def _sets(
+    model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], feet: set[int]
+) -> tuple[str, ...]:
+    """Return the names of the judged sets of contact constants that feet have on the ground."""
+    rows = [row for row in _ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
+    own = [contact_settings(model, pairs.constants[row]) for row in rows]
+    names: dict[str, str] = {}
+    for group in groups:
+        # Groups with the same settings are one set, with the name of the first.
+        if group.is_used and group.settings in own:
+            names.setdefault(repr(group.settings), group.geoms)
+    return tuple(names.values())

@@ -1,0 +1,246 @@
+"""Read a training configuration from a MuJoCo model.
+
+A model has contact constants for each pair of geoms, but a simulation of an experiment has one set of constants. It
+runs with each set of moving geoms on the ground, against which feet, wheels and fingers push. All pairs that can
+collide are considered: `mjData.contact` lists only those that touch at the moment.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, ContactPairs, PairKind, can_move, contact_pairs
+from gauge_envs.backends.mujoco.model_settings import (
+    contact_settings,
+    default_contact_settings,
+    effective_constants,
+    option_settings,
+    overrides_contacts,
+)
+from gauge_envs.errors import TargetError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, read_foot
+from gauge_envs.tools.sanity.scenario import check_settings
+
+GRAVITY_TOLERANCE = 0.01
+"""A gravity that differs from the standard one by less than this ratio gets no note."""
+
+MOST_GEOMS = 4
+"""Most geoms of a group that are listed; of a larger group, the others are counted."""
+
+MOST_GROUPS = 4
+"""Most groups with other constants that get a note each."""
+
+REQUIRED_FEATURES = {
+    "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+    "contact": mujoco.mjtDisableBit.mjDSBL_CONTACT,
+    "limit": mujoco.mjtDisableBit.mjDSBL_LIMIT,
+}
+"""Features that a model may switch off, and that the experiments need."""
+
+ABSENT_PARTS = {
+    "flg_adhesion": "adhesion of geoms is not carried over",
+    "flg_surfacevel": "surface velocity of geoms is not carried over",
+    "nflex": "deformable bodies of the model are not read",
+}
+"""Parts that are not carried over, by the count of the model that shows them."""
+
+
+def mujoco_configuration(
+    model: mujoco.MjModel,
+    *,
+    name: str,
+    source: str,
+    pair: tuple[str, str] | None = None,
+    frame_skip: int | None = None,
+) -> TrainingConfiguration:
+    """Return the training configuration of a MuJoCo model, after a trial of its settings.
+
+    Args:
+        model: The compiled model.
+        name: Name of the configuration.
+        source: Description of where the model is from.
+        pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
+        frame_skip: Steps of the engine for one action; None when unknown.
+    """
+    options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
+    used = None if not len(pairs.geoms) and pair is None else _used_constants(model, pairs, pair)
+    groups = () if used is None else _groups(model, pairs, used, all_on_ground=pair is None)
+    contact = default_contact_settings() if used is None else contact_settings(model, used)
+    settings = options | contact
+    check_settings("mujoco", settings)
+    origin = next((group.geoms for group in groups if group.is_used), "MuJoCo's defaults: nothing collides")
+    if overrides_contacts(model):
+        origin = "option, flag override"
+    inapplicable = _inapplicable(model, groups)
+    try:
+        foot = read_foot(model, pairs, groups, up)
+    except NoFootError as error:
+        foot = None
+        inapplicable[Need.FOOT] = str(error)
+    x, y, z = model.opt.gravity.tolist()
+    return TrainingConfiguration(
+        name=name,
+        source=source,
+        backend="mujoco",
+        settings=settings,
+        origins=dict.fromkeys(options, "option") | dict.fromkeys(contact, origin),
+        frame_skip=frame_skip,
+        contact_groups=groups,
+        notes=(*_contact_notes(groups), *_option_notes(model)),
+        inapplicable=inapplicable,
+        gravity_m_per_s2=(x, y, z),
+        up=up,
+        is_model=True,
+        foot_geometry=foot,
+        language="mjcf",
+    )
+
+
+def _inapplicable(model: mujoco.MjModel, groups: tuple[ContactGroup, ...]) -> dict[Need, str]:
+    """Return what phenomena need and the model has not, with the reason."""
+    reasons = {}
+    if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY or not model.opt.gravity.any():
+        reasons[Need.GRAVITY] = "the model has no gravity"
+    if not groups:
+        reasons[Need.CONTACT] = "no two geoms of the model can collide"
+    elif model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT:
+        reasons[Need.CONTACT] = "the model switches contacts off"
+    return reasons
+
+
+def _up(model: mujoco.MjModel) -> tuple[float, float, float]:
+    """Return the coordinate axis nearest to the normal of the first plane of the world; z when there is none."""
+    planes = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_PLANE) & ~can_move(model))
+    axis = np.array([0.0, 0.0, 1.0])
+    if len(planes):
+        normal = np.zeros(3)
+        mujoco.mju_rotVecQuat(normal, axis, model.geom_quat[planes[0]])
+        nearest = np.abs(normal).argmax()
+        axis = np.zeros(3)
+        axis[nearest] = np.sign(normal[nearest])
+    return float(axis[0]), float(axis[1]), float(axis[2])
+
+
+# --- which constants count -------------------------------------------------------------------------------------------
+
+
+def _used_constants(model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str, str] | None) -> NDArray[np.float64]:
+    """Return the constants of a pair, or the most frequent ones of the first kind of pairs, shape [17]."""
+    if pair is not None:
+        wanted = sorted(_geom_id(model, name) for name in pair)
+        rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
+        if not len(rows):
+            raise TargetError(f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can")
+        row: NDArray[np.float64] = pairs.constants[rows[0]]
+        return row
+    rows = np.flatnonzero(pairs.kinds == pairs.kinds.min())
+    effective = effective_constants(model, pairs.constants[rows])
+    _, first, counts = np.unique(effective, axis=0, return_index=True, return_counts=True)
+    most: NDArray[np.float64] = pairs.constants[rows[first[counts.argmax()]]]
+    return most
+
+
+def _groups(
+    model: mujoco.MjModel, pairs: ContactPairs, used: NDArray[np.float64], *, all_on_ground: bool
+) -> tuple[ContactGroup, ...]:
+    """Return the pairs grouped by kind and constants, sorted by kind and number of pairs.
+
+    Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
+    """
+    keys = np.column_stack([pairs.kinds, pairs.constants])
+    _, inverse = np.unique(keys, axis=0, return_inverse=True)
+    groups = []
+    for number in range(inverse.max() + 1):
+        rows = np.flatnonzero(inverse == number)
+        constants = pairs.constants[rows[0]]
+        kind = PairKind(int(pairs.kinds[rows[0]]))
+        is_used = bool((effective_constants(model, constants) == effective_constants(model, used)).all())
+        several = {name: constants[columns].tolist() for name, columns in COLUMNS.items()}
+        named = {name: values if len(values) > 1 else values[0] for name, values in several.items()}
+        group = ContactGroup(
+            geoms=_geoms_text(model, pairs.geoms[rows], kind),
+            pair_count=len(rows),
+            constants=named | {"condim": int(constants[0])},
+            is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
+            settings=contact_settings(model, constants),
+        )
+        groups.append((kind, -len(rows), number, group))
+    return tuple(entry[-1] for entry in sorted(groups, key=lambda entry: entry[:3]))
+
+
+# --- notes -----------------------------------------------------------------------------------------------------------
+
+
+def _option_notes(model: mujoco.MjModel) -> list[str]:
+    option = model.opt
+    notes = []
+    if option.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY:
+        notes.append("the model switches gravity off; rows that need it are declined")
+    elif np.abs(option.gravity - np.array([0.0, 0.0, -GRAVITY_M_PER_S2])).max() > GRAVITY_TOLERANCE * GRAVITY_M_PER_S2:
+        gravity = f"({', '.join(f'{g:g}' for g in option.gravity)})"
+        if not option.gravity[:2].any():
+            gravity = f"{0.0 - float(option.gravity[2]):g}"
+        notes.append(f"gravity of the model is {gravity} m/s^2; the experiments have {GRAVITY_M_PER_S2:g} m/s^2")
+    off = [name for name, bit in REQUIRED_FEATURES.items() if option.disableflags & bit]
+    if off:
+        notes.append(f"the model switches off {', '.join(off)}; the experiments need it")
+    if option.density or option.viscosity or option.wind.any():
+        notes.append("the model's medium (density, viscosity, wind) is not carried over; the experiments have none")
+    return notes + [note for name, note in ABSENT_PARTS.items() if getattr(model, name)]
+
+
+def _contact_notes(groups: tuple[ContactGroup, ...]) -> list[str]:
+    if not groups:
+        return ["no two geoms can collide: rows on contact are declined"]
+    used = next(group for group in groups if group.is_used).constants
+    others = [group for group in groups if not group.is_used]
+    notes = []
+    for group in others[:MOST_GROUPS]:
+        changed = [name for name in COLUMNS if name != "friction" and group.constants[name] != used[name]]
+        if group.constants["friction"][2:] != used["friction"][2:] and group.constants["condim"] > 3:
+            changed.append("friction")
+        differences = ", ".join(f"{name} {_constant_text(group.constants[name])}" for name in changed)
+        noun = "pair" if group.pair_count == 1 else "pairs"
+        notes.append(f"not used: {group.geoms} ({group.pair_count} {noun}) with {differences}")
+    if len(others) > MOST_GROUPS:
+        notes.append(f"not used: {len(others) - MOST_GROUPS} more groups of contacts with other constants")
+    return notes
+
+
+def _constant_text(value: Any) -> str:
+    return " ".join(f"{number:g}" for number in value) if isinstance(value, list) else f"{value:g}"
+
+
+# --- names -----------------------------------------------------------------------------------------------------------
+
+
+def _geom_name(model: mujoco.MjModel, index: int) -> str:
+    """Return the name of a geom; its number and its body when it has no name."""
+    name = model.geom(index).name
+    return name or f"geom {index} of {model.body(int(model.geom_bodyid[index])).name or 'an unnamed body'}"
+
+
+def _geom_id(model: mujoco.MjModel, name: str) -> int:
+    names = [_geom_name(model, index) for index in range(model.ngeom)]
+    if name not in names:
+        raise TargetError(f"the model has no geom {name!r}; it has {', '.join(names)}")
+    return names.index(name)
+
+
+def _geoms_text(model: mujoco.MjModel, geoms: NDArray[np.intp], kind: PairKind) -> str:
+    if kind is PairKind.MOVING:
+        return f"{_listed(model, np.unique(geoms))} with each other"
+    static = ~can_move(model)[geoms]
+    return f"{_listed(model, np.unique(geoms[static]))} with {_listed(model, np.unique(geoms[~static]))}"
+
+
+def _listed(model: mujoco.MjModel, indices: NDArray[np.intp]) -> str:
+    names = [_geom_name(model, int(index)) for index in indices]
+    shown = names if len(names) <= MOST_GEOMS else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

@@ -1,0 +1,97 @@
+"""Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import gymnasium
+import mujoco
+from gymnasium.vector import VectorEnv
+
+from gauge_envs.backends import Simulation
+from gauge_envs.errors import TargetError
+from gauge_envs.experiments.variants import variants
+from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.stacks.mjcf import model_name
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
+
+Target: TypeAlias = str | Path | mujoco.MjModel | gymnasium.Env | VectorEnv[Any, Any, Any] | Mapping[str, Any]
+"""A target of a sanity check; see `gauge_envs.tools.sanity.configuration`."""
+
+VECTOR_KEYS = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
+"""Arguments of `gymnasium.make_vec` that a single environment does not take."""
+
+
+def _read_vector(vector: VectorEnv[Any, Any, Any], pair: GeomPair | None) -> TrainingConfiguration:
+    """Return the configuration of the first environment of a vector; it is made anew where it is in another process."""
+    inner: Any = vector.unwrapped
+    several = getattr(inner, "envs", None)
+    if several:
+        return _read_env(several[0], _env_name(several[0]), pair)
+    spec = vector.spec
+    if spec is None:
+        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
+        raise NotATargetError(f"{kind} shows neither its environments nor a spec of them")
+    single = {name: value for name, value in spec.kwargs.items() if name not in VECTOR_KEYS}
+    return _read_id(spec.id, pair, single)
+
+
+def _read_id(name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None) -> TrainingConfiguration:
+    own = {variant.name: variant.id for variant in variants()}
+    try:
+        env = gymnasium.make(own.get(name, name), **(kwargs or {}))
+    except Exception as error:  # Other environments raise exceptions of any kind.
+        cause = " ".join(str(error).split())
+        raise NotATargetError(f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})") from error
+    try:
+        return _read_env(env, name, pair)
+    finally:
+        env.close()
+
+
+def _read_env(env: gymnasium.Env, name: str, pair: GeomPair | None) -> TrainingConfiguration:
+    inner: Any = env.unwrapped
+    simulation = getattr(inner, "simulation", None)
+    if isinstance(simulation, Simulation):
+        if pair is not None:
+            raise TargetError(f"{name}: an environment of this suite has no geoms to choose from")
+        settings = {key: value for key, value in simulation.settings.items() if key != "drive_interval_s"}
+        return TrainingConfiguration(
+            name=name,
+            source="environment of this suite",
+            backend=inner.backend_name,
+            settings=settings,
+            origins=dict.fromkeys(settings, f"settings of {name}"),
+        )
+    model = getattr(inner, "model", None)
+    if not isinstance(model, mujoco.MjModel):
+        kind = f"{type(inner).__module__}.{type(inner).__qualname__}"
+        raise NotATargetError(f"{name} is {kind}, which has no MuJoCo model")
+    source = f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}"
+    return mujoco_configuration(
+        model, name=name, source=source, pair=pair, frame_skip=getattr(inner, "frame_skip", None)
+    )
+
+
+def _env_name(env: gymnasium.Env) -> str:
+    return type(env.unwrapped).__name__ if env.spec is None else env.spec.id
+
+
+READERS = (
+    # It takes every text, so it is the last reader of texts.
+    Reader(
+        "a Gymnasium id with a MuJoCo model (HalfCheetah-v5)",
+        lambda target: isinstance(target, str | Path),
+        lambda target, pair: _read_id(str(target), pair),
+    ),
+    Reader(
+        "an env",
+        lambda target: isinstance(target, gymnasium.Env),
+        lambda target, pair: _read_env(target, _env_name(target), pair),
+    ),
+    # All of its environments have one configuration.
+    Reader("a vector env", lambda target: isinstance(target, VectorEnv), _read_vector),
+)

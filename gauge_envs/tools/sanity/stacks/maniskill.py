@@ -1,0 +1,210 @@
+"""ManiSkill: a task by its name, an environment, or a SimConfig.
+
+A task is read without starting it, and without importing ManiSkill, which imports PyTorch and looks for a GPU driver:
+its source is evaluated for its `_default_sim_config`. Changes are a SimConfig:
+`SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import is_dataclass
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.model import TrainingConfiguration
+from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
+from gauge_envs.tools.sanity.python_source.values import UNKNOWN, External, Instance, PythonClass, plain
+from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material
+from gauge_envs.tools.sanity.stacks.reader import Reader, has_start
+from gauge_envs.tools.sanity.stacks.table import Table
+
+PREFIX = "maniskill:"
+"""Start of the name of a task."""
+
+PACKAGE = "mani_skill"
+
+METHOD = "_default_sim_config"
+"""Property of an environment that returns its SimConfig."""
+
+MEMORY = "gpu_memory_config"
+"""Field of a SimConfig that does not change the physics."""
+
+REGISTER = "register_env"
+"""Decorator with which ManiSkill registers a task."""
+
+LINK_DAMPING_PER_S = 0.05
+"""Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
+
+MOST_NAMED = 8
+"""Most tasks that the message on an unknown one names."""
+
+MATERIAL = Material.constant("body", "sim_config.default_materials_config", friction=0.3)
+"""Default material of ManiSkill 3."""
+
+
+def _step_s(table: Table, key: str) -> float:
+    rate = table.number(key)
+    if rate is None or not 0.0 < rate < float("inf"):
+        raise TargetError(f"{table.source}: there is no positive {table.name(key)}: give all fields of a SimConfig")
+    return 1.0 / rate
+
+
+def _solver(table: Table, key: str) -> str | None:
+    uses_tgs = table.flag(key)
+    return None if uses_tgs is None else SOLVERS[uses_tgs]
+
+
+RATE = Kind(_step_s, lambda step_s: str(round(1.0 / step_s)))
+"""Step, stated by its inverse."""
+
+TGS = Kind(_solver, lambda name: str(name == "TGS"))
+"""Solver, stated by a flag."""
+
+SCENE, LINKS = "scene_config", "links"
+
+DAMPING = "[link.set_{key}({value}) for link in self.agent.robot.links]"
+"""Call for a setting of links, which a SimConfig has no field for."""
+
+MANISKILL = Dialect(
+    name="maniskill",
+    settings=(
+        Setting("timestep_s", "sim_config", "sim_freq", RATE),
+        Setting("bounce_threshold_m_per_s", SCENE, "bounce_threshold"),
+        Setting("sleep_threshold_m2_per_s2", SCENE, "sleep_threshold"),
+        Setting("contact_offset_m", SCENE, "contact_offset"),
+        Setting("rest_offset_m", SCENE, "rest_offset"),
+        Setting("position_iterations", SCENE, "solver_position_iterations", WHOLE),
+        Setting("velocity_iterations", SCENE, "solver_velocity_iterations", WHOLE),
+        Setting("persistent_manifolds", SCENE, "enable_pcm", FLAG),
+        Setting("continuous_detection", SCENE, "enable_ccd", FLAG),
+        Setting("enhanced_determinism", SCENE, "enable_enhanced_determinism", FLAG),
+        Setting("friction_every_iteration", SCENE, "enable_friction_every_iteration", FLAG),
+        Setting("solver", SCENE, "enable_tgs", TGS),
+        Setting("link_linear_damping_per_s", LINKS, "linear_damping", pattern=DAMPING),
+        Setting("angular_damping_per_s", LINKS, "angular_damping", pattern=DAMPING),
+    ),
+    other="{key}={value}",
+    places={
+        SCENE: Place(form="scene_config=SceneConfig({})", within="sim_config"),
+        "sim_config": Place(form="SimConfig({})"),
+    },
+    text=number_text,
+    other_text=number_text,
+    gravity="SimConfig(scene_config=SceneConfig(gravity=[{}]))",
+    is_closed=True,
+)
+
+
+def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source: str) -> TrainingConfiguration:
+    """Return the training configuration of a SimConfig.
+
+    Args:
+        sim_config: The fields of a SimConfig, as `dataclasses.asdict` returns them.
+        name: Name of the configuration.
+        source: Description of where it is from.
+    """
+    table = Table(sim_config, source=name, path="sim_config")
+    scene = table.part("scene_config")
+    values = PhysxValues("out_of_box", MANISKILL)
+    values.take_places({"sim_config": table, SCENE: scene})
+    values.origins["timestep_s"] = "1 / sim_config.sim_freq"
+    stated = table.table("default_materials_config")
+    ground, robot = (stated_material(stated, body, MATERIAL) for body in ("ground", "robot"))
+    values.take_articulation()
+    for setting in ("link_linear_damping_per_s", "angular_damping_per_s"):
+        values.take(setting, LINK_DAMPING_PER_S, "SAPIEN's default for links")
+    values.notes.append("materials that a task gives its own objects, and friction of joints, are not seen")
+    control = table.number("control_freq")
+    return values.configuration(
+        table,
+        name=name,
+        source=source,
+        gravity_m_per_s2=scene.numbers("gravity", 3),
+        frame_skip=None if not control or control < 0.0 else round((table.number("sim_freq") or 0.0) / control),
+        foot_contact=combined(ground, robot),
+    )
+
+
+# --- a task by its name ----------------------------------------------------------------------------------------------
+
+
+def task_sim_config(name: str) -> dict[str, Any]:
+    """Return the fields of the SimConfig of a task of the installed ManiSkill.
+
+    Args:
+        name: `maniskill:TASK`, as `maniskill:PickCube-v1`.
+    """
+    folder = package_folder(PACKAGE, "ManiSkill", "mani-skill")
+    source, known = _registered(folder)
+    task = name.removeprefix(PREFIX)
+    if task not in known:
+        near = get_close_matches(task, known, n=MOST_NAMED, cutoff=0.5) or sorted(known)[:MOST_NAMED]
+        version = package_version(PACKAGE)
+        raise TargetError(f"{name}: ManiSkill {version} has no task {task!r}; similar ones: {', '.join(near)}")
+    return _fields(source.attribute(Instance(known[task]), METHOD), f"{name}: {METHOD}")
+
+
+@cache
+def _registered(folder: Path) -> tuple[Source, dict[str, PythonClass]]:
+    """Return ManiSkill's source, and the classes that it registers as tasks, by the task's name."""
+    source = Source(folder, PACKAGE, {"numpy.array": lambda args, _: args[0]})
+    found = {}
+    for module in source.modules("envs", REGISTER):
+        for tree in (node for node in module.tree.body if isinstance(node, ast.ClassDef)):
+            for call in tree.decorator_list:
+                if isinstance(call, ast.Call) and ast.unparse(call.func) == REGISTER and call.args:
+                    found[source.evaluate(call.args[0], module)] = PythonClass(module, tree)
+    return source, {str(task): kind for task, kind in found.items()}
+
+
+def _fields(config: Any, where: str) -> dict[str, Any]:
+    """Return the fields of a configuration in the source as tables; an error where one is not known."""
+    if not isinstance(config, Instance):
+        raise TargetError(f"{where} is computed: give the environment to gauge_envs.tools.sanity.check")
+    found = {}
+    for key, value in config.attributes.items():
+        if key == MEMORY:
+            continue
+        is_known = value is not UNKNOWN and not isinstance(value, External)
+        is_table = isinstance(value, Instance) or not is_known
+        found[key] = _fields(value, f"{where}: {key}") if is_table else plain(value)
+    return found
+
+
+# --- reader ----------------------------------------------------------------------------------------------------------
+
+
+def _is_sim_config(value: Any) -> bool:
+    if isinstance(value, Mapping):
+        return "sim_freq" in value and "scene_config" in value
+    return is_dataclass(value) and not isinstance(value, type) and hasattr(value, "sim_freq")
+
+
+def _matches(target: Any) -> bool:
+    if isinstance(target, str | Path):
+        return has_start(PREFIX)(target)
+    return _is_sim_config(target) or _is_sim_config(getattr(getattr(target, "unwrapped", None), "sim_config", None))
+
+
+def _read(target: Any) -> TrainingConfiguration:
+    if isinstance(target, str | Path):
+        source = f"ManiSkill {package_version(PACKAGE)}, {METHOD} of the task"
+        return maniskill_configuration(task_sim_config(str(target)), name=str(target), source=source)
+    if _is_sim_config(target):
+        return maniskill_configuration(plain(target), name="SimConfig", source="ManiSkill's SimConfig")
+    spec = getattr(target, "spec", None)
+    name = type(target.unwrapped).__name__ if spec is None else spec.id
+    return maniskill_configuration(plain(target.unwrapped.sim_config), name=name, source="environment of ManiSkill")
+
+
+DIALECTS = (MANISKILL,)
+
+READERS = (
+    Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, lambda target, _: _read(target), has_geoms=False),
+)

@@ -1,0 +1,53 @@
+"""Define a reader: one kind of target, how it is recognized, and how its configuration is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.model import TrainingConfiguration
+
+if TYPE_CHECKING:
+    import mujoco
+
+GeomPair: TypeAlias = tuple[str, str]
+"""Names of two geoms of a model."""
+
+
+class NotATargetError(TargetError):
+    """No reader knows the target; the message is completed with what can be given."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One kind of target.
+
+    Attributes:
+        accepts: What a user gives, with an example, for messages: `a model file (.xml, .mjcf, .urdf)`.
+        matches: Function that returns whether a target is of this kind, without side effects. It may look into a file,
+            and must not raise an error.
+        read: Function that returns the configuration of a target of this kind. It gets a pair of geoms, or None, when
+            `has_geoms`. It raises `TargetError` for what it cannot read.
+        has_geoms: Whether a target of this kind may have geoms from which a user chooses a pair.
+        model: Function that returns the compiled model of a target, with the options that it trains with; None when a
+            target of this kind has no limits of contacts that are run.
+    """
+
+    accepts: str
+    matches: Callable[[Any], bool]
+    read: Callable[[Any, GeomPair | None], TrainingConfiguration]
+    has_geoms: bool = True
+    model: Callable[[Any], mujoco.MjModel] | None = None
+
+
+def has_start(*starts: str) -> Callable[[Any], bool]:
+    """Return a function that returns whether a target is a text with one of some starts."""
+    return lambda target: isinstance(target, str | Path) and str(target).startswith(starts)
+
+
+def has_suffix(*suffixes: str) -> Callable[[Any], bool]:
+    """Return a function that returns whether a target is the name of a file with one of some suffixes."""
+    return lambda target: isinstance(target, str | Path) and Path(target).suffix.lower() in suffixes

@@ -1,0 +1,278 @@
+"""Each stack has one dialect, read and written by one table: what is read of a written change is the change."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from math import radians
+from pathlib import Path
+from types import ModuleType, SimpleNamespace
+from typing import Any
+
+import mujoco
+import numpy as np
+import pytest
+
+from gauge_envs.tools.sanity import TrainingConfiguration, configuration
+from gauge_envs.tools.sanity.stacks import LANGUAGES, OBJECTS, TEXTS, dialect, genesis
+from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
+from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
+from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
+from gauge_envs.tools.sanity.stacks.mjlab import mjlab_configuration
+
+FLAGS = dict.fromkeys(("warmstart", "refsafe", "eulerdamp", "nativeccd", "multiccd", "island"), (False, True))
+
+MUJOCO: Mapping[str, tuple[Any, ...]] = {
+    "timestep_s": (0.0025, 0.004),
+    "integrator": ("Euler", "implicitfast", "RK4"),
+    "cone": ("elliptic", "pyramidal"),
+    "solver": ("PGS", "CG", "Newton"),
+    **dict.fromkeys(("impratio", "tolerance", "ls_tolerance", "noslip_tolerance"), (0.0125, 40.0)),
+    **dict.fromkeys(("ccd_tolerance", "sleep_tolerance"), (0.0125, 40.0)),
+    **dict.fromkeys(("iterations", "ls_iterations", "noslip_iterations", "ccd_iterations"), (7, 110)),
+    **FLAGS,
+    **dict.fromkeys(("diagexact", "sleep", "speculative"), (True, False)),
+    "contact_solref": ((0.004, 1.5), (-300.0, -20.0)),
+    "contact_solimp": ((0.8, 0.9, 0.002, 0.4, 3.0), (0.95, 0.99, 0.01, 0.5, 2.0)),
+    "contact_margin_m": (0.01, 0.002),
+    "contact_gap_m": (0.003, 0.005),
+    "condim": (4, 6),
+    "njmax": (40, 90),
+    "naconmax": (300, 800),
+}
+"""Values of the settings of MuJoCo's stacks."""
+
+PHYSX: Mapping[str, tuple[Any, ...]] = {
+    "timestep_s": (0.0025, 0.004),
+    "solver": ("PGS", "TGS"),
+    **dict.fromkeys(("position_iterations", "velocity_iterations"), (3, 17)),
+    **dict.fromkeys(("continuous_detection", "enhanced_determinism", "persistent_manifolds"), (True, False)),
+    "friction_every_iteration": (True, False),
+    "tolerance_length_m": (0.1, 2.0),
+    "rest_offset_m": (0.001, 0.002),
+    "max_angular_velocity_rad_per_s": (radians(300.0), radians(500.0)),
+}
+"""Values of the settings of stacks on PhysX; all others are numbers."""
+
+NUMBERS = (0.0125, 0.5)
+
+GENESIS: Mapping[str, tuple[Any, ...]] = {
+    "precision": (32, 64),
+    "timestep_s": (0.0025, 0.004),
+    "integrator": ("Euler", "implicitfast", "approximate_implicitfast"),
+    "constraint_solver": ("CG", "Newton"),
+    "friction_cone": ("elliptic", "pyramidal"),
+    "contact_resolution": ("signorini", "convex"),
+    **dict.fromkeys(("iterations", "line_search_iterations", "noslip_iterations"), (7, 110)),
+    **dict.fromkeys(("multi_contact", "box_box_detection", "gjk"), (False, True)),
+    "sustained_timeconst_s": (0.03, 0.05),
+    "sustained_impedance": ((0.8, 0.9, 0.002), (0.95, 0.99, 0.01)),
+}
+"""Values of the settings of Genesis; all others are numbers."""
+
+
+class Tables(SimpleNamespace):
+    """Nested tables whose entries are attributes, which come into being where they are named."""
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("__"):
+            raise AttributeError(name)
+        setattr(self, name, Tables())
+        return getattr(self, name)
+
+    def plain(self) -> dict[str, Any]:
+        return {name: one.plain() if isinstance(one, Tables) else one for name, one in vars(self).items()}
+
+
+def merged(first: dict[str, Any], second: Mapping[str, Any]) -> dict[str, Any]:
+    """Return nested tables with the entries of others."""
+    for name, one in second.items():
+        first[name] = merged(first.get(name) or {}, one) if isinstance(one, Mapping) else one
+    return first
+
+
+def found(read: TrainingConfiguration) -> dict[str, Any]:
+    """Return settings, and limits of contacts by the same names."""
+    limits = None if read.capacity is None else read.capacity.limits
+    return {**read.settings, **({} if limits is None else {"njmax": limits.njmax, "naconmax": limits.naconmax})}
+
+
+# --- one stack each: from a snippet to what is read of it -------------------------------------------------------------
+
+
+def of_mjcf(text: str, _: Path) -> dict[str, Any]:
+    parts = text.replace(" and ", "\n")
+    # Margins and gaps of two geoms add up, so the plane has none of its own.
+    plane, ball = '<geom type="plane" size="1 1 1" margin="0" gap="0"/>', '<body><freejoint/><geom size=".1"/></body>'
+    return found(
+        configuration(mujoco.MjModel.from_xml_string(f"<mujoco>{parts}<worldbody>{plane}{ball}</worldbody></mujoco>"))
+    )
+
+
+def of_playground(text: str, _: Path) -> dict[str, Any]:
+    if not text.startswith("config_overrides="):
+        return of_mjcf(text, _)
+    names = {"sim_dt": "timestep_s", "njmax": "njmax", "naconmax": "naconmax"}
+    overrides = eval(text.removeprefix("config_overrides="))
+    limits = playground_limits(overrides)
+    return {names[key]: limits.get(names[key], value) for key, value in overrides.items()}
+
+
+def playground_limits(overrides: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the limits that are read of an environment of Playground with such overrides."""
+    kind = type("Env", (), {"__module__": "mujoco_playground.env"})
+    env = kind()
+    env.mj_model, env._config = mujoco.MjModel.from_xml_string("<mujoco/>"), {"impl": "warp", **overrides}
+    read = found(configuration(env))
+    return {name: read[name] for name in ("njmax", "naconmax")}
+
+
+ROBOT = (
+    '<mujoco><worldbody><body pos="0 0 .2"><freejoint/><geom name="foot" size=".1"/></body></worldbody></mujoco>',
+    "import mujoco\nfrom pathlib import Path\n"
+    'def spec():\n    return mujoco.MjSpec.from_file(str(Path(__file__).parent / "robot.xml"))\n',
+)
+
+
+def of_mjlab(text: str, folder: Path) -> dict[str, Any]:
+    names = {
+        "SimulationCfg": lambda **sim: {"sim": sim},
+        "MujocoCfg": dict,
+        "CollisionCfg": lambda **constants: {"collisions": [{"geom_names_expr": ["foot"], "priority": 1} | constants]},
+    }
+    (folder / "mjlab").mkdir(exist_ok=True)
+    for name, content in zip(("robot.xml", "robot.py", "__init__.py"), (*ROBOT, ""), strict=True):
+        (folder / "mjlab" / name).write_text(content)
+    robot = {"spec_fn": "mjlab.robot.spec"}
+    cfg: dict[str, Any] = {"scene": {"entities": {"robot": robot}}}
+    for part in text.split(" and "):
+        value = eval(part, names)
+        (robot if "collisions" in value else cfg).update(value)
+    return found(mjlab_configuration(cfg, name="task", source="test"))
+
+
+def of_isaac_lab(text: str, _: Path) -> dict[str, Any]:
+    made = Tables()
+    exec(text, {"self": made, "sim_utils": SimpleNamespace(CollisionPropertiesCfg=Tables)})
+    place = "physics" if "sim.physics" in text else "physx"
+    base = {"sim": {"dt": 0.005, place: {"bounce_threshold_velocity": 0.5}}, "scene": {"robot": {"spawn": {}}}}
+    return found(isaac_lab_configuration(merged(base, made.plain()), name="task", source="test"))
+
+
+def of_isaac_gym(text: str, _: Path) -> dict[str, Any]:
+    names = {"sim": Tables(dt=0.005, substeps=2, physx=Tables(num_position_iterations=4)), "asset": Tables()}
+    exec(text, names)
+    cfg = {key: names[key].plain() for key in ("sim", "asset")}
+    return found(isaac_gym_configuration(cfg, name="task", source="test"))
+
+
+def of_maniskill(text: str, _: Path) -> dict[str, Any]:
+    fields = eval(text, {"SimConfig": dict, "SceneConfig": dict})
+    return found(maniskill_configuration(merged({"sim_freq": 100}, fields), name="task", source="test"))
+
+
+class Constants(np.ndarray):
+    """Constants of two geoms, in the form of a tensor."""
+
+    def cpu(self) -> Constants:
+        return self
+
+    def numpy(self) -> np.ndarray:
+        return np.asarray(self)
+
+
+class Geom(SimpleNamespace):
+    """A geom, which is a key of tables."""
+
+    __hash__ = object.__hash__
+
+
+class Names:
+    """Constants of Genesis: `gs.integrator.Euler` is the text `Euler`."""
+
+    def __getattr__(self, name: str) -> str:
+        return name
+
+
+def of_genesis(text: str, _: Path) -> dict[str, Any]:
+    given: dict[str, Any] = {"precision": "32"}
+    options = SimpleNamespace(SimOptions=lambda **sim: {"sim": sim}, RigidOptions=lambda **rigid: {"rigid": rigid})
+    gs = SimpleNamespace(init=lambda **init: given.update(init), options=options)
+    for name in ("integrator", "constraint_solver", "friction_cone", "contact_resolution"):
+        setattr(gs, name, Names())
+    constants = np.array([[0.02, 1.0, 0.9, 0.95, 0.001, 0.5, 2.0]] * 2).view(Constants)
+    links = [SimpleNamespace(is_fixed=True, name="ground"), SimpleNamespace(is_fixed=False, name="ball")]
+    geoms = [Geom(contype=1, conaffinity=1, link=link, idx=place) for place, link in enumerate(links)]
+    solver = SimpleNamespace(geoms=geoms, get_sol_params=lambda: constants, set_sol_params=lambda values: None)
+    kind = type("Scene", (), {"__module__": "genesis.engine.scene"})
+    scene = kind()
+    scene.is_built, scene.rigid_solver = True, solver
+    made: dict[str, Any] = {"sim": {"dt": 0.01, "substeps": 1, "gravity": (0.0, 0.0, -9.81)}, "rigid": {}}
+    for part in re.split(r" and (?=gs\.|sim_options|rigid_options|sol_params)", text):
+        if part.startswith("sol_params"):
+            exec(part, {"scene": scene, "torch": SimpleNamespace(tensor=np.array)})
+        else:
+            value = eval(re.sub(r"^\w+=", "", part), {"gs": gs})
+            merged(made, value or {})
+    scene.options = SimpleNamespace(
+        sim=SimpleNamespace(**made["sim"]),
+        rigid=SimpleNamespace(**{**dict.fromkeys(genesis.SCENE_OPTIONS), **made["rigid"]}),
+    )
+    size = SimpleNamespace(itemsize=8 if given["precision"] == "64" else 4)
+    sys.modules["genesis"].tc_float = size  # type: ignore[attr-defined]
+    return found(configuration(scene))
+
+
+def of_toml(text: str, folder: Path) -> dict[str, Any]:
+    file = folder / "settings.toml"
+    file.write_text('backend = "mujoco"\n[settings]\n' + re.sub(r", (?=\w+ = )", "\n", text), encoding="utf-8")
+    return dict(configuration(file).settings)
+
+
+Reading = Callable[[str, Path], dict[str, Any]]
+
+READINGS: Mapping[str, tuple[Reading, Mapping[str, tuple[Any, ...]]]] = {
+    "mjcf": (of_mjcf, MUJOCO),
+    "playground": (of_playground, MUJOCO),
+    "mjlab": (of_mjlab, MUJOCO),
+    "isaac_lab": (of_isaac_lab, PHYSX),
+    "isaac_lab_3": (of_isaac_lab, PHYSX),
+    "isaac_gym": (of_isaac_gym, PHYSX),
+    "maniskill": (of_maniskill, PHYSX),
+    "genesis": (of_genesis, GENESIS),
+    "toml": (of_toml, {name: values for name, values in MUJOCO.items() if name not in ("njmax", "naconmax")}),
+}
+"""What reads a snippet of each dialect, and values of its settings; Newton's has a test with Newton's own objects."""
+
+NOT_READ = {"link_linear_damping_per_s", "angular_damping_per_s"}
+"""Settings that ManiSkill changes by a call on each link: no SimConfig states them."""
+
+
+def cases() -> Iterator[tuple[str, str]]:
+    for name, (_, values) in READINGS.items():
+        known = dialect(name)
+        stated = [one.name for one in known.settings] or list(values)
+        for setting in dict.fromkeys(stated):
+            if name != "maniskill" or setting not in NOT_READ:
+                yield name, setting
+
+
+def test_every_dialect_is_read_here_or_with_its_engine() -> None:
+    stacks = {*TEXTS, *OBJECTS} - {"probe", "settings", "gymnasium_env", "dm_control", "batched"}
+    assert {*stacks, *LANGUAGES} == {*READINGS, "newton"}
+
+
+@pytest.mark.parametrize(("name", "setting"), list(cases()))
+def test_reading_what_a_dialect_writes_gives_the_setting_back(
+    name: str, setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setitem(sys.modules, "genesis", ModuleType("genesis"))
+    monkeypatch.setattr(genesis, "check_settings", lambda *_: None)
+    reading, known = READINGS[name]
+    written = dialect(name)
+    assert written.writes(setting)
+    for value in known.get(setting, NUMBERS):
+        read = reading(written.paste_text({setting: value}), tmp_path)[setting]
+        assert read == value if isinstance(value, str) else read == pytest.approx(value, rel=1e-6)
