@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from places import ROOT
 
 newton = pytest.importorskip("newton")
 
@@ -151,15 +150,6 @@ def test_other_solvers_are_sent_to_the_export(name: str) -> None:
 def test_an_option_that_is_not_run_is_an_error(arguments: dict[str, str], message: str) -> None:
     with pytest.raises(TargetError, match=message):
         newton_configuration(solver_of(model_of({}), **arguments))
-
-
-def test_the_page_prints_what_it_states(capsys: pytest.CaptureFixture[str]) -> None:
-    (code,) = re.findall(r"^```python\n(.*?)^```$", (ROOT / "docs" / "sanity_newton.md").read_text(), re.M | re.S)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        exec(compile(code, "sanity_newton.md", "exec"), {"__name__": "guide"})
-    stated = re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.M)
-    assert len(stated) == 2 and capsys.readouterr().out.splitlines()[-2:] == stated
 
 
 # --- what is reported ------------------------------------------------------------------------------------------------
