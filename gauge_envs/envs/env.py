@@ -166,10 +166,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         episode.advance(self.simulation, episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
-        info = episode.info()
-        if fault:
-            info["diverged"] = fault
-        return episode.observation(), episode.reward(), bool(fault), truncated, info
+        return episode.observation(), episode.reward(), bool(fault), truncated, episode.info()
 
     def trajectory(self) -> Trajectory:
         """Return what the current episode has recorded so far.

@@ -11,11 +11,11 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gauge_envs.backends import backend_for
-from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, jittered_experiment, start_of
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.episode import Episode, advance_together, run_on_together
+from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.lockstep import episodes_in_lockstep
 from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
@@ -128,29 +128,16 @@ def run_repeats(request: RunRequest) -> list[Result]:
         against its own single-shot trial.
     """
     experiment = request.experiment()
-    engine = backend_for(request.backend, experiment.model_file)
-    band = request.band(experiment)
     seeds = range(request.seed, request.seed + request.repeats)
     starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
     runs = [
         jittered_experiment(experiment, start, seed=seed, backend=request.backend)
         for start, seed in zip(starts, seeds, strict=True)
     ]
-    worlds = engine.build_worlds([run.scene for run in runs], request.settings)
+    lockstep = episodes_in_lockstep(request, runs, experiment, request.band(experiment))
     try:
         clock = _Clock()
-        worlds.reset(request.seed)
-        episodes = [
-            Episode(
-                run,
-                world,
-                band=band if run.trial is None else request.band(run),
-                marker_proxy=request.proxy,
-                backend=request.backend,
-            )
-            for run, world in zip(runs, worlds.worlds, strict=True)
-        ]
-        run_together(episodes, worlds)
+        lockstep.play(request.seed)
         shares_s = clock.wall_s / request.repeats, clock.cpu_s / request.repeats
         results = [
             _finished(
@@ -158,29 +145,14 @@ def run_repeats(request: RunRequest) -> list[Result]:
                 planned_result(request, experiment, seed=seed, jitter=jitter),
                 episode,
                 episode.score(),
-                engine_versions=engine.versions(),
+                engine_versions=versions_of(request.backend),
                 times_s=shares_s,
             )
-            for seed, jitter, episode in zip(seeds, starts, episodes, strict=True)
+            for seed, jitter, episode in zip(seeds, starts, lockstep.episodes, strict=True)
         ]
     finally:
-        worlds.close()
+        lockstep.worlds.close()
     return with_measured_uncertainty(request, results) if request.uncertainty else results
-
-
-def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
-    """Run episodes with zero actions to their end, all worlds at once.
-
-    An episode that diverges ends there, with the reason in its `fault`; the others continue.
-    """
-    zero = {number: np.zeros(episode.action_space.shape or 0) for number, episode in enumerate(episodes)}
-    for episode in episodes:
-        episode.begin()
-    while running := {number: episode for number, episode in enumerate(episodes) if not episode.is_over}:
-        advance_together(running, worlds, zero)
-        for episode in running.values():
-            episode.end_frame()
-    run_on_together(episodes, worlds)
 
 
 def planned_result(

@@ -171,7 +171,6 @@ def _start(result: Result) -> Jitter | TrialStart | None:
 def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int) -> Replay:
     """Run an episode to its end with zero actions, and return its views, a number in each frame."""
     samples_per_view = SAMPLES_PER_FRAME // views
-    zero = np.zeros(episode.action_space.shape or 0)
     names = tuple(episode.poses())
     poses: list[Any] = []
     nodes: dict[str, list[Any]] = {body.name: [] for body in scene.deformables}
@@ -184,11 +183,9 @@ def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int
         for name, points in episode.nodes_m().items():
             nodes[name].append(points.astype(np.float32))
 
-    episode.begin()
+    # The start is a view too; the world is there.
     look(-1)
-    while not episode.is_over:
-        episode.advance(simulation, zero, after_sample=look)
-        episode.end_frame()
+    episode.play(simulation, after_sample=look)
     return Replay(
         rate_hz=FRAME_RATE_HZ * views,
         bodies=names,

@@ -116,11 +116,7 @@ def _frames(
     try:
         simulation.reset(0)
         episode = Episode(experiment, simulation, band=None, marker_proxy=request.proxy)
-        episode.begin()
-        zero = np.zeros(episode.action_space.shape or 0)
-        while not episode.is_over:
-            episode.advance(simulation, zero)
-            episode.end_frame()
+        episode.play(simulation)
         if episode.fault is not None:
             raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
         return episode.trajectory().frames, simulation.settings

@@ -14,11 +14,12 @@ from scipy.spatial.distance import pdist
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
+from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.jitter import JITTER_FORMAT, jittered
@@ -136,13 +137,15 @@ def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
 def test_one_world_that_diverges_leaves_the_others() -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     worlds = backend("mujoco").build_worlds([experiment.scene] * 2)
-    worlds.reset(0)
-    worlds.worlds[0].data.qvel[0] = 900.0
     episodes = [
         Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
         for world in worlds.worlds
     ]
-    run_together(episodes, worlds)
+    lockstep = EpisodesOneByOne(episodes, worlds)
+    lockstep.begin(0)
+    worlds.worlds[0].data.qvel[0] = 900.0
+    while lockstep.running.size:
+        lockstep.step([0, 0])
     assert "m/s" in episodes[0].fault
     assert episodes[1].fault is None
     assert [episode.frame for episode in episodes] == [1, experiment.frame_count - 1]

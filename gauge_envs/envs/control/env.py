@@ -16,6 +16,7 @@ from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.envs.divergence import speed_fault
+from gauge_envs.envs.lockstep import run_frames
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
@@ -203,14 +204,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s."""
-        frame = self.frame(action)
-        while True:
-            try:
-                next(frame)
-            except StopIteration as end:
-                step: Step = end.value
-                return step
-            self.simulation.advance(SAMPLE_INTERVAL_S)
+        return run_frames({0: self.frame(action)}, lambda _: self.simulation.advance(SAMPLE_INTERVAL_S))[0]
 
     def frame(self, action: Any) -> Generator[None, None, Step]:
         """Drive one frame of a world that someone else advances; return what `step` returns.

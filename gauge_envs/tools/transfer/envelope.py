@@ -14,7 +14,7 @@ from scipy.stats import norm, qmc
 
 from gauge_envs.envs.control.limit import LimitReport
 from gauge_envs.envs.control.play import Policy
-from gauge_envs.envs.control.worlds import ControlWorlds
+from gauge_envs.envs.control.vector import ControlWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import TaskExperiment
