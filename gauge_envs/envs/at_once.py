@@ -19,14 +19,14 @@ from gauge_envs.backends.base import World, Worlds
 from gauge_envs.backends.recording import Recording
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode, Observation, reward_terms
-from gauge_envs.envs.lockstep import AddInfo, Lockstep, Numbers, Rollout
-from gauge_envs.evaluation.device_scores import device_array, score_recording
+from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
+from gauge_envs.evaluation.worlds import device_array, score_recording
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
 
 
-class EpisodesAtOnce(Lockstep):
+class EpisodesAtOnce(EpisodesOneByOne):
     """Episodes of rigid bodies without drivers, on worlds of an engine that advances all of them in one call."""
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
@@ -71,7 +71,7 @@ class EpisodesAtOnce(Lockstep):
         if not (isinstance(actions, np.ndarray) and actions.shape == self._shown.shape and not actions.any()):
             self._rates(actions)
         self.ran = running = self.running
-        self._advance(running, self._frame)
+        self._advance_all(running, self._frame)
         self._frame += 1
         states = self.worlds.body_states(self._dynamic)
         self._bodies[self._frame, running] = states[running][:, self._rows]
@@ -95,7 +95,7 @@ class EpisodesAtOnce(Lockstep):
         started, counts = running, np.zeros(len(self.episodes), dtype=np.intp)
         for later in range(self.episodes[running[0]].later_limit):
             frame = self._frame + later
-            self._advance(running, frame)
+            self._advance_all(running, frame)
             now = self.worlds.body_states(self._dynamic)
             rows = self._samples[frame * SAMPLES_PER_FRAME + 1 : (frame + 1) * SAMPLES_PER_FRAME + 1]
             ended = ~np.isfinite(rows).all(axis=(0, 2))
@@ -151,7 +151,7 @@ class EpisodesAtOnce(Lockstep):
         samples = np.where((numbers[:, None] < counts)[:, :, None], self._samples, np.nan)
         return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(1, 0, 2)
 
-    def _advance(self, running: Numbers, frame: int) -> None:
+    def _advance_all(self, running: Numbers, frame: int) -> None:
         """Advance all worlds from a frame to the next, and record g(t) of some."""
         for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
             self.worlds.advance(SAMPLE_INTERVAL_S)

@@ -8,12 +8,17 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
+from gauge_envs.envs.arguments import (
+    EnvArguments,
+    EnvKeywords,
+    TrialStart,
+    jitter_option,
+    jittered_experiment,
+    start_of,
+)
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
 from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.tracked import episode_picture
-from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
@@ -203,6 +208,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         if self.render_mode is None:
             return None
+        from gauge_envs.envs.rendering.overlay import episode_picture
+
         episode = self.episode
         self._check_started("render", started=episode.frame is not None)
         return episode_picture(self._pictures, episode, drawn_as=episode)

@@ -19,7 +19,7 @@ from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
-from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable

@@ -1,13 +1,12 @@
 """Episodes of many worlds in lockstep: they start together, and each step is one frame of all that run.
 
-There are two types with the same methods. `EpisodesOneByOne` drives, observes and judges one world after another, of
-any engine and experiment. `EpisodesAtOnce` of `envs.at_once` does so in arrays, where the engine advances all worlds in
-one call and the experiment allows it. Every number is the same.
+There are two types with the same methods and the same numbers. `EpisodesOneByOne` takes one world after another, of any
+engine and experiment. `EpisodesAtOnce` of `envs.at_once` takes all worlds in arrays, where the engine advances them in
+one call and the experiment allows it.
 """
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
@@ -73,8 +72,10 @@ class Rollout:
     device: str | None
 
 
-class Lockstep(ABC):
-    """Episodes of one experiment on the worlds of an engine.
+class EpisodesOneByOne:
+    """Episodes of one experiment on the worlds of an engine, which are driven, observed and judged one after another.
+
+    Worlds that are simulations of their own give the same bits as in an environment of one world.
 
     Args:
         episodes: The episode of each world.
@@ -90,97 +91,6 @@ class Lockstep(ABC):
         self.episodes = episodes
         self.worlds = worlds
         self.ran: Numbers = np.arange(len(episodes))
-
-    @property
-    @abstractmethod
-    def running(self) -> Numbers:
-        """Numbers of the worlds whose episodes are not over."""
-
-    @abstractmethod
-    def begin(self, seed: int) -> None:
-        """Return all worlds to their starts, and record frame 0."""
-
-    @abstractmethod
-    def step(self, actions: Any) -> None:
-        """Run a frame of the episodes that are not over.
-
-        Args:
-            actions: One action for each world; those of worlds whose episodes are over are not read.
-        """
-
-    def _rates(self, actions: Any) -> dict[int, FloatArray]:
-        """Return the residual rates of the running worlds."""
-        check_length(actions, len(self.episodes))
-        return {number: self.episodes[number].checked(actions[number]) for number in self.running.tolist()}
-
-    @abstractmethod
-    def run_on(self) -> None:
-        """Simulate on past the last frame, as `Episode.run_on` does for one world."""
-
-    def play(self, seed: int) -> None:
-        """Run all episodes without actions to their ends, and past them as far as their scores need.
-
-        An episode that diverges ends there, with the reason in its `fault`; the others continue.
-        """
-        space = batch_space(self.episodes[0].action_space, len(self.episodes))
-        self.begin(seed)
-        while len(self.running):
-            self.step(np.zeros(space.shape or (), dtype=space.dtype))
-        self.run_on()
-
-    @abstractmethod
-    def observations(self) -> Observation:
-        """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
-
-    @abstractmethod
-    def rewards(self) -> FloatArray:
-        """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
-
-    @abstractmethod
-    def infos(self, add: AddInfo) -> dict[str, Any]:
-        """Return the infos of the worlds that ran in the last step."""
-
-    def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return terminations and truncations, shape [world_count] each."""
-        diverged = np.array([episode.fault is not None for episode in self.episodes])
-        return diverged, ~diverged & [episode.is_complete for episode in self.episodes]
-
-    @abstractmethod
-    def trajectories(self) -> tuple[FloatArray, FloatArray]:
-        """Return times [s], shape [sample_count], and g(t) of all worlds, shape [world_count, sample_count, width].
-
-        Samples that a world did not reach are NaN.
-        """
-
-    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
-        """Run the episodes on the engine's device, from frame 0 to the end, or return None where that cannot be.
-
-        Args:
-            actions: Actions of each frame.
-            keep: Whether to copy the record to the host, after which the episodes are as if they had been stepped.
-                Otherwise they stay at frame 0 until the next ones begin.
-        """
-        return None
-
-
-def check_length(actions: Any, count: int) -> None:
-    """Raise an error unless there is one action for each world."""
-    try:
-        found = len(actions)
-    except TypeError as error:
-        raise ActionError(f"actions {actions!r}: expected one action for each of {count} worlds") from error
-    if found != count:
-        raise ActionError(f"{found} actions for {count} worlds")
-
-
-class EpisodesOneByOne(Lockstep):
-    """Episodes that are driven, observed and judged one after another.
-
-    Worlds that are simulations of their own give the same bits as in an environment of one world.
-    """
-
-    def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
-        super().__init__(episodes, worlds)
         self._observations: list[Observation] = []
 
     @property
@@ -197,13 +107,22 @@ class EpisodesOneByOne(Lockstep):
         self._observations = [episode.observation() for episode in self.episodes]
 
     def step(self, actions: Any) -> None:
-        """Run a frame of the episodes that are not over."""
+        """Run a frame of the episodes that are not over.
+
+        Args:
+            actions: One action for each world; those of worlds whose episodes are over are not read.
+        """
         rates = self._rates(actions)
         self.ran = np.array([*rates], dtype=np.intp)
         self._advance(rates)
         for number in rates:
             self.episodes[number].end_frame()
             self._observations[number] = self.episodes[number].observation()
+
+    def _rates(self, actions: Any) -> dict[int, FloatArray]:
+        """Return the residual rates of the running worlds."""
+        check_length(actions, len(self.episodes))
+        return {number: self.episodes[number].checked(actions[number]) for number in self.running.tolist()}
 
     def _advance(self, rates: Mapping[int, FloatArray]) -> None:
         """Drive, advance and observe a frame of the worlds of some numbers."""
@@ -215,11 +134,32 @@ class EpisodesOneByOne(Lockstep):
             frames = {number: self.episodes[number].simulated(one) for number, one in rates.items()}
             run_frames(frames, lambda _: self.worlds.advance(SAMPLE_INTERVAL_S))
 
+    def play(self, seed: int) -> None:
+        """Run all episodes without actions to their ends, and past them as far as their scores need.
+
+        An episode that diverges ends there, with the reason in its `fault`; the others continue.
+        """
+        space = batch_space(self.episodes[0].action_space, len(self.episodes))
+        self.begin(seed)
+        while len(self.running):
+            self.step(np.zeros(space.shape or (), dtype=space.dtype))
+        self.run_on()
+
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
         run_on_together(
             self.episodes, lambda numbers: self._advance({one: self.episodes[one].no_rates for one in numbers})
         )
+
+    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
+        """Run the episodes on the engine's device, from frame 0 to the end, or return None where that cannot be.
+
+        Args:
+            actions: Actions of each frame.
+            keep: Whether to copy the record to the host, after which the episodes are as if they had been stepped.
+                Otherwise they stay at frame 0 until the next ones begin.
+        """
+        return None
 
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
@@ -240,8 +180,16 @@ class EpisodesOneByOne(Lockstep):
             infos = add(infos, self.episodes[number].info(), number)
         return infos
 
+    def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return terminations and truncations, shape [world_count] each."""
+        diverged = np.array([episode.fault is not None for episode in self.episodes])
+        return diverged, ~diverged & [episode.is_complete for episode in self.episodes]
+
     def trajectories(self) -> tuple[FloatArray, FloatArray]:
-        """Return times [s] and g(t) of all worlds; samples that a world did not reach are NaN."""
+        """Return times [s], shape [sample_count], and g(t) of all worlds, shape [world_count, sample_count, width].
+
+        Samples that a world did not reach are NaN.
+        """
         found = [episode.trajectory().dense for episode in self.episodes]
         times_s, longest = max(found, key=lambda one: len(one[0]))
         samples = np.full((len(found), *longest.shape), np.nan)
@@ -250,9 +198,19 @@ class EpisodesOneByOne(Lockstep):
         return times_s, samples
 
 
+def check_length(actions: Any, count: int) -> None:
+    """Raise an error unless there is one action for each world."""
+    try:
+        found = len(actions)
+    except TypeError as error:
+        raise ActionError(f"actions {actions!r}: expected one action for each of {count} worlds") from error
+    if found != count:
+        raise ActionError(f"{found} actions for {count} worlds")
+
+
 def episodes_in_lockstep(
     arguments: EnvArguments, experiments: Sequence[Experiment], stated: Experiment, band: Band | None
-) -> Lockstep:
+) -> EpisodesOneByOne:
     """Build worlds and their episodes. They run at once if the engine and the experiment allow it.
 
     Args:
@@ -261,7 +219,7 @@ def episodes_in_lockstep(
         stated: The experiment without the changes of the worlds.
         band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
     """
-    engine = backend_for(arguments.backend, stated.model_file)
+    scene, engine = experiments[0].scene, backend_for(arguments.backend, stated.model_file)
     worlds = worlds_of(engine, [one.scene for one in experiments], arguments.settings)
     episodes = [
         Episode(
@@ -273,19 +231,11 @@ def episodes_in_lockstep(
         )
         for one, world in zip(experiments, worlds.worlds, strict=True)
     ]
-    if not _can_run_at_once(experiments[0], worlds):
+    shares_model = not any(isinstance(world, Simulation) for world in worlds.worlds)
+    is_rigid = stated.score.observable is Observable.POSITION and not (scene.drivers or scene.deformables)
+    # Single-shot trials have a band each.
+    if not (shares_model and is_rigid and experiments[0].trial is None):
         return EpisodesOneByOne(episodes, worlds)
     from gauge_envs.envs.at_once import EpisodesAtOnce
 
     return EpisodesAtOnce(episodes, worlds)
-
-
-def _can_run_at_once(experiment: Experiment, worlds: Worlds) -> bool:
-    """Return whether worlds advance together, and hold rigid bodies without drivers that share a band."""
-    scene = experiment.scene
-    return (
-        experiment.score.observable is Observable.POSITION
-        and experiment.trial is None
-        and not (scene.drivers or scene.deformables)
-        and not any(isinstance(world, Simulation) for world in worlds.worlds)
-    )

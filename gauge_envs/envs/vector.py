@@ -14,14 +14,19 @@ from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, Vecto
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Worlds
-from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
+from gauge_envs.envs.arguments import (
+    EnvArguments,
+    EnvKeywords,
+    TrialStart,
+    jitter_option,
+    jittered_experiment,
+    start_of,
+    warn_without_reward,
+)
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.episode import Episode, Observation
 from gauge_envs.envs.lockstep import Rollout, episodes_in_lockstep
-from gauge_envs.envs.no_reward import warn_without_reward
 from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.tracked import episode_picture
-from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
@@ -238,6 +243,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
         if self.render_mode is None:
             return None
+        from gauge_envs.envs.rendering.overlay import episode_picture
+
         self._check_started("render", started=self._is_reset)
         return tuple(episode_picture(self._pictures, one, drawn_as=self.episodes[0]) for one in self.episodes)
 

@@ -39,6 +39,11 @@ class Ringing:
     residual_mm: float
 
     @property
+    def constants(self) -> dict[str, tuple[float, float]]:
+        """The constants with their uncertainties, by the name of the implied parameter."""
+        return {"frequency": self.frequency_hz, "decay_rate": self.decay_rate_per_s, "droop": self.droop_mm}
+
+    @property
     def damping_ratio(self) -> float:
         """Decay rate over the angular frequency of the same swing without damping."""
         angular = 2.0 * math.pi * self.frequency_hz[0]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
-from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, read_regular
 from gauge_envs.observables.kinds import Observable

@@ -99,16 +99,39 @@ def run_many(
         Iterator over the results; it runs an episode when its result is asked for.
     """
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
-    runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
+    runs = [(replace(request, jitter=request.scatter), request.calibrated_experiment()) for request in requests]
     if out is not None:
         check_writable(out)
-    return _all_results(runs, place, out, notify if resume else None)
+    return _results(runs, place, out, notify if resume else None)
 
 
-def _all_results(runs: Sequence[_Run], place: _Place, out: Path | None, notify: Notify | None) -> Iterator[Result]:
+def _results(
+    runs: Sequence[tuple[RunRequest, Experiment]], place: _Place, out: Path | None, notify: Notify | None
+) -> Iterator[Result]:
+    """Yield the results of requests: those in a folder if all of a request are there, else new ones.
+
+    Args:
+        runs: Requests with the jitter that applies, and their calibrated experiments.
+        place: Choice of the process.
+        out: Folder of the result files, or None.
+        notify: Receives a sentence for each file that cannot be taken; None takes no files.
+    """
     try:
-        for run in runs:
-            yield from run.results(place, out, notify=notify)
+        for request, calibrated in runs:
+            planned = _planned(request, calibrated)
+            files = [None if out is None else out / result_file_name(one) for one in planned]
+            taken = [
+                _earlier_result(file, one, place, notify)
+                for file, one in zip(files, planned, strict=True)
+                if file is not None and notify is not None
+            ]
+            if taken and None not in taken:
+                yield from filter(None, taken)
+                continue
+            for result, file in zip(place.episodes(request, planned), files, strict=True):
+                if file is not None and result.error is None:
+                    write_result(result, file)
+                yield result
     finally:
         place.close()
 
@@ -153,43 +176,6 @@ class _Place:
         if self._isolate is not None:
             return self._isolate or (backend in self._unsafe and not is_bundled(backend))
         return not is_bundled(backend)
-
-
-class _Run:
-    """The episodes of one request.
-
-    Args:
-        request: The request, with the jitter that applies.
-    """
-
-    def __init__(self, request: RunRequest) -> None:
-        self._request = request
-        self._calibrated = request.calibrated_experiment()
-
-    def results(self, place: _Place, out: Path | None, *, notify: Notify | None) -> Iterator[Result]:
-        """Yield the results: those in a folder if all are there, else new ones.
-
-        Args:
-            place: Choice of the process.
-            out: Folder of the result files, or None.
-            notify: Receives a sentence for each file that cannot be taken; None takes no files.
-        """
-        request = self._request
-        planned = _planned(request, self._calibrated)
-        if out is None:
-            yield from place.episodes(request, planned)
-            return
-        files = [out / result_file_name(one) for one in planned]
-        if notify is not None:
-            found = [_earlier_result(file, one, place, notify) for file, one in zip(files, planned, strict=True)]
-            taken = [result for result in found if result is not None]
-            if len(taken) == len(planned):
-                yield from taken
-                return
-        for result, file in zip(place.episodes(request, planned), files, strict=True):
-            if result.error is None:
-                write_result(result, file)
-            yield result
 
 
 def planned_results(request: RunRequest) -> list[Result]:

@@ -12,11 +12,10 @@ import gymnasium
 import numpy as np
 
 from gauge_envs.backends.registry import versions_of
-from gauge_envs.envs.arguments import EnvArguments, jittered_experiment, start_of
+from gauge_envs.envs.arguments import EnvArguments, TrialStart, jittered_experiment, start_of
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode
 from gauge_envs.envs.lockstep import episodes_in_lockstep
-from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
@@ -26,7 +25,7 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.scene_record import asset_record
+from gauge_envs.runs.result_file import asset_record
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 

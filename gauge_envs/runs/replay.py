@@ -20,16 +20,15 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
 from gauge_envs.backends.base import Simulation
-from gauge_envs.envs.arguments import check_support, jittered_experiment
+from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
-from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME

@@ -8,8 +8,7 @@ from typing import Any
 
 import gymnasium
 
-from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.no_reward import unreported
+from gauge_envs.envs.arguments import EnvArguments, unreported
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
 from gauge_envs.experiments.scene_source import is_experiment_file

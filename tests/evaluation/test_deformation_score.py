@@ -15,7 +15,7 @@ from gauge_envs import load_experiment
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import ShapeError, TrajectoryFileError
 from gauge_envs.evaluation.deformation import DeformationScore, deformation_reference, score_deformation
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.pages.results import summary_view

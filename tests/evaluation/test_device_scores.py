@@ -9,9 +9,8 @@ import pytest
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation import device_scores
-from gauge_envs.evaluation.device_scores import score_recording
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.worlds import score_worlds
+from gauge_envs.evaluation.worlds import score_recording, score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants

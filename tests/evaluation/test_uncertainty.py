@@ -13,7 +13,7 @@ import pytest
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.evaluation.trials import percentile_among, trial_distances
+from gauge_envs.evaluation.deviation import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines

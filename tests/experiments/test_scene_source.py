@@ -27,8 +27,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes

@@ -21,7 +21,7 @@ from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.mjcf import write_mjcf
 

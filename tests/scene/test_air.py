@@ -14,7 +14,7 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import Backend, Simulation, Support, backend_names, support_of
 from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import AssetError, MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.runs.scene_record import _scene_of_text, _scene_text
+from gauge_envs.runs.result_file import _scene_of_text, _scene_text
 from gauge_envs.scene import Air, Scene
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.usd.reader import from_usd

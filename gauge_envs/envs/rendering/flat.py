@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import add_geoms
-from gauge_envs.envs.rendering.expected_deformables import outline_m
+from gauge_envs.envs.rendering.expected import outline_m
 from gauge_envs.envs.rendering.materials import USUAL
 from gauge_envs.envs.rendering.overlay import Color
 from gauge_envs.envs.rendering.skin import Skin

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.deviation import experiment_sensitivities, sampled_frames
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.swing import swing_metrics
 from gauge_envs.experiments.experiment import Experiment

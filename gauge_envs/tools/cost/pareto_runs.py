@@ -15,7 +15,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.closed_forms import closed_form
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.cost.error_measure import ErrorMeasure
 
 FloatArray = NDArray[np.float64]

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.envs.rendering.tracked import MOST_PATHS, reference_ghosts
+from gauge_envs.envs.rendering.overlay import MOST_PATHS, RECORDED_COLOR, Overlay, OverlayPath, reference_ghosts
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment

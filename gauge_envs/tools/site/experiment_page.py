@@ -13,7 +13,7 @@ from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare.comparison import Cell, ExperimentComparison
 from gauge_envs.tools.compare.grades import compare_grade
 from gauge_envs.tools.compare.scores import COMPARED_METRICS

@@ -12,7 +12,7 @@ import pytest
 
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.evaluation.metrics.law import fitted_acceleration
 from gauge_envs.runs.episodes import run_episode, run_repeats
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import (

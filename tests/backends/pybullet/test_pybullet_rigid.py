@@ -39,7 +39,7 @@ from gauge_envs.backends import backend
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 from gauge_envs.backends.pybullet.world import BulletWorld
-from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.evaluation.metrics.law import fitted_acceleration
 from gauge_envs.tools.conformance import Status, run_checks
 
 ENGINE = backend("pybullet")

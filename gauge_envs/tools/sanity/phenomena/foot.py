@@ -12,7 +12,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.metrics import fitted_acceleration
+from gauge_envs.evaluation.metrics.law import fitted_acceleration
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
 from gauge_envs.tools.sanity.foot import REFERENCE_FOOT, FootGeometry

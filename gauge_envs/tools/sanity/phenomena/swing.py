@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from gauge_envs.evaluation.metrics import energy_loss
+from gauge_envs.evaluation.metrics.events import energy_loss
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Sphere
