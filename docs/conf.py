@@ -38,28 +38,6 @@ napoleon_use_rtype = False
 # Docstrings write code in single backticks, as Markdown does.
 default_role = "code"
 
-# Names of this package must resolve. Names of other packages would need their sites, which a build does not fetch.
-# Private names, type variables and classes of inner modules appear in signatures and have no entry of their own.
-nitpicky = True
-nitpick_ignore_regex = [
-    (r"py:.*", r"(?!gauge_envs\.).*"),
-    (r"py:.*", r"gauge_envs\..*\._\w+"),
-    (r"py:class", r"gauge_envs\.backends\.settings\.Settings"),
-    (r"py:class", r"gauge_envs\.checks\.conformance\.lab\.T"),
-    (r"py:class", r"gauge_envs\.backends\.mujoco\.flex\.FlexPart"),
-    (r"py:class", r"gauge_envs\.experiments\.export\.assets\.SharedSolid"),
-    (r"py:class", r"gauge_envs\.backends\.shared\.snapshot\.Snapshot"),
-    (r"py:class", r"gauge_envs\.checks\.leaderboard\.reruns\.RerunStatus"),
-    (r"py:class", r"gauge_envs\.checks\.recipes\.probes\.Build"),
-    (r"py:class", r"gauge_envs\.checks\.sanity\.contact_capacity\.ContactCapacity"),
-    (r"py:class", r"gauge_envs\.checks\.sanity\.foot_contact\.FootContact"),
-    (r"py:class", r"gauge_envs\.checks\.sanity\.python_source\.values\.\w+"),
-    (r"py:class", r"gauge_envs\.envs\.divergence\.RigidBoundsOfWorlds"),
-    (r"py:class", r"gauge_envs\.envs\.rendering\.skin\.Skin"),
-    (r"py:class", r"gauge_envs\.experiments\.single_shot\.AnyExperiment"),
-    (r"py:class", r"gauge_envs\.runs\.isolation\.Value"),
-    (r"py:class", r"gauge_envs\.runs\.sweep\.spec\.JitterSpec"),
-]
 # Classes of several modules share a name, and a generated page has its sections below those of the page.
 suppress_warnings = ["ref.python", "myst.header"]
 
