@@ -14,7 +14,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid, statistic_unit
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 from gauge_envs.references.imported import DataSource, load_imported
 
@@ -114,6 +113,8 @@ def score_deformation(
     Returns:
         The comparison; None if the experiment has no markers on a solid, or no real statistics.
     """
+    from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid
+
     solid = marked_solid(experiment.scene)
     reference = deformation_reference(experiment) if reference is None else reference
     if solid is None or reference is None or experiment.scene.markers is None:
@@ -143,6 +144,8 @@ def score_deformation(
 
 
 def _score(name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray) -> StatisticScore | None:
+    from gauge_envs.observables.deformation import statistic_unit
+
     known = np.isfinite(simulated) & np.isfinite(mean) & np.isfinite(sigma)
     if not known.any():
         return None

@@ -5,19 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.metrics.events import oscillation_period
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
-from gauge_envs.evaluation.ringing import Ringing, fit_ringing
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+if TYPE_CHECKING:
+    from gauge_envs.evaluation.ringing import Ringing
 
 FloatArray = NDArray[np.float64]
 
@@ -302,6 +305,8 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
 
 def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[ImpliedParameter]:
     """Return frequency, decay rate and droop of the first coordinate of the band."""
+    from gauge_envs.evaluation.ringing import fit_ringing
+
     seen = times_s <= (len(band.mean) - 1) / FRAME_RATE_HZ + 1e-6
     heights = band.project(values[seen])[:, 0]
     # The simulated body starts level. A recorded one is held by hand, and may be pushed as it is let go.
@@ -324,6 +329,8 @@ def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[Implie
 
 @lru_cache(maxsize=64)
 def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
+    from gauge_envs.evaluation.ringing import fit_ringing
+
     trials = band.mean[None] if band.trials is None else band.trials
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     fits = [fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials]

@@ -30,7 +30,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
@@ -253,7 +253,7 @@ class BandErrors:
         cells = (self.factors[:count] @ errors).reshape(count, *difference.shape) + difference
         distances = np.linalg.norm(cells, axis=2).mean(axis=1) / self.baseline_ratio[:count]
         observed = float(np.linalg.norm(difference, axis=1).mean())
-        half = float(student.ppf(0.5 * (1.0 + LEVEL), 1e9) * distances.std(ddof=1))
+        half = float(stdtrit(1e9, 0.5 * (1.0 + LEVEL)) * distances.std(ddof=1))
         return _reported(max(observed - half, 0.0)), _reported(observed + half)
 
     def draws(self, deviation: FloatArray) -> FloatArray:
@@ -411,7 +411,7 @@ def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatAr
     weights = _random("sampling").multinomial(count, np.full(count, 1.0 / count), DRAW_COUNT) / count
     # A bootstrap has the variance of n instead of n - 1, and the tails of a normal instead of Student's distribution.
     tail = 0.5 * (1.0 + LEVEL)
-    wider = math.sqrt(count / (count - 1)) * float(student.ppf(tail, count - 1) / student.ppf(tail, 1e9))
+    wider = math.sqrt(count / (count - 1)) * float(stdtrit(count - 1, tail) / stdtrit(1e9, tail))
     factors = wider * (weights - 1.0 / count)
     velocity = np.nan_to_num(np.gradient(np.nan_to_num(band.mean), axis=0) * np.isfinite(band.mean)).ravel()
     size = float(velocity @ velocity)

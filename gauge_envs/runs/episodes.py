@@ -15,7 +15,6 @@ from gauge_envs.backends.registry import versions_of
 from gauge_envs.envs.arguments import EnvArguments, TrialStart, jittered_experiment, start_of
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import Episode
-from gauge_envs.envs.lockstep import episodes_in_lockstep
 from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
@@ -26,7 +25,6 @@ from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
-from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
 
 
@@ -82,6 +80,8 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
     band = request.band(experiment)
     if band is None or not any(result.outcome is Outcome.FINISHED for result in results):
         return list(results)
+    from gauge_envs.runs.sensitivity import measure_sensitivities
+
     measured = measure_sensitivities(request)
     if not request.settings and request.parameters == "calibrated" and request.asset is None:
         write_sensitivities(measured)
@@ -126,6 +126,8 @@ def run_repeats(request: RunRequest) -> list[Result]:
         Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
         against its own single-shot trial.
     """
+    from gauge_envs.envs.lockstep import episodes_in_lockstep
+
     experiment = request.experiment()
     seeds = range(request.seed, request.seed + request.repeats)
     starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]

@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 
 if TYPE_CHECKING:
     from gauge_envs.envs.rendering.overlay import Overlay
     from gauge_envs.envs.rendering.renderer import SceneRenderer
-
+    from gauge_envs.evaluation.reference_path import ReferencePath
 
 RENDER_MODES = ("rgb_array",)
 """Render modes of the environments, apart from None."""
@@ -77,6 +76,7 @@ class Pictures:
         if self._renderer is None:
             from gauge_envs.envs.rendering.camera import scene_view
             from gauge_envs.envs.rendering.renderer import SceneRenderer
+            from gauge_envs.evaluation.reference_path import reference_path
 
             width, height = self._size
             view = scene_view(

@@ -11,9 +11,8 @@ from statistics import median
 import numpy as np
 
 from gauge_envs.errors import ResultFileError
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.plan import SweepTask
-from gauge_envs.tools.sweep.store import read_only
+from gauge_envs.tools.sweep.store import SweepFolder, read_only
 
 
 @dataclass(frozen=True)

@@ -1,28 +1,39 @@
-"""The SQLite store of a sweep: one row for each result file, made from the files alone.
+"""The folder of a sweep: a file for each episode, those without a result apart, a lock, and a store made of the files.
 
-The table `results` has the scalar fields of a result and of its score as columns. Mappings, as `settings`, are JSON
-texts: `json_extract(settings, '$.iterations')` reads one entry.
+DIR/SlopeSlider-2-wood.mujoco.e8ec72ec30333307.json     the episode ran; `diverged` counts
+DIR/failed/...json                                      an error or the end of its process prevented it
+DIR/declined/...json                                    the engine or the experiment cannot do it
+DIR/sweep.sqlite                                        a row for each of these files
+
+The store is SQLite. Its table `results` has the scalar fields of a result and of its score as columns. Mappings, as
+`settings`, are JSON texts: `json_extract(settings, '$.iterations')` reads one entry.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import sqlite3
 from collections.abc import Callable, Container, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.score import Score
-from gauge_envs.runs.batch import move_aside
+from gauge_envs.files import locked
+from gauge_envs.runs.batch import check_writable, move_aside
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.sweep.folder import SweepFolder
+from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.tools.sweep.key import KEY_LENGTH
 
 Notify = Callable[[str], None]
+
+STORE_NAME = "sweep.sqlite"
+
+SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.DECLINED: "declined"}
 
 BUSY_LIMIT_S = 60.0
 """Longest wait for another process that holds the store [s]."""
@@ -78,15 +89,69 @@ COLUMNS = {
 """Columns of the table `results` and their types. `score` is the normalized score that reports show first."""
 
 
+class SweepFolder:
+    """The folder of a sweep.
+
+    Args:
+        path: The folder; `create` makes it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def store_path(self) -> Path:
+        """Path of the SQLite store."""
+        return self.path / STORE_NAME
+
+    def create(self) -> None:
+        """Create the folders that do not exist."""
+        for name in ("", *SUBFOLDERS.values()):
+            check_writable(self.path / name)
+
+    @contextmanager
+    def lock(self, *, shared: bool = False) -> Iterator[None]:
+        """Hold the folder against other sweeps.
+
+        Args:
+            shared: Let parts of a sweep in, which hold the lock in the same way.
+        """
+        try:
+            with locked(self.path, name=".sweep.lock", waits=False, shared=shared):
+                yield
+        except BlockingIOError:
+            raise ResultFileError(
+                f"{self.path}: another sweep writes there; wait for its end, or give another folder with --out"
+            ) from None
+
+    def files(self, *outcomes: Outcome) -> Iterator[os.DirEntry[str]]:
+        """Yield the JSON files of outcomes, by default of all."""
+        names = dict.fromkeys(SUBFOLDERS.get(outcome, "") for outcome in outcomes or Outcome)
+        for name in names:
+            with suppress(FileNotFoundError), os.scandir(self.path / name) as entries:
+                yield from (one for one in entries if one.name.endswith(".json") and not one.name.startswith("."))
+
+    def write(self, result: Result, name: str) -> Path:
+        """Write a result file and return its path; a file of an earlier failure of the episode is removed."""
+        file = self.path / SUBFOLDERS.get(result.outcome, "") / name
+        write_result(result, file)
+        for folder in SUBFOLDERS.values():
+            if (earlier := self.path / folder / name) != file:
+                earlier.unlink(missing_ok=True)
+        return file
+
+    def read(self, file: Path) -> Result:
+        """Read a file of the folder."""
+        return load_result(file, needs_trajectory=file.parent == self.path)
+
+
 def read_only(path: Path) -> sqlite3.Connection:
-    """Return a connection to a store that cannot write, and that reads no other file."""
+    """Return a connection to a store that cannot write."""
     _check_regular(path)
     try:
-        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
+        return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
     except sqlite3.Error as error:
         raise ResultFileError(f"{path}: cannot be opened: {error}") from error
-    connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-    return connection
 
 
 def _check_regular(path: Path) -> None:

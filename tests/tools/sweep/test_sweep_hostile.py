@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from gauge_envs.tools.sweep.query import query_sweep
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -20,11 +21,9 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep import command
 from gauge_envs.tools.sweep.estimate import EarlierCosts
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.plan import plan_sweep
-from gauge_envs.tools.sweep.query import query_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
-from gauge_envs.tools.sweep.store import SweepStore
+from gauge_envs.tools.sweep.store import SweepFolder, SweepStore
 
 NAME = "SlopeSlider-2-wood"
 ESCAPE = "\x1b[2J"
