@@ -21,8 +21,7 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 from gauge_envs.scene import Scene
-from gauge_envs.tools.transfer.policy_replays import make_control_env
-from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
+from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
 FloatArray = NDArray[np.float64]
 
