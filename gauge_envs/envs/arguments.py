@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
 from os import PathLike, fspath
@@ -239,17 +237,6 @@ CALLER = 4
 """Frames from the warning to the caller of `gymnasium.make`: this module, the entry point, `make`, the caller."""
 
 _warned: set[str] = set()
-_is_reported: ContextVar[bool] = ContextVar("is_reported", default=True)
-
-
-@contextmanager
-def unreported() -> Iterator[None]:
-    """Give no warning within the block: the caller reports the grade of the reference itself."""
-    token = _is_reported.set(False)
-    try:
-        yield
-    finally:
-        _is_reported.reset(token)
 
 
 def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
@@ -259,7 +246,7 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
         experiment: The experiment of the environment.
         band: Band that its rewards are relative to; with one, nothing is reported.
     """
-    if band is not None or experiment.id in _warned or not _is_reported.get():
+    if band is not None or experiment.id in _warned:
         return
     warnings.warn(_no_reward_message(experiment), NoRewardWarning, stacklevel=CALLER)
     _warned.add(experiment.id)

@@ -15,7 +15,7 @@ import numpy as np
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds, worlds_of
+from gauge_envs.backends.base import Backend, Simulation, Worlds, worlds_of
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.episode import Episode, Observation, run_on_together
@@ -209,7 +209,12 @@ def check_length(actions: Any, count: int) -> None:
 
 
 def episodes_in_lockstep(
-    arguments: EnvArguments, experiments: Sequence[Experiment], stated: Experiment, band: Band | None
+    arguments: EnvArguments,
+    experiments: Sequence[Experiment],
+    stated: Experiment,
+    band: Band | None,
+    *,
+    together: bool = True,
 ) -> EpisodesOneByOne:
     """Build worlds and their episodes. They run at once if the engine and the experiment allow it.
 
@@ -218,9 +223,11 @@ def episodes_in_lockstep(
         experiments: The experiment of each world; they differ in starts and constants.
         stated: The experiment without the changes of the worlds.
         band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
+        together: Whether the engine may build the worlds as one simulation.
     """
     scene, engine = experiments[0].scene, backend_for(arguments.backend, stated.model_file)
-    worlds = worlds_of(engine, [one.scene for one in experiments], arguments.settings)
+    build = worlds_of if together else Backend.build_worlds
+    worlds = build(engine, [one.scene for one in experiments], arguments.settings)
     episodes = [
         Episode(
             one,

@@ -9,12 +9,11 @@ from dataclasses import replace
 from typing import Any
 
 import gymnasium
-import numpy as np
 
 from gauge_envs.backends.registry import versions_of
-from gauge_envs.envs.arguments import EnvArguments, TrialStart, jittered_experiment, start_of
-from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.arguments import EnvArguments, TrialStart, check_support, jittered_experiment, start_of
 from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.lockstep import episodes_in_lockstep
 from gauge_envs.errors import BackendError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
@@ -28,42 +27,71 @@ from gauge_envs.runs.result_file import asset_record
 from gauge_envs.scene.jitter import Jitter
 
 
-class _Clock:
-    """Wall and CPU time of this process since its creation [s]."""
-
-    def __init__(self) -> None:
-        self._start_s = time.perf_counter(), time.process_time()
-
-    @property
-    def wall_s(self) -> float:
-        return time.perf_counter() - self._start_s[0]
-
-    @property
-    def cpu_s(self) -> float:
-        return time.process_time() - self._start_s[1]
-
-
 def run_episode(request: RunRequest) -> Result:
-    """Run one episode with zero actions, which replay the recorded motion, and score it.
+    """Run one episode without actions, which replays the recorded motion, and score it.
 
     Args:
         request: The run; `repeats` and `jitter` apply to `run_repeats` only.
     """
-    env = request.make_env()
+    experiment = request.experiment()
+    (result,) = _run(request, experiment, [start_of(experiment, None, seed=request.seed)], together=False)
+    return result
+
+
+def run_repeats(request: RunRequest) -> list[Result]:
+    """Run an experiment several times at once, from starts that scatter as those of real trials, and score each.
+
+    The repeats are worlds of one simulation if the engine supports that; else simulations that are stepped in turn.
+
+    Args:
+        request: The run; without a `jitter` it has the default `Jitter`, or the single-shot trial of each seed.
+
+    Returns:
+        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
+        against its own single-shot trial.
+    """
+    experiment = request.experiment()
+    seeds = range(request.seed, request.seed + request.repeats)
+    starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
+    return _run(request, experiment, starts, together=True)
+
+
+def _run(
+    request: RunRequest, experiment: Experiment, starts: Sequence[Jitter | TrialStart | None], *, together: bool
+) -> list[Result]:
+    """Run an episode from each start, and return their results.
+
+    Args:
+        request: The run.
+        experiment: Its experiment.
+        starts: Start of each episode; their seeds count up from that of the request.
+        together: Whether the engine may run them as worlds of one simulation.
+    """
+    seeds = range(request.seed, request.seed + len(starts))
+    runs = [
+        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
+        for start, seed in zip(starts, seeds, strict=True)
+    ]
+    check_support(runs[0], request.backend)
+    lockstep = episodes_in_lockstep(request, runs, experiment, request.band(experiment), together=together)
     try:
-        space = env.action_space
-        zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
-        clock = _Clock()
-        env.reset(seed=request.seed)
-        over = False
-        info: dict[str, Any] = {}
-        while not over:
-            *_, terminated, truncated, info = env.step(zero)
-            over = terminated or truncated
-        result = episode_result(env, info, wall_s=clock.wall_s, cpu_s=clock.cpu_s)
+        began_s = time.perf_counter(), time.process_time()
+        lockstep.play(request.seed)
+        wall_s, cpu_s = time.perf_counter() - began_s[0], time.process_time() - began_s[1]
+        results = [
+            _finished(
+                # The grade is that of the calibrated start: a law may not hold for another one.
+                planned_result(request, experiment, seed=seed, jitter=start),
+                episode,
+                episode.score(),
+                engine_versions=versions_of(request.backend),
+                times_s=(wall_s / len(starts), cpu_s / len(starts)),
+            )
+            for seed, start, episode in zip(seeds, starts, lockstep.episodes, strict=True)
+        ]
     finally:
-        env.close()
-    return with_measured_uncertainty(request, [result])[0] if request.uncertainty else result
+        lockstep.worlds.close()
+    return with_measured_uncertainty(request, results) if request.uncertainty else results
 
 
 def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) -> list[Result]:
@@ -108,52 +136,12 @@ def episode_result(
         wall_s: Duration of the episode [s].
         cpu_s: CPU time of the process in the episode [s].
     """
+    from gauge_envs.envs.env import GaugeEnv
+
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
     planned = planned_result(inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter)
     return _finished(planned, inner.episode, info["score"], engine_versions=inner.versions, times_s=(wall_s, cpu_s))
-
-
-def run_repeats(request: RunRequest) -> list[Result]:
-    """Run an experiment several times at once, from starts that scatter as those of real trials, and score each.
-
-    The repeats are worlds of one simulation if the engine supports that; else simulations that are stepped in turn.
-
-    Args:
-        request: The run; without a `jitter` it has the default `Jitter`, or the single-shot trial of each seed.
-
-    Returns:
-        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
-        against its own single-shot trial.
-    """
-    from gauge_envs.envs.lockstep import episodes_in_lockstep
-
-    experiment = request.experiment()
-    seeds = range(request.seed, request.seed + request.repeats)
-    starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
-    runs = [
-        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
-        for start, seed in zip(starts, seeds, strict=True)
-    ]
-    lockstep = episodes_in_lockstep(request, runs, experiment, request.band(experiment))
-    try:
-        clock = _Clock()
-        lockstep.play(request.seed)
-        shares_s = clock.wall_s / request.repeats, clock.cpu_s / request.repeats
-        results = [
-            _finished(
-                # The grade is that of the calibrated start: a law may not hold for another one.
-                planned_result(request, experiment, seed=seed, jitter=jitter),
-                episode,
-                episode.score(),
-                engine_versions=versions_of(request.backend),
-                times_s=shares_s,
-            )
-            for seed, jitter, episode in zip(seeds, starts, lockstep.episodes, strict=True)
-        ]
-    finally:
-        lockstep.worlds.close()
-    return with_measured_uncertainty(request, results) if request.uncertainty else results
 
 
 def planned_result(
