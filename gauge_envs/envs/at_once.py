@@ -71,37 +71,47 @@ class EpisodesAtOnce(EpisodesOneByOne):
         if not (isinstance(actions, np.ndarray) and actions.shape == self._shown.shape and not actions.any()):
             self._rates(actions)
         self.ran = running = self.running
-        self._advance_all(running, self._frame)
+        states, faults = self._simulated(running, self._frame)
         self._frame += 1
-        states = self.worlds.body_states(self._dynamic)
         self._bodies[self._frame, running] = states[running][:, self._rows]
         self._shown[running] = self._frame
         for number in running.tolist():
-            self.episodes[number].frame = self._frame
-        for number in self._suspects(states, running):
-            fault = self.episodes[number].fault_of(states[number])
-            self.episodes[number].fault = fault
-            self._diverged[number] = fault is not None
+            self.episodes[number].frame, self.episodes[number].fault = self._frame, faults.get(number)
+        self._diverged[[*faults]] = True
+
+    def _simulated(self, running: Numbers, frame: int) -> tuple[FloatArray, dict[int, str]]:
+        """Advance all worlds from a frame to the next, and record g(t) of some.
+
+        Returns:
+            States of the dynamic bodies then, shape [world_count, body_count, 13], and the reason for each of those
+            worlds that has diverged.
+        """
+        for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
+            self.worlds.advance(SAMPLE_INTERVAL_S)
+            positions_mm = 1e3 * self.worlds.body_positions(self._recorded)
+            # A whole block is copied faster than chosen rows.
+            if len(running) == len(positions_mm):
+                self._samples[sample] = positions_mm.reshape(len(running), -1)
+            else:
+                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
+        states = self.worlds.body_states(self._dynamic)
+        suspects = running if self._has_faults else running[self._bounds.suspects(states)[running]]
+        faults = {number: self.episodes[number].fault_of(states[number]) for number in suspects.tolist()}
+        return states, {number: fault for number, fault in faults.items() if fault is not None}
 
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
-        running = np.flatnonzero([episode.runs_on for episode in self.episodes])
+        started = running = np.flatnonzero([episode.runs_on for episode in self.episodes])
         if not len(running):
             return
-        states = self.worlds.body_states(self._dynamic)
-        for number in running.tolist():
-            poses = dict(zip(self._dynamic, states[number, :, :7], strict=True))
-            self.episodes[number].begin_later_frame((poses, {}))
-        started, counts = running, np.zeros(len(self.episodes), dtype=np.intp)
-        for later in range(self.episodes[running[0]].later_limit):
-            frame = self._frame + later
-            self._advance_all(running, frame)
-            now = self.worlds.body_states(self._dynamic)
-            rows = self._samples[frame * SAMPLES_PER_FRAME + 1 : (frame + 1) * SAMPLES_PER_FRAME + 1]
-            ended = ~np.isfinite(rows).all(axis=(0, 2))
-            for number in self._suspects(now, running):
-                ended[number] |= self.episodes[number].fault_of(now[number]) is not None
-            running = running[~ended[running]]
+        states, counts = self.worlds.body_states(self._dynamic), np.zeros(len(self.episodes), dtype=np.intp)
+        for number in started.tolist():
+            self.episodes[number].begin_later_frame((dict(zip(self._dynamic, states[number, :, :7], strict=True)), {}))
+        for later in range(self.episodes[started[0]].later_limit):
+            first = (self._frame + later) * SAMPLES_PER_FRAME + 1
+            _, faults = self._simulated(running, self._frame + later)
+            is_finite = np.isfinite(self._samples[first : first + SAMPLES_PER_FRAME, running]).all(axis=(0, 2))
+            running = running[is_finite & ~np.isin(running, [*faults])]
             counts[running] = later + 1
             if not len(running):
                 break
@@ -150,23 +160,6 @@ class EpisodesAtOnce(EpisodesOneByOne):
         counts = np.array([episode.sample_count for episode in self.episodes])
         samples = np.where((numbers[:, None] < counts)[:, :, None], self._samples, np.nan)
         return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(1, 0, 2)
-
-    def _advance_all(self, running: Numbers, frame: int) -> None:
-        """Advance all worlds from a frame to the next, and record g(t) of some."""
-        for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
-            self.worlds.advance(SAMPLE_INTERVAL_S)
-            positions_mm = 1e3 * self.worlds.body_positions(self._recorded)
-            # A whole block is copied faster than chosen rows.
-            if len(running) == len(positions_mm):
-                self._samples[sample] = positions_mm.reshape(len(running), -1)
-            else:
-                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
-
-    def _suspects(self, states: FloatArray, running: Numbers) -> list[int]:
-        """Return the numbers of running worlds that may have diverged."""
-        if self._has_faults:
-            return running.tolist()
-        return running[self._bounds.suspects(states)[running]].tolist()
 
     # --- on a device ---
 

@@ -92,12 +92,6 @@ class PushLimit(LeastTimeLimit):
         return replace(stated, bodies=bodies, contacts=(*stated.contacts, push), drivers=(driver,))
 
     @staticmethod
-    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
-        """Return the least time [s]: friction brakes all the way to the speed left."""
-        first = math.sqrt(speed_m_per_s**2 + 2.0 * deceleration_m_per_s2 * distance_m)
-        return (first - speed_m_per_s) / deceleration_m_per_s2
-
-    @staticmethod
     def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
         """Return the time [s] of coasting to the goal, or past it and, if that were possible, back."""
         braked_s = abs(speed_m_per_s) / deceleration_m_per_s2
