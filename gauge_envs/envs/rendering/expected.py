@@ -6,8 +6,8 @@ until the floor, a loose cloth falls by half its size. No engine runs for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,19 +68,6 @@ class Expected:
     movers: frozenset[str]
 
 
-@dataclass
-class _Ways:
-    """Collected ways: the corners of each body at several moments, each of shape [moment_count, corner_count, 3]."""
-
-    ways: list[FloatArray] = field(default_factory=list)
-
-    def add(self, corners: Iterable[FloatArray]) -> None:
-        self.ways.append(np.array(list(corners)))
-
-    def points(self) -> FloatArray:
-        return np.concatenate([way.reshape(-1, 3) for way in self.ways]) if self.ways else np.zeros((0, 3))
-
-
 def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Expected:
     """Return where the bodies of a scene are expected to go.
 
@@ -88,16 +75,17 @@ def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Exp
         scene: The scene.
         reference: Places of the reference, or None. A body with a place follows it, also a driven one.
     """
-    ways = _Ways()
+    # The corners of each body at several moments, each of shape [moment_count, corner_count, 3].
+    ways: list[FloatArray] = []
     carriers = {driver.body: _driven_poses(scene, driver.body, reference) for driver in scene.drivers}
     for name, poses in carriers.items():
-        ways.add(pose.to_world(scene.body(name).shape.corners_m) for pose in poses)
+        ways.append(np.array([pose.to_world(scene.body(name).shape.corners_m) for pose in poses]))
     swing, supports = _swings(scene), _supports(scene)
     for body in scene.dynamic_bodies:
-        ways.add(_way_of(scene, body, carriers, swing, reference, supports.get(body.name)))
+        ways.append(np.array(_way_of(scene, body, carriers, swing, reference, supports.get(body.name))))
     for soft in scene.deformables:
-        ways.add(_deformable_way(scene, soft, carriers))
-    action = ways.points()
+        ways.append(np.array(_deformable_way(scene, soft, carriers)))
+    action = np.concatenate([way.reshape(-1, 3) for way in ways]) if ways else np.zeros((0, 3))
     movers = frozenset({*carriers, *(body.name for body in scene.dynamic_bodies)})
     if not len(action):
         still = [_corners(body) for body in scene.bodies if not isinstance(body.shape, Plane)]
@@ -105,7 +93,7 @@ def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Exp
     return Expected(
         points_m=np.concatenate([action, _surroundings(scene, action, movers)]),
         places_m=action,
-        across=_across(ways.ways, scene),
+        across=_across(ways, scene),
         movers=movers,
     )
 

@@ -18,7 +18,7 @@ from gauge_envs.envs.rendering.flat import FlatView, flat_model, light_camera
 from gauge_envs.envs.rendering.materials import STRING, look_of
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color, Overlay
 from gauge_envs.envs.rendering.skin import Skin
-from gauge_envs.envs.rendering.studio import Studio
+from gauge_envs.envs.rendering.studio import studio_model
 from gauge_envs.errors import RenderError, UnknownNameError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
@@ -112,14 +112,7 @@ class SceneRenderer:
             self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
         else:
             self.camera = view or scene_view(scene, aspect=width / height)
-            studio = Studio(
-                scene=scene,
-                skins=self._skins,
-                rest_nodes_m=rest_nodes_m,
-                materials=materials or {},
-                view=self.camera,
-            )
-            self._model = studio.model(width, height)
+            self._model = studio_model(scene, self._skins, rest_nodes_m, materials or {}, self.camera, width, height)
             # Size of a pixel in the middle of the scene.
             self._pixel_m = 2.0 * self.camera.distance_m * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / height
             self._least_radius_m = STRING_PX * self._pixel_m

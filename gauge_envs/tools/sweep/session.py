@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 
 from gauge_envs.runs.batch import not_run, planned_results
 from gauge_envs.runs.result import Outcome, Result
@@ -23,6 +25,9 @@ CLOSE_LOOK_S = 0.2
 
 Group = tuple[str, str]
 """Engine and experiment."""
+
+LaneOutcome = list[tuple[Result, str]] | BaseException | None
+"""Results of a task with the names of their files, an error that ends the sweep, or None at the end of a lane."""
 
 
 class SweepSession:
@@ -127,112 +132,73 @@ def run_tasks(
         folder: Folder of the result files.
         store: Store that gets a row for each; None leaves it as it is.
     """
-    threads = _LaneThreads(Schedule(tasks), lanes)
+    schedule, outcomes = Schedule(tasks), SimpleQueue[LaneOutcome]()
+    losses: Counter[tuple[str, range]] = Counter()
+    threads = [threading.Thread(target=_serve, args=(lane, schedule, losses, outcomes), daemon=True) for lane in lanes]
+    for thread in threads:
+        thread.start()
+    left = len(lanes)
+    outcome: LaneOutcome = None
     try:
-        for task, results in threads.outcomes():
-            for result, name in zip(results, task.file_names, strict=True):
-                file = folder.write(result, name)
-                if store is not None:
-                    store.add(result, file)
-                yield result
+        while left:
+            outcome = outcomes.get()
+            if outcome is None:
+                left -= 1
+            elif isinstance(outcome, BaseException):
+                raise outcome
+            else:
+                for result, name in outcome:
+                    file = folder.write(result, name)
+                    if store is not None:
+                        store.add(result, file)
+                    yield result
+                outcome = None
     finally:
-        threads.stop()
+        schedule.stop()
         try:
             # Complete, and not yet written when the iterator was closed; a file that exists is written once more.
-            for task, results in threads.complete:
-                for result, name in zip(results, task.file_names, strict=True):
-                    folder.write(result, name)
+            complete = [outcome, *(outcomes.get() for _ in range(outcomes.qsize()))]
+            for result, name in itertools.chain(*(one for one in complete if isinstance(one, list))):
+                folder.write(result, name)
         finally:
-            threads.close()
+            _close(lanes, threads)
 
 
-class _LaneThreads:
-    """A thread for each lane.
-
-    Args:
-        schedule: The tasks.
-        lanes: The lanes.
-
-    Attributes:
-        complete: Tasks and results that `outcomes` has not handed over, the current one included.
-    """
-
-    def __init__(self, schedule: Schedule, lanes: Sequence[Lane]) -> None:
-        self.complete: deque[tuple[SweepTask, list[Result]]] = deque()
-        self._schedule = schedule
-        self._lanes = lanes
-        self._losses: Counter[tuple[str, range]] = Counter()
-        self._change = threading.Condition()
-        self._is_stopped = False
-        self._error: BaseException | None = None
-        self._left = len(lanes)
-        self._threads = [threading.Thread(target=self._serve, args=(lane,), daemon=True) for lane in lanes]
-        for thread in self._threads:
-            thread.start()
-
-    def outcomes(self) -> Iterator[tuple[SweepTask, list[Result]]]:
-        """Yield tasks and their results until none is left."""
-        while True:
-            with self._change:
-                while not self.complete and self._left and self._error is None:
-                    self._change.wait()
-                if self._error is not None:
-                    raise self._error
-                if not self.complete:
-                    return
-                first = self.complete[0]
-            yield first
-            self.complete.popleft()
-
-    def stop(self) -> None:
-        """Take no more tasks and no more results."""
-        self._schedule.stop()
-        with self._change:
-            self._is_stopped = True
-
-    def close(self) -> None:
-        """End the lanes and their threads."""
-        for thread, lane in zip(self._threads, self._lanes, strict=True):
-            # A lane may just have started the process of its next task.
-            while thread.is_alive():
-                lane.close()
-                thread.join(CLOSE_LOOK_S)
+def _close(lanes: Sequence[Lane], threads: Sequence[threading.Thread]) -> None:
+    for lane, thread in zip(lanes, threads, strict=True):
+        # A lane may just have started the process of its next task.
+        while thread.is_alive():
             lane.close()
+            thread.join(CLOSE_LOOK_S)
+        lane.close()
 
-    def _serve(self, lane: Lane) -> None:
-        try:
-            last = None
-            while (task := self._schedule.take(last)) is not None:
-                last = task.run.group
-                self._run(lane, task)
-        # It ends the sweep, in the thread of the sweep.
-        except BaseException as error:
-            with self._change:
-                self._error = None if self._is_stopped else error
-        finally:
-            with self._change:
-                self._left -= 1
-                self._change.notify_all()
 
-    def _run(self, lane: Lane, task: SweepTask) -> None:
-        try:
-            results = [_verified(task, result) for result in lane.run(task.request)]
-        except LaneLostError as error:
-            if self._loses(task) < MOST_LOSSES:
-                self._schedule.put_back(task)
-                return
-            results = not_run(planned_results(task.request), Outcome.FAILED, f"{error}, {MOST_LOSSES} times")
-        with self._change:
-            if not self._is_stopped:
-                self.complete.append((task, results))
-                self._change.notify_all()
-        self._schedule.finish(task)
+def _serve(
+    lane: Lane, schedule: Schedule, losses: Counter[tuple[str, range]], outcomes: SimpleQueue[LaneOutcome]
+) -> None:
+    """Run tasks on a lane until none is left; the last outcome is None.
 
-    def _loses(self, task: SweepTask) -> int:
-        """Count a lane that a task has lost, and return how many it were."""
-        with self._change:
-            self._losses[task.run.sha256, task.seeds] += 1
-            return self._losses[task.run.sha256, task.seeds]
+    A task is on one lane at a time, so that lanes do not count the losses of the same one.
+    """
+    last = None
+    try:
+        while (task := schedule.take(last)) is not None:
+            last, key = task.run.group, (task.run.sha256, task.seeds)
+            try:
+                results = [_verified(task, result) for result in lane.run(task.request)]
+            except LaneLostError as error:
+                losses[key] += 1
+                if losses[key] < MOST_LOSSES:
+                    schedule.put_back(task)
+                    continue
+                results = not_run(planned_results(task.request), Outcome.FAILED, f"{error}, {MOST_LOSSES} times")
+            outcomes.put([*zip(results, task.file_names, strict=True)])
+            schedule.finish(task)
+    # It ends the sweep, in the thread of the sweep.
+    except BaseException as error:
+        outcomes.put(error)
+    finally:
+        outcomes.put(None)
 
 
 def _verified(task: SweepTask, result: Result) -> Result:
