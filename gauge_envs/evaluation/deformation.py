@@ -5,8 +5,7 @@ The grade of these numbers is `statistics`. They stand beside the score and ente
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -73,16 +72,6 @@ class DeformationScore:
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary of all fields."""
         return asdict(self) | {"statistics": [asdict(statistic) for statistic in self.statistics]}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> DeformationScore:
-        """Build a score from `to_dict`; keys of later versions are ignored."""
-        known = {f.name for f in fields(cls)}
-        names = {f.name for f in fields(StatisticScore)}
-        statistics = tuple(
-            StatisticScore(**{k: v for k, v in row.items() if k in names}) for row in values["statistics"]
-        )
-        return cls(**{k: v for k, v in values.items() if k in known} | {"statistics": statistics})
 
 
 def deformation_reference(experiment: Experiment) -> DeformationReference | None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.closed_forms import closed_form
+from gauge_envs.evaluation.laws import closed_form
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment

@@ -254,9 +254,8 @@ def _write_slurm(
 
 def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, json_lines: bool, wide: bool) -> None:
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.estimate import EarlierCosts
     from gauge_envs.tools.sweep.plan import remaining_tasks
-    from gauge_envs.tools.sweep.store import SweepFolder
+    from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder
     from gauge_envs.tools.sweep.words import cost_text, plan_rows, plan_table
 
     folder = SweepFolder(out)

@@ -11,8 +11,7 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.closed_forms import closed_form
-from gauge_envs.evaluation.laws import slide
+from gauge_envs.evaluation.laws import closed_form, slide
 from gauge_envs.evaluation.score import Score
 from gauge_envs.files import versions
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result

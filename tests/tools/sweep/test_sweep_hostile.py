@@ -20,10 +20,9 @@ from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep import command
-from gauge_envs.tools.sweep.estimate import EarlierCosts
 from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
-from gauge_envs.tools.sweep.store import SweepFolder, SweepStore
+from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder, SweepStore
 
 NAME = "SlopeSlider-2-wood"
 ESCAPE = "\x1b[2J"
