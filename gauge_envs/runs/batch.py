@@ -232,14 +232,6 @@ def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result
         return not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
 
 
-def _remove_leftovers(out: Path) -> None:
-    """Remove the temporary files of runs that were killed while they wrote."""
-    for file in out.glob(".*.json.*.tmp"):
-        with suppress(OSError):
-            if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
-                file.unlink()
-
-
 def check_writable(out: Path) -> None:
     """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
     probe = out / f".probe.{os.getpid()}.tmp"
@@ -247,7 +239,10 @@ def check_writable(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
-        _remove_leftovers(out)
+        for file in out.glob(".*.json.*.tmp"):
+            with suppress(OSError):
+                if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
+                    file.unlink()
     except OSError as error:
         raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 

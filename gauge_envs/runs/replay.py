@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -146,10 +147,12 @@ def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = 
             made = worker.call(replay, result, views_per_frame=views_per_frame)
     if not is_default:
         return made
-    try:
-        write_whole(path, _packed(made, key))
-    except OSError:
-        return made
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
+    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
+    np.savez_compressed(stream, **arrays)
+    with suppress(OSError):
+        write_whole(path, stream.getvalue())
     return made
 
 
@@ -214,17 +217,6 @@ def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) 
         raise ReplayError(f"the run again has {size}{cause}")
     apart = np.nanmax(np.abs(stored - now)) if np.isfinite(stored - now).any() else np.nan
     raise ReplayError(f"the run again differs from the result by up to {apart:.3g} {result.trajectory.unit}{cause}")
-
-
-# --- file beside the result ---
-
-
-def _packed(made: Replay, key: NDArray[np.uint8]) -> bytes:
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
-    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
 
 
 def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None:

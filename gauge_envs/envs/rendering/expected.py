@@ -168,7 +168,7 @@ def _carried(body: RigidBody, carrier: RigidBody, poses: list[Pose]) -> list[Flo
         )
         shift[2] += 0.5 * size
         carried.append(steepest.to_world(local) + shift)
-    elif _is_turned(poses):
+    elif any((pose.rotation * poses[0].rotation.inv()).magnitude() > 0.2 for pose in poses):
         # A turning carrier throws it off sideways, in a direction that nobody knows.
         centre, radius = np.array(carrier.pose.position_m), 0.5 * np.ptp(carrier.shape.corners_m[:, 0])
         for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
@@ -179,10 +179,6 @@ def _carried(body: RigidBody, carrier: RigidBody, poses: list[Pose]) -> list[Flo
 
 def _tilt(pose: Pose) -> float:
     return float(np.arccos(np.clip(pose.rotation.as_matrix()[2, 2], -1.0, 1.0)))
-
-
-def _is_turned(poses: list[Pose]) -> bool:
-    return any((pose.rotation * poses[0].rotation.inv()).magnitude() > 0.2 for pose in poses)
 
 
 def _swings(scene: Scene) -> dict[str, list[FloatArray]]:
@@ -303,7 +299,8 @@ def _deformable_way(scene: Scene, body: Deformable, carriers: Mapping[str, list[
     for attachment in held:
         if attachment.to in carriers:
             poses = carriers[attachment.to]
-            side = _side(body, attachment.region.axis, attachment.region.side)
+            along = outline_m(body)[:, "xyz".index(attachment.region.axis)]
+            side = np.asarray(along < 0.0 if attachment.region.side == "low" else along > 0.0)
             moved = poses[0].to_body(start[side])
             for pose in poses:
                 place = start.copy()
@@ -316,11 +313,6 @@ def _deformable_way(scene: Scene, body: Deformable, carriers: Mapping[str, list[
     if isinstance(body, SoftBody):
         moment += _drooped(scene, body, start)
     return moment
-
-
-def _side(body: Deformable, axis: str, side: str) -> NDArray[np.bool_]:
-    along = outline_m(body)[:, "xyz".index(axis)]
-    return np.asarray(along < 0.0 if side == "low" else along > 0.0)
 
 
 def _cloth_falls(scene: Scene, body: Cloth, start: FloatArray, held: int, last: FloatArray) -> list[FloatArray]:

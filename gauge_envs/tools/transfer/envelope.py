@@ -145,7 +145,8 @@ def experiment_envelope(
             elif is_scored:
                 values.append(np.nan if one.score is None else one.score)
             else:
-                values.append(_distance(one.frames, calibrated.frames))
+                away = np.sum((one.frames - calibrated.frames) ** 2, axis=1)
+                values.append(float(np.sqrt(np.mean(away))))
         notify(len(values))
     return Envelope(
         id=experiment.id,
@@ -179,17 +180,14 @@ def _batch(experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], 
             _, _, terminations, truncations, _ = envs.step(actions)
             over |= terminations | truncations
         return [
-            _Outcome(None if score is None else score.rmse_normalized, None)
-            if episode.fault is not None
-            else _Outcome(None if score is None else score.rmse_normalized, episode.trajectory().frames)
+            _Outcome(
+                None if score is None else score.rmse_normalized,
+                None if episode.fault is not None else episode.trajectory().frames,
+            )
             for score, episode in zip(envs.scores(), envs.episodes, strict=True)
         ]
     finally:
         envs.close()
-
-
-def _distance(frames: FloatArray, others: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.sum((frames - others) ** 2, axis=1))))
 
 
 def control_envelope(

@@ -101,7 +101,10 @@ def transfer_report(replays: Replays) -> TransferReport:
     if len(replays.worlds) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in replays.left_out.items())
         raise ParameterError(f"{replays.task}: no world could be run besides the training. {reasons}".rstrip())
-    rewards = _rewards(replays)
+    places = {world.name: number for number, world in enumerate(replays.worlds)}
+    rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
+    for one in replays.episodes:
+        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
     promised = float(rewards[0].mean())
     if not promised > 0.0:
         raise ParameterError(
@@ -134,15 +137,6 @@ def transfer_report(replays: Replays) -> TransferReport:
         first_fall=min((row for row in others if row.falls), key=_order, default=None),
         left_out=replays.left_out,
     )
-
-
-def _rewards(replays: Replays) -> NDArray[np.float64]:
-    """Return the rewards, shape [worlds, policies, starts]."""
-    places = {world.name: number for number, world in enumerate(replays.worlds)}
-    rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
-    for one in replays.episodes:
-        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
-    return rewards
 
 
 def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
