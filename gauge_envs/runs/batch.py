@@ -14,7 +14,7 @@ from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of
 from gauge_envs.envs.arguments import check_support, start_of
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.runs.episodes import planned_result, run_episode, run_repeats
+from gauge_envs.runs.episodes import planned_result, run_episodes
 from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
@@ -219,8 +219,7 @@ def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result
         outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
         return not_run(planned, outcome, str(error)), True
     try:
-        is_single = request.jitter is None and request.repeats == 1
-        return ([run_episode(request)] if is_single else run_repeats(request)), True
+        return run_episodes(request), True
     except GaugeError as error:
         outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
         return not_run(planned, outcome, str(error)), True

@@ -31,20 +31,21 @@ def run_episode(request: RunRequest) -> Result:
     """Run one episode without actions, which replays the recorded motion, and score it.
 
     Args:
-        request: The run; `repeats` and `jitter` apply to `run_repeats` only.
+        request: The run; its `repeats` and `jitter` do not apply.
     """
-    experiment = request.experiment()
-    (result,) = _run(request, experiment, [start_of(experiment, None, seed=request.seed)], together=False)
+    (result,) = run_episodes(replace(request, repeats=1, jitter=None))
     return result
 
 
-def run_repeats(request: RunRequest) -> list[Result]:
-    """Run an experiment several times at once, from starts that scatter as those of real trials, and score each.
+def run_episodes(request: RunRequest) -> list[Result]:
+    """Run the episodes of a request without actions, and score each.
 
-    The repeats are worlds of one simulation if the engine supports that; else simulations that are stepped in turn.
+    Repeats and episodes with a jitter are worlds of one simulation if the engine supports that; else simulations that
+    are stepped in turn.
 
     Args:
-        request: The run; without a `jitter` it has the default `Jitter`, or the single-shot trial of each seed.
+        request: The run. Its repeats start as those of real trials scatter: with its `jitter`, with the default one, or
+            as the single-shot trial of each seed.
 
     Returns:
         Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
@@ -52,22 +53,8 @@ def run_repeats(request: RunRequest) -> list[Result]:
     """
     experiment = request.experiment()
     seeds = range(request.seed, request.seed + request.repeats)
-    starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
-    return _run(request, experiment, starts, together=True)
-
-
-def _run(
-    request: RunRequest, experiment: Experiment, starts: Sequence[Jitter | TrialStart | None], *, together: bool
-) -> list[Result]:
-    """Run an episode from each start, and return their results.
-
-    Args:
-        request: The run.
-        experiment: Its experiment.
-        starts: Start of each episode; their seeds count up from that of the request.
-        together: Whether the engine may run them as worlds of one simulation.
-    """
-    seeds = range(request.seed, request.seed + len(starts))
+    together = request.repeats > 1 or request.jitter is not None
+    starts = [start_of(experiment, request.jitter, seed=seed) or (Jitter() if together else None) for seed in seeds]
     runs = [
         jittered_experiment(experiment, start, seed=seed, backend=request.backend)
         for start, seed in zip(starts, seeds, strict=True)
