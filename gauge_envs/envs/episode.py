@@ -146,14 +146,13 @@ class Episode:
         self._samples = np.full((sample_count, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
         self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
-        self.action_space = self._action_space()
+        motions = sum(path.motion_count for path in self._drivers)
+        self.action_space: spaces.Space[Any] = (
+            spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+        )
         self.observation_space = self._observation_space()
 
     # --- spaces ---
-
-    def _action_space(self) -> spaces.Space[Any]:
-        count = sum(path.motion_count for path in self._drivers)
-        return spaces.Box(-1.0, 1.0, (count,), np.float64) if count else spaces.Discrete(1)
 
     def _observation_space(self) -> spaces.Space[Observation]:
         scene = self.experiment.scene

@@ -300,21 +300,18 @@ class ScoreEpisodes(VectorWrapper):
         ended = np.flatnonzero(over & ~self._over).tolist()
         self._over = over
         if self._arrays:
-            if ended and over.all():
-                infos |= self._array_infos()
+            env = self.env.unwrapped
+            assert isinstance(env, GaugeVectorEnv)
+            if ended and over.all() and env.band is not None:
+                scores = env.score_arrays()
+                infos |= scores | {f"_{key}": np.isfinite(values) for key, values in scores.items()}
         elif ended and "score" not in infos:
-            scores, deformations = self._ended(infos, "score"), self._ended(infos, "deformation")
+            found, deformations = self._ended(infos, "score"), self._ended(infos, "deformation")
             for number in ended:
-                if scores[number] is not None:
-                    added = {"score": scores[number], "deformation": deformations[number]}
+                if found[number] is not None:
+                    added = {"score": found[number], "deformation": deformations[number]}
                     infos = self._add_info(infos, added, number)
         return observations, rewards, terminations, truncations, infos
-
-    def _array_infos(self) -> dict[str, NDArray[Any]]:
-        env = self.env.unwrapped
-        assert isinstance(env, GaugeVectorEnv)
-        scores = {} if env.band is None else env.score_arrays()
-        return scores | {f"_{key}": np.isfinite(values) for key, values in scores.items()}
 
     def _ended(self, infos: Mapping[str, Any], name: Literal["score", "deformation"]) -> Sequence[Any]:
         """Return what `GaugeEnv.score` or `GaugeEnv.deformation` returns, for each world."""

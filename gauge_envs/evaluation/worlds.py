@@ -59,7 +59,8 @@ def score_worlds(
     known = np.isfinite(band.mean)
     count = int(np.count_nonzero(known.any(axis=1)))
     frames = projected[::SAMPLES_PER_FRAME][: len(band.mean)]
-    scores = {"rmse": _rmse(frames, band.mean, known, count)}
+    apart = np.where(known[:, None], frames - np.where(known, band.mean, 0.0)[:, None], 0.0)
+    scores = {"rmse": np.sqrt(np.einsum("tnc,tnc->n", apart, apart) / count)}
     if _is_aligned(experiment, band):
         scores["release_offset_s"], scores["rmse_aligned"] = _aligned(projected, band.mean, known, count)
         scores["release_offset_s"][~np.isfinite(scores["rmse"])] = np.nan
@@ -80,19 +81,6 @@ def _normalized(experiment: Experiment, band: Band, scores: dict[str, FloatArray
     return scores | {
         f"{key}_normalized": scores[key] / baseline.mean for key in ("rmse", "rmse_aligned") if key in scores
     }
-
-
-def _rmse(frames: FloatArray, mean: FloatArray, known: NDArray[np.bool_], count: int) -> FloatArray:
-    """Return the root-mean-square distance of each world, shape [world_count].
-
-    Args:
-        frames: Band coordinates at the frames, shape [frame_count, world_count, C].
-        mean: Mean of the band, shape [frame_count, C].
-        known: Where it is known, same shape.
-        count: Number of frames with a mean.
-    """
-    apart = np.where(known[:, None], frames - np.where(known, mean, 0.0)[:, None], 0.0)
-    return np.sqrt(np.einsum("tnc,tnc->n", apart, apart) / count)
 
 
 def _aligned(

@@ -315,7 +315,7 @@ def _row(result: Result, file: Path, name: str) -> dict[str, Any]:
     stem = name.removesuffix(".json").rpartition(".")[2]
     row |= {
         "file": name,
-        "key": stem if _is_key(stem) else None,
+        "key": stem if len(stem) == KEY_LENGTH and set(stem) <= set("0123456789abcdef") else None,
         "preset": result.settings.get("preset") or result.settings_given.get("preset"),
         "timestep_s": result.settings.get("timestep_s") or result.settings_given.get("timestep_s"),
         "score": result.score.primary_normalized,
@@ -337,10 +337,6 @@ def _storable(value: Any) -> Any:
     if isinstance(value, int) and value.bit_length() > 63:
         return math.inf if value > 0 else -math.inf
     return value if value is None or isinstance(value, int | float) else json.dumps(value)
-
-
-def _is_key(text: str) -> bool:
-    return len(text) == KEY_LENGTH and set(text) <= set("0123456789abcdef")
 
 
 # --- the cost of a sweep, estimated from earlier results ---
