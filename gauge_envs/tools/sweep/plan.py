@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 from gauge_envs.backends import Backend, backend_for, backend_names, engine_call, is_bundled, support_of, versions_of
 from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import versions
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.request import RunRequest
@@ -127,7 +129,7 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         facts = engine_facts(backend, [one.experiment for one in subjects], choices, isolate=isolate)
         for number, subject in enumerate(subjects):
             for choice, settings in enumerate(choices):
-                run = _run(spec, backend, subject, settings, facts, (number, choice))
+                run = _run(backend, subject, settings, facts, (number, choice))
                 runs.setdefault(run.sha256, run)
     plan = SweepPlan(tuple(runs.values()))
     return replace(plan, duplicates=count - plan.episode_count)
@@ -139,42 +141,35 @@ class _Subject:
 
     Attributes:
         request: A request for it.
-        parameters: The parameters.
         experiment: The experiment, or the calibrated one if it does not take the parameters.
         refusal: Why it does not take the parameters, or None.
-        sha256: Hash of the experiment.
     """
 
     request: RunRequest
-    parameters: Parameters
     experiment: Experiment
-    refusal: ParameterError | None
-    sha256: str
+    refusal: ParameterError | None = None
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the experiment."""
+        return experiment_sha256(self.experiment)
 
     @classmethod
-    def load(cls, spec: SweepSpec, subject: Any, parameters: Parameters) -> _Subject:
+    def load(cls, spec: SweepSpec, subject: Variant | str, parameters: Parameters) -> _Subject:
         given = RunRequest(subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats)
         request = replace(given, jitter=spec.start_jitter or given.scatter)
-        refusal = None
         try:
-            experiment = request.experiment()
+            return cls(request, request.experiment())
         except ParameterError as error:
-            experiment, refusal = request.calibrated_experiment(), error
-        return cls(request, parameters, experiment, refusal, experiment_sha256(experiment))
+            return cls(request, request.calibrated_experiment(), error)
 
 
 def _run(
-    spec: SweepSpec,
-    backend: str,
-    subject: _Subject,
-    settings: dict[str, Any],
-    facts: EngineFacts,
-    place: tuple[int, int],
+    backend: str, subject: _Subject, settings: dict[str, Any], facts: EngineFacts, place: tuple[int, int]
 ) -> SweepRun:
     declined = facts.declined.get(place[0]) or (None if subject.refusal is None else str(subject.refusal))
-    found = facts.settings.get(place)
+    given_sha256, timestep_s = facts.settings.get(place, (str(settings), None))
     jitter = subject.request.jitter
-    timestep_s = None if found is None else found.timestep_s
     name = subject.experiment.name
     return SweepRun(
         request=replace(subject.request, backend=backend, settings=settings or None),
@@ -183,15 +178,15 @@ def _run(
             subject.sha256,
             backend=backend,
             versions=facts.versions,
-            settings=str(settings) if found is None else found.sha256,
-            parameters=subject.parameters,
+            settings=given_sha256,
+            parameters=subject.request.parameters,
             jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
         ),
         versions=facts.versions,
         shares_worlds=facts.shares_worlds,
         declined=declined,
         steps=None if timestep_s is None else subject.experiment.scene.duration_s / timestep_s,
-        label=", ".join([str(subject.parameters), *(f"{key}={value}" for key, value in settings.items())]),
+        label=", ".join([str(subject.request.parameters), *(f"{key}={value}" for key, value in settings.items())]),
     )
 
 
@@ -237,19 +232,6 @@ def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
 
 
 @dataclass(frozen=True)
-class SettingsFacts:
-    """One choice of settings for one experiment.
-
-    Attributes:
-        sha256: Hash of the resolved settings, or of the given ones where the engine does not resolve them.
-        timestep_s: Time step of the integrator [s]; None where the engine does not tell.
-    """
-
-    sha256: str
-    timestep_s: float | None
-
-
-@dataclass(frozen=True)
 class EngineFacts:
     """What a plan needs to know of an engine.
 
@@ -257,13 +239,15 @@ class EngineFacts:
         versions: Versions of its packages and of gauge-envs.
         shares_worlds: Whether repeats are worlds of one simulation.
         declined: Why the engine cannot build an experiment, by the number of the experiment.
-        settings: Facts by the number of the experiment and the number of the choice, for experiments it can build.
+        settings: Hash of the settings and time step [s] by the number of the experiment and the number of the choice,
+            for experiments that it can build. Settings are resolved where the engine does that; the step is None where
+            it does not tell.
     """
 
     versions: dict[str, str]
     shares_worlds: bool
     declined: dict[int, str]
-    settings: dict[tuple[int, int], SettingsFacts]
+    settings: dict[tuple[int, int], tuple[str, float | None]]
 
 
 def engine_facts(
@@ -303,7 +287,7 @@ def _facts(backend: str, experiments: Sequence[Experiment], choices: Sequence[Ma
     return facts
 
 
-def _settings_facts(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> SettingsFacts:
+def _settings_facts(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> tuple[str, float | None]:
     try:
         with engine_call(engine.name, "resolved_settings"):
             resolved = engine.resolved_settings(experiment.scene, settings)
@@ -316,7 +300,5 @@ def _settings_facts(engine: Backend, experiment: Experiment, settings: Mapping[s
             f"[settings.{engine.name}]"
         ) from None
     timestep_s = (settings if resolved is None else resolved).get("timestep_s")
-    return SettingsFacts(
-        sha256=content_sha256({"given": settings} if resolved is None else resolved),
-        timestep_s=timestep_s if isinstance(timestep_s, float) else None,
-    )
+    sha256 = content_sha256({"given": settings} if resolved is None else resolved)
+    return sha256, timestep_s if isinstance(timestep_s, float) else None
