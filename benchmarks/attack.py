@@ -16,6 +16,7 @@ import json
 import pickle
 import random
 import resource
+import sqlite3
 import sys
 import tempfile
 import time
@@ -23,13 +24,12 @@ import traceback
 import warnings
 import zipfile
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
-from gauge_envs.tools.sweep.query import query_sweep
 from pxr import Sdf
 
 from gauge_envs import load_experiment
@@ -61,7 +61,7 @@ from gauge_envs.tools.sanity.readers.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.readers.isaac_lab import isaac_lab_configuration
 from gauge_envs.tools.sanity.readers.yaml_document import read_yaml
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.sweep.store import SweepFolder
+from gauge_envs.tools.sweep.store import SweepFolder, update_store
 from gauge_envs.tools.transfer.policies.normalization import read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.video import read_camera, read_track
@@ -303,13 +303,14 @@ def targets(folder: Path) -> dict[str, Target]:
     swept = SweepFolder(folder / "swept")
     swept.create()
     swept.write(load_result(result_file), "a.json")
-    query_sweep(swept.path, "SELECT 1")
+    update_store(swept.path)
 
     def store_read(file: Path) -> None:
         """Read a damaged store beside a result file that is whole: its row must be there."""
         swept.store_path.write_bytes(file.read_bytes())
         try:
-            _, rows = query_sweep(swept.path, "SELECT id, outcome FROM results")
+            with closing(sqlite3.connect(update_store(swept.path))) as store:
+                rows = store.execute("SELECT id, outcome FROM results").fetchall()
         finally:
             for left in swept.path.glob("sweep.sqlite*"):
                 left.unlink()

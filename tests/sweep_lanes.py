@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +17,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.sweep.lanes import run_request
+from gauge_envs.tools.sweep.store import update_store
 
 needs_rapier = pytest.mark.skipif(find_spec("rapier3d") is None, reason="extra 'rapier' is absent")
 """For tests of an engine whose repeats share worlds, or that declines deformable bodies."""
@@ -40,3 +45,9 @@ def plain(result: Result) -> str:
 def contents(folder: Path) -> dict[str, str]:
     """The results of a folder by file name; each must be complete."""
     return {file.name: plain(load_result(file)) for file in folder.glob("*.json")}
+
+
+def stored(folder: Path, sql: str, notify: Callable[[str], None] = lambda text: None) -> list[tuple[Any, ...]]:
+    """What a statement returns of the store of a folder, which is brought up to date."""
+    with closing(sqlite3.connect(update_store(folder, notify))) as connection:
+        return connection.execute(sql).fetchall()

@@ -32,7 +32,6 @@ COMMANDS = {
     "sanity": "sanity.command:sanity",
     "materials": "recipes.fabric_command:materials",
     "sweep": "sweep.command:sweep",
-    "query": "sweep.command:query",
     "film": "film.command:film",
     "recipe": "recipes.command:recipe",
     "transfer": "transfer.command:transfer",

@@ -1,4 +1,4 @@
-"""Commands of sweeps: `gauge sweep` plans and runs one, `gauge query` reads its store."""
+"""Command of sweeps: `gauge sweep` plans and runs one."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import sys
 from collections import Counter
 from collections.abc import Callable
 from contextlib import closing
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -21,7 +20,6 @@ from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import (
     EXIT_FAILED,
     counted,
-    echo,
     plain_text,
     print_json_lines,
     print_table,
@@ -127,32 +125,6 @@ def sweep(
     limits = Limits(time_limit_s, memory_limit_gb, isolate)
     lanes = partial(_lanes, ray, workers, count, limits)
     _run(plan, spec, out, lanes, part is not None, retry_failed, json_lines)
-
-
-class Format(StrEnum):
-    """Format of the rows of a query."""
-
-    TABLE = "table"
-    CSV = "csv"
-    JSON = "json"
-
-
-def query(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sweep or gauge run.")],
-    sql: Annotated[str, typer.Argument(help="One SELECT statement; the table is results.")],
-    form: Annotated[Format, typer.Option("--format", help="Format of the rows.")] = Format.TABLE,
-) -> None:
-    """Query the results of a folder with SQL, which can only read, within 60 s."""
-    from gauge_envs.tools.sweep.query import query_sweep
-    from gauge_envs.tools.sweep.words import query_csv, query_records, query_table
-
-    columns, rows = query_sweep(folder, sql, notify=_note)
-    if form is Format.CSV:
-        echo(query_csv(columns, rows), nl=False)
-    elif form is Format.JSON:
-        print_json_lines(query_records(columns, rows))
-    else:
-        print_table(query_table(columns, rows), json_lines=False)
 
 
 # --- what is asked for -----------------------------------------------------------------------------------------------

@@ -164,6 +164,31 @@ def _check_regular(path: Path) -> None:
         raise ResultFileError(f"{path}: cannot be opened: it is not a regular file")
 
 
+def update_store(path: Path, notify: Notify = lambda text: None) -> Path:
+    """Bring the store of a folder up to date, and return its path.
+
+    While a sweep runs there, or where the folder cannot be written, the store stays as it is.
+
+    Args:
+        path: Folder of a sweep, or of `gauge run`.
+        notify: Receives a sentence for a damaged store, for each damaged file, and for a store that stays as it is.
+    """
+    folder = SweepFolder(path)
+    if next(folder.files(), None) is None:
+        raise ResultFileError(f"{path}: no result files there; gauge sweep and gauge run write them")
+    try:
+        with folder.lock(), SweepStore(folder, notify) as store:
+            store.synchronise()
+    except (ResultFileError, OSError) as error:
+        try:
+            with closing(read_only(folder.store_path)) as connection:
+                connection.execute("SELECT file FROM results LIMIT 1").fetchone()
+        except (ResultFileError, sqlite3.Error):
+            raise error from None
+        notify(f"the store is not brought up to date: {error}")
+    return folder.store_path
+
+
 class SweepStore:
     """The store of a folder, opened to be written. Close it, or use it in a `with` statement.
 

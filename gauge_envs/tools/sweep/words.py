@@ -1,17 +1,11 @@
-"""Tables of sweeps: the plan, the outcomes and the answers to queries."""
+"""Tables of sweeps: the plan and the outcomes."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gauge_envs.errors import ParameterError
-from gauge_envs.files import json_ready, printable
 from gauge_envs.pages.table import Column, Table
-from gauge_envs.pages.text import value_text
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
 from gauge_envs.tools.sweep.store import Cost, EarlierCosts
@@ -93,48 +87,6 @@ def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
     ]
     columns = (Column("backend", "engine"), *(Column(one.value, one.value, str, is_number=True) for one in Outcome))
     return Table(columns=columns, rows=rows)
-
-
-def query_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> Table:
-    """Return the answer to a query as a table."""
-    numbers = [all(isinstance(row[index], int | float | None) for row in rows) for index in range(len(columns))]
-    return Table(
-        columns=tuple(
-            Column(str(index), name, lambda value: value_text(_plain(value)), is_number=is_number)
-            for index, (name, is_number) in enumerate(zip(columns, numbers, strict=True))
-        ),
-        rows=[{str(index): value for index, value in enumerate(row)} for row in rows],
-    )
-
-
-def query_csv(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
-    """Return the answer to a query as CSV with a header.
-
-    Bytes are written in hexadecimal digits, and control characters as escapes: a file of a stranger may hold some,
-    which a terminal would execute.
-    """
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(map(_csv_value, columns))
-    writer.writerows(map(_csv_value, row) for row in rows)
-    return text.getvalue()
-
-
-def query_records(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> list[dict[str, Any]]:
-    """Return the answer to a query as JSON-ready objects; bytes are written in hexadecimal digits."""
-    if len({*columns}) < len(columns):
-        twice = next(name for name, count in Counter(columns).items() if count > 1)
-        raise ParameterError(f"two columns have the name {twice!r}, and JSON keeps one: name them with AS")
-    return [json_ready({name: _plain(value) for name, value in zip(columns, row, strict=True)}) for row in rows]
-
-
-def _plain(value: Any) -> Any:
-    return value.hex() if isinstance(value, bytes) else value
-
-
-def _csv_value(value: Any) -> Any:
-    value = _plain(value)
-    return "\n".join(map(printable, value.split("\n"))) if isinstance(value, str) else value
 
 
 PLAN_COLUMNS = (

@@ -1,9 +1,7 @@
-"""`gauge sweep` and `gauge query`: plans, runs, exit codes, interruption, and a message for each wrong request."""
+"""`gauge sweep`: plans, runs, exit codes, interruption, and a message for each wrong request."""
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 import subprocess
@@ -12,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from sweep_lanes import HereLane, contents, needs_rapier
+from sweep_lanes import HereLane, contents, needs_rapier, stored
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
@@ -42,7 +40,7 @@ def lines(result: Any) -> list[dict[str, Any]]:
     return [json.loads(line) for line in result.stdout.splitlines()]
 
 
-def test_plan_run_and_query(gauge: Any, tmp_path: Path) -> None:
+def test_plan_run_and_store(gauge: Any, tmp_path: Path) -> None:
     plan = gauge("sweep", "sweep.toml", "--out", "out", "--dry-run")
     assert plan.exit_code == 0 and not (tmp_path / "out").exists()
     assert "4 episodes, 4 left" in plan.stderr and "cost unknown" in plan.stderr
@@ -53,10 +51,7 @@ def test_plan_run_and_query(gauge: Any, tmp_path: Path) -> None:
     assert (row["experiment"], row["episodes"], row["left"], row["unknown"]) == ("SlopeSlider-2-wood", 6, 2, 0)
     assert row["engine_s"] > 0.0
     sql = "SELECT timestep_s, count(*) AS n FROM results GROUP BY 1 ORDER BY 1"
-    assert gauge("query", "out", sql).stdout.splitlines()[0].split() == ["timestep_s", "n"]
-    assert [row["n"] for row in lines(gauge("query", "out", sql, "--format", "json"))] == [2, 2]
-    table = list(csv.reader(io.StringIO(gauge("query", "out", sql, "--format", "csv").stdout)))
-    assert table == [["timestep_s", "n"], ["0.001388888888888889", "2"], ["0.002777777777777778", "2"]]
+    assert stored(tmp_path / "out", sql) == [(1 / 720, 2), (1 / 360, 2)]
 
 
 def test_options_alone_are_the_file(gauge: Any, tmp_path: Path) -> None:
@@ -126,13 +121,6 @@ def test_a_wrong_request_has_exit_code_2(gauge: Any, arguments: list[str], messa
     result = gauge("sweep", *arguments)
     assert result.exit_code == 2
     assert message in " ".join(result.stderr.split())
-
-
-def test_a_wrong_query_has_exit_code_2(gauge: Any) -> None:
-    assert gauge("query", "nowhere", "SELECT 1").exit_code == 2
-    gauge("sweep", "sweep.toml", "--out", "out")
-    result = gauge("query", "out", "SELECT speed FROM results")
-    assert result.exit_code == 2 and "no such column: speed" in result.stderr
 
 
 def test_parts_together_are_the_sweep(gauge: Any, tmp_path: Path) -> None:

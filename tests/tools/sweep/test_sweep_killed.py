@@ -12,9 +12,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from gauge_envs.tools.sweep.query import query_sweep
 from places import ROOT
-from sweep_lanes import HereLane, contents, needs_rapier
+from sweep_lanes import HereLane, contents, needs_rapier, stored
 
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
@@ -73,7 +72,7 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_pat
         assert contents(folder).items() <= expected.items()
     assert kills == ["parent", "parent", "worker"]
     assert contents(folder) == expected
-    assert query_sweep(folder, "SELECT outcome, count(*) FROM results GROUP BY 1")[1] == [("finished", COUNT)]
+    assert stored(folder, "SELECT outcome, count(*) FROM results GROUP BY 1") == [("finished", COUNT)]
 
 
 @pytest.mark.slow
