@@ -35,8 +35,8 @@ import numpy as np
 import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.backends import Recording, Simulation, World, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs.rollout import RecordedEpisodes
-from gauge_envs.evaluation.device_scores import device_array
+from gauge_envs.envs.at_once import RecordedEpisodes
+from gauge_envs.evaluation.worlds import device_array
 from gauge_envs.scene import Scene
 
 NAME = "SlopeSlider-2-wood"

@@ -27,8 +27,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.limit import Ending, LimitReport
-from gauge_envs.envs.control.play import Policy
-from gauge_envs.tools.transfer.policy_replays import make_control_env, play_paid, start_overrides
+from gauge_envs.envs.control.play import Policy, play_paid
+from gauge_envs.tools.transfer.policy_replays import make_control_env, start_overrides
 
 UNSEEN = 10_000
 """Seed of the first unseen start; trainings have smaller seeds."""

@@ -40,7 +40,6 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, ConvergenceTable, RefinedSetting
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Rod, SoftBody
 
 QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "StickStack-soft")
@@ -77,28 +76,26 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
     Raises:
         TooSlowError: It takes longer than the limit.
     """
-    env = RunRequest(name, backend=engine, settings=settings, marker_proxy="material").make_env()
-    inner = env.unwrapped
-    assert isinstance(inner, GaugeEnv)
+    env = GaugeEnv(name, backend=engine, settings=settings, marker_proxy="material")
     space = env.action_space
     zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
     try:
         start = time.perf_counter()
         env.reset(seed=0)
-        nodes_m = inner.episode.nodes_m()
+        nodes_m = env.episode.nodes_m()
         over = False
         while not over:
             *_, terminated, truncated, _ = env.step(zero)
             over = terminated or truncated
             if time.perf_counter() - start > limit_s:
                 raise TooSlowError
-        trajectory = inner.trajectory()
+        trajectory = env.trajectory()
         points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
-        count = inner.experiment.frame_count
+        count = env.experiment.frame_count
         return Run(
             frames=trajectory.frames[:count],
             points_m=points[:count],
-            settings=inner.simulation.settings,
+            settings=env.simulation.settings,
             nodes_m=nodes_m,
         )
     finally:

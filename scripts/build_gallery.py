@@ -22,12 +22,10 @@ from numpy.typing import NDArray
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends import versions_of
-from gauge_envs.envs.no_reward import unreported
-from gauge_envs.envs.rendering.ghost import reference_text
+from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.overlay import Overlay
-from gauge_envs.envs.rendering.tracked import tracked_overlay
-from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.envs.rendering.overlay import Overlay, tracked_overlay
+from gauge_envs.evaluation.reference_path import reference_path, reference_text
 from gauge_envs.experiments.variants import beyond_variants, find_variant, variants
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.pages.text import BACKEND_TITLES
@@ -208,10 +206,9 @@ def stepped(entry: Entry, folder: Path) -> list[View]:
 
 def _views(entry: Entry, last: int) -> Iterator[View]:
     """Run an episode to a frame with zero actions, and yield its first, middle and last view."""
-    with unreported():
-        env = gymnasium.make(f"GAUGE/{entry.name}", use_withheld=entry.use_withheld)
+    env = GaugeEnv(entry.name, use_withheld=entry.use_withheld)
     env.reset(seed=0)
-    episode = env.unwrapped.episode
+    episode = env.episode
     zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
     for frame in range(last + 1):
         if frame:

@@ -20,8 +20,7 @@ def loaded_results(sources: Sequence[str] | None, *, with_scene: bool = False) -
         sources: Files and folders; None for `results/`.
         with_scene: Whether to skip also results whose scene cannot be built again.
     """
-    from gauge_envs.runs.result_file import load_result
-    from gauge_envs.runs.scene_record import recorded_experiment
+    from gauge_envs.runs.result_file import load_result, recorded_experiment
 
     files = dict.fromkeys(file.resolve() for source in sources or ["results"] for file in _result_files(Path(source)))
     results: dict[Path, Result] = {}

@@ -1,7 +1,8 @@
-"""Arguments of environments: their declaration, checks, and plain form for a spec."""
+"""Arguments of environments: their declaration, checks, plain form for a spec, and the starts of episodes."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from enum import Enum
@@ -12,9 +13,8 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
-from gauge_envs.envs.trial_start import TrialStart, trial_scene
-from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
-from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.errors import GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError
+from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
@@ -22,7 +22,7 @@ from gauge_envs.experiments.single_shot import shots_of, with_trial
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy, checked_proxy
 from gauge_envs.references.bands import Band
-from gauge_envs.references.imported import DataSource
+from gauge_envs.references.imported import DataSource, has_import
 from gauge_envs.scene.jitter import Jitter, jittered
 
 
@@ -135,6 +135,21 @@ def _plain(name: str, value: Any) -> Any:
     )
 
 
+@dataclass(frozen=True)
+class TrialStart:
+    """Start of an imported trial.
+
+    Attributes:
+        trial: Number of the trial, from 0.
+    """
+
+    trial: int
+
+    def to_dict(self) -> dict[str, float]:
+        """Return the start for a result."""
+        return {"trial": self.trial}
+
+
 def jitter_option(options: Mapping[str, Any]) -> Jitter | TrialStart | None:
     """Return the start that the options of a reset ask for, or None for the calibrated start."""
     unknown = [repr(key) for key in options if key not in ("jitter", "trial")]
@@ -171,6 +186,8 @@ def jittered_experiment(
     if isinstance(jitter, TrialStart) and shots_of(experiment) is not None:
         moved = with_trial(experiment, jitter.trial)
     elif isinstance(jitter, TrialStart):
+        from gauge_envs.envs.trial_start import trial_scene
+
         moved = replace(experiment, scene=trial_scene(experiment, jitter.trial))
     else:
         moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
@@ -212,3 +229,42 @@ def _unsupported_message(experiment: Experiment, asked: str, missing: tuple[str,
     reasons = "; ".join(missing)
     others = f"backend={able[0]!r} can" if able else "no other backend of this package can"
     return f"{experiment.id}: backend {asked!r} cannot build it: {reasons}; {others}"
+
+
+# --- environments without a reward ---
+
+CALLER = 4
+"""Frames from the warning to the caller of `gymnasium.make`: this module, the entry point, `make`, the caller."""
+
+_warned: set[str] = set()
+
+
+def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
+    """Warn, once for each id, that an environment has no reward, and say how to get one.
+
+    Args:
+        experiment: The experiment of the environment.
+        band: Band that its rewards are relative to; with one, nothing is reported.
+    """
+    if band is not None or experiment.id in _warned:
+        return
+    warnings.warn(_no_reward_message(experiment), NoRewardWarning, stacklevel=CALLER)
+    _warned.add(experiment.id)
+
+
+def _no_reward_message(experiment: Experiment) -> str:
+    """Return what is missing and what to do; an experiment file states its own reference."""
+    missing = f"{experiment.id} has no reference in use, so every reward is 0."
+    if experiment.asset is not None and experiment.reference is not None:
+        return f"{missing} Add a table 'band' to {experiment.asset.path.name}."
+    ways = []
+    if has_import(experiment.name):
+        ways.append("pass reference='imported', as its real trials are imported")
+    else:
+        ways.append("import its real trials with 'gauge data import', then pass reference='imported'")
+    stored = load_band(experiment.name, experiment.reference_source)
+    if stored is not None and stored.withheld is not None:
+        name = experiment.name
+        ways.append(f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld")
+    ways.append("choose an id that 'gauge list --scored' shows")
+    return f"{missing} To get one, {'; or '.join(ways)}."

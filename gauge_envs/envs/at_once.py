@@ -1,48 +1,44 @@
-"""Episodes of many worlds in shared arrays: they are observed, judged and rewarded at once.
+"""Episodes of many worlds in shared arrays: they are observed, judged and rewarded at once, or recorded on a device.
 
 A loop over worlds in Python costs more than an engine that steps thousands of them on one device. So the records of all
 episodes are parts of two arrays, and each sample is one reading of all worlds. Every number is that of `Episode`.
+
+Where the engine records whole episodes on its device, nothing is copied to the host between start and end. A kernel
+finds worlds that may have diverged. Their states alone are then copied, and judged by the code of single episodes.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.base import Backend, Simulation, World, Worlds, worlds_of
+from gauge_envs.backends.recording import Recording
+from gauge_envs.backends.registry import backend_for
+from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode, Observation, reward_terms
-from gauge_envs.envs.rollout import RecordedEpisodes
+from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
+from gauge_envs.evaluation.worlds import device_array, score_recording
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
-Numbers = NDArray[np.intp]
 
 
-class EpisodesAtOnce:
-    """Episodes of one experiment on worlds of an engine that advances all of them in one call.
-
-    Args:
-        episodes: The episode of each world; `fits` is true for them.
-        worlds: The worlds.
-
-    Attributes:
-        frame: Number of the current frame.
-        running: Numbers of the worlds whose episodes ran in the last step.
-        diverged: Whether the episode of each world has diverged, shape [world_count].
-    """
+class EpisodesAtOnce(EpisodesOneByOne):
+    """Episodes of rigid bodies without drivers, on worlds of an engine that advances all of them in one call."""
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
-        first = episodes[0]
-        scene = first.experiment.scene
-        count = len(episodes)
-        self._episodes = episodes
-        self._worlds = worlds
+        super().__init__(episodes, worlds)
+        first, count = episodes[0], len(episodes)
         self._recorded = first.experiment.recorded
-        self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self._dynamic = tuple(body.name for body in first.experiment.scene.dynamic_bodies)
         self._rows = [self._dynamic.index(name) for name in self._recorded]
         self._bounds = RigidBoundsOfWorlds([episode.experiment.scene for episode in episodes])
         self._has_faults = any(type(world).fault is not World.fault for world in worlds.worlds)
@@ -54,117 +50,82 @@ class EpisodesAtOnce:
             episode.record_in(self._samples[:, number], self._bodies[:, number])
         self._shown = np.zeros(count, dtype=np.intp)
         self._reward_terms = reward_terms(first.band)
-        self.frame = 0
-        self.running = np.arange(count)
-        self.diverged = np.zeros(count, dtype=np.bool_)
+        self._frame = 0
+        self._diverged = np.zeros(count, dtype=np.bool_)
 
     @property
-    def can_roll_out(self) -> bool:
-        """Whether the engine records the worlds on its device."""
-        return self._worlds.can_record and not self._has_faults
+    def running(self) -> Numbers:
+        """Numbers of the worlds whose episodes are not over."""
+        return self.ran[:0] if self._frame == len(self._bodies) - 1 else self.ran[~self._diverged[self.ran]]
 
-    @staticmethod
-    def fits(episodes: Sequence[Episode], worlds: Worlds) -> bool:
-        """Return whether episodes can run at once: rigid bodies without drivers, on worlds that advance together."""
-        experiment = episodes[0].experiment
-        return (
-            experiment.score.observable is Observable.POSITION
-            and not experiment.scene.drivers
-            and not experiment.scene.deformables
-            and experiment.trial is None
-            and not any(isinstance(world, Simulation) for world in worlds.worlds)
-        )
-
-    def roll_out(self) -> RecordedEpisodes:
-        """Advance all worlds from frame 0 to the end; the engine records them, and nothing is written here.
-
-        The episodes stay at frame 0 until `keep` takes the record, or `begin` starts the next ones.
-        """
-        return RecordedEpisodes(self._episodes, self._worlds, self._bounds)
-
-    def keep(self, recorded: RecordedEpisodes) -> None:
-        """Copy the record of episodes to the host, after which they are as if they had been stepped."""
-        positions, states = recorded.host_arrays()
-        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
-        self._bodies[:] = states[: len(self._bodies), :, self._rows]
-        self.frame = int(recorded.frames.max())
-        self.running = self.running[:0]
-        self._shown[:] = recorded.frames
-        for number, episode in enumerate(self._episodes):
-            episode.frame, episode.fault = int(recorded.frames[number]), recorded.faults.get(number)
-            self.diverged[number] = episode.fault is not None
-            last = states[min(episode.frame, len(self._bodies) - 1), number]
-            if episode.runs_on:
-                episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
-                episode.count_later_frames(int(recorded.later[number]))
-
-    def begin(self) -> None:
-        """Record frame 0 of all worlds; they are at their starts."""
-        states = self._worlds.body_states(self._dynamic)
-        self.frame = 0
-        self.running = np.arange(len(self._episodes))
-        self.diverged = np.zeros(len(self._episodes), dtype=np.bool_)
+    def begin(self, seed: int) -> None:
+        """Return all worlds to their starts, and record frame 0."""
+        self.worlds.reset(seed)
+        states = self.worlds.body_states(self._dynamic)
+        self.ran, self._frame = np.arange(len(states)), 0
+        self._diverged[:] = False
         self._shown[:] = 0
         self._bodies[0] = states[:, self._rows]
         self._samples[0] = 1e3 * self._bodies[0, :, :, :3].reshape(len(states), -1)
-        for episode in self._episodes:
+        for episode in self.episodes:
             episode.restart()
 
-    def step(self) -> None:
-        """Advance all worlds by a frame, and record and judge it in those that ran until then."""
-        running = self.running
-        self._advance(running, self.frame)
-        self.frame += 1
-        states = self._worlds.body_states(self._dynamic)
-        self._bodies[self.frame, running] = states[running][:, self._rows]
-        self._shown[running] = self.frame
+    def step(self, actions: Any) -> None:
+        """Run a frame of the episodes that are not over."""
+        # Episodes without drivers take zeros alone; any other action is an error, which its check states.
+        if not (isinstance(actions, np.ndarray) and actions.shape == self._shown.shape and not actions.any()):
+            self._rates(actions)
+        self.ran = running = self.running
+        states, faults = self._simulated(running, self._frame)
+        self._frame += 1
+        self._bodies[self._frame, running] = states[running][:, self._rows]
+        self._shown[running] = self._frame
         for number in running.tolist():
-            self._episodes[number].frame = self.frame
-        for number in self._suspects(states, running):
-            fault = self._episodes[number].fault_of(states[number])
-            self._episodes[number].fault = fault
-            self.diverged[number] = fault is not None
+            self.episodes[number].frame, self.episodes[number].fault = self._frame, faults.get(number)
+        self._diverged[[*faults]] = True
 
-    def end_step(self) -> None:
-        """Leave out the worlds whose episodes are over."""
-        self.running = self.running[~self.diverged[self.running]]
-        if self.is_complete:
-            self.running = self.running[:0]
+    def _simulated(self, running: Numbers, frame: int) -> tuple[FloatArray, dict[int, str]]:
+        """Advance all worlds from a frame to the next, and record g(t) of some.
 
-    @property
-    def is_complete(self) -> bool:
-        """Whether this is the last frame."""
-        return self.frame == len(self._bodies) - 1
+        Returns:
+            States of the dynamic bodies then, shape [world_count, body_count, 13], and the reason for each of those
+            worlds that has diverged.
+        """
+        for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
+            self.worlds.advance(SAMPLE_INTERVAL_S)
+            positions_mm = 1e3 * self.worlds.body_positions(self._recorded)
+            # A whole block is copied faster than chosen rows.
+            if len(running) == len(positions_mm):
+                self._samples[sample] = positions_mm.reshape(len(running), -1)
+            else:
+                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
+        states = self.worlds.body_states(self._dynamic)
+        suspects = running if self._has_faults else running[self._bounds.suspects(states)[running]]
+        faults = {number: self.episodes[number].fault_of(states[number]) for number in suspects.tolist()}
+        return states, {number: fault for number, fault in faults.items() if fault is not None}
 
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
-        running = np.flatnonzero([episode.runs_on for episode in self._episodes])
+        started = running = np.flatnonzero([episode.runs_on for episode in self.episodes])
         if not len(running):
             return
-        states = self._worlds.body_states(self._dynamic)
-        for number in running.tolist():
-            poses = dict(zip(self._dynamic, states[number, :, :7], strict=True))
-            self._episodes[number].begin_later_frame((poses, {}))
-        limit = self._episodes[running[0]].later_limit
-        started, counts = running, np.zeros(len(self._episodes), dtype=np.intp)
-        for later in range(limit):
-            frame = self.frame + later
-            self._advance(running, frame)
-            now = self._worlds.body_states(self._dynamic)
-            rows = self._samples[frame * SAMPLES_PER_FRAME + 1 : (frame + 1) * SAMPLES_PER_FRAME + 1]
-            ended = ~np.isfinite(rows).all(axis=(0, 2))
-            for number in self._suspects(now, running):
-                ended[number] |= self._episodes[number].fault_of(now[number]) is not None
-            running = running[~ended[running]]
+        states, counts = self.worlds.body_states(self._dynamic), np.zeros(len(self.episodes), dtype=np.intp)
+        for number in started.tolist():
+            self.episodes[number].begin_later_frame((dict(zip(self._dynamic, states[number, :, :7], strict=True)), {}))
+        for later in range(self.episodes[started[0]].later_limit):
+            first = (self._frame + later) * SAMPLES_PER_FRAME + 1
+            _, faults = self._simulated(running, self._frame + later)
+            is_finite = np.isfinite(self._samples[first : first + SAMPLES_PER_FRAME, running]).all(axis=(0, 2))
+            running = running[is_finite & ~np.isin(running, [*faults])]
             counts[running] = later + 1
             if not len(running):
                 break
         for number in started.tolist():
-            self._episodes[number].count_later_frames(int(counts[number]))
+            self.episodes[number].count_later_frames(int(counts[number]))
 
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
-        every = np.arange(len(self._episodes))
+        every = np.arange(len(self.episodes))
         return {
             "bodies": self._bodies[self._shown, every],
             "observable": self._samples[self._shown * SAMPLES_PER_FRAME, every],
@@ -173,41 +134,213 @@ class EpisodesAtOnce:
 
     def rewards(self) -> FloatArray:
         """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
-        rewards = np.zeros(len(self._episodes))
+        rewards = np.zeros(len(self.episodes))
         if self._reward_terms is not None:
             projection, mean, weight = self._reward_terms
-            g = self._samples[self.frame * SAMPLES_PER_FRAME, self.running]
+            g = self._samples[self._frame * SAMPLES_PER_FRAME, self.ran]
             # A stack of matrix-vector products gives the bits of `Episode.reward`; one matrix product would not.
-            deviations = np.abs(np.matmul(projection, g[:, :, None])[:, :, 0] - mean[self.frame])
-            rewards[self.running] = -np.matmul(deviations[:, None, :], weight[self.frame][:, None])[:, 0, 0]
+            deviations = np.abs(np.matmul(projection, g[:, :, None])[:, :, 0] - mean[self._frame])
+            rewards[self.ran] = -np.matmul(deviations[:, None, :], weight[self._frame][:, None])[:, 0, 0]
         return rewards
+
+    def infos(self, add: AddInfo) -> dict[str, Any]:
+        """Return the infos of the worlds that ran in the last step, which differ in their divergence alone."""
+        ran = self.ran
+        common = self.episodes[ran[0]].info()
+        common.pop("diverged", None)
+        infos = add({}, common, int(ran[0]))
+        for key in common:
+            infos[key][ran], infos[f"_{key}"][ran] = infos[key][ran[0]], True
+        for world in ran[self._diverged[ran]].tolist():
+            infos = add(infos, {"diverged": self.episodes[world].fault}, world)
+        return infos
 
     def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return terminations and truncations, shape [world_count] each."""
-        return self.diverged.copy(), ~self.diverged & self.is_complete
+        return self._diverged.copy(), ~self._diverged & (self._frame == len(self._bodies) - 1)
 
     def trajectories(self) -> tuple[FloatArray, FloatArray]:
-        """Return times [s], shape [sample_count], and g(t) of all worlds, shape [world_count, sample_count, width].
-
-        Samples that a world did not reach are NaN.
-        """
+        """Return times [s] and g(t) of all worlds; samples that a world did not reach are NaN."""
         numbers = np.arange(len(self._samples))
-        counts = np.array([episode.sample_count for episode in self._episodes])
+        counts = np.array([episode.sample_count for episode in self.episodes])
         samples = np.where((numbers[:, None] < counts)[:, :, None], self._samples, np.nan)
         return SAMPLE_INTERVAL_S * numbers.astype(np.float64), samples.transpose(1, 0, 2)
 
-    def _advance(self, running: Numbers, frame: int) -> None:
-        """Advance all worlds from a frame to the next, and record g(t) of some."""
-        for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
-            self._worlds.advance(SAMPLE_INTERVAL_S)
-            positions_mm = 1e3 * self._worlds.body_positions(self._recorded)
-            if len(running) == len(positions_mm):
-                self._samples[sample] = positions_mm.reshape(len(running), -1)
-            else:
-                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
+    # --- on a device ---
 
-    def _suspects(self, states: FloatArray, running: Numbers) -> list[int]:
-        """Return the numbers of running worlds that may have diverged."""
-        if self._has_faults:
-            return running.tolist()
-        return running[self._bounds.suspects(states)[running]].tolist()
+    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
+        """Run the episodes on the engine's device, or return None if the engine records nothing."""
+        if not self.worlds.can_record or self._has_faults:
+            return None
+        for one in actions:
+            if np.any(one):
+                self._rates(one)
+        recorded = RecordedEpisodes(self.episodes, self.worlds, self._bounds)
+        scores = recorded.scores()
+        if keep:
+            self._keep(recorded)
+        device = recorded.recording.device
+        return Rollout(scores=scores, diverged=recorded.faults, frames=recorded.frames, device=device)
+
+    def _keep(self, recorded: RecordedEpisodes) -> None:
+        """Copy the record of episodes to the host, after which they are as if they had been stepped."""
+        recording = recorded.recording
+        positions, states = (device_array(one).numpy() for one in (recording.positions_m, recording.states))
+        self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
+        self._bodies[:] = states[: len(self._bodies), :, self._rows]
+        self._frame = int(recorded.frames.max())
+        self.ran = self.ran[:0]
+        self._shown[:] = recorded.frames
+        for number, episode in enumerate(self.episodes):
+            episode.frame, episode.fault = int(recorded.frames[number]), recorded.faults.get(number)
+            self._diverged[number] = episode.fault is not None
+            last = states[min(episode.frame, len(self._bodies) - 1), number]
+            if episode.runs_on:
+                episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
+                episode.count_later_frames(int(recorded.later[number]))
+
+
+class RecordedEpisodes:
+    """Episodes of all worlds, recorded from frame 0 to the end and judged.
+
+    Args:
+        episodes: The episode of each world, at frame 0; for which `EpisodesAtOnce` is made.
+        worlds: Their worlds at the start; `can_record` is true.
+        bounds: Bounds of the worlds.
+
+    Attributes:
+        recording: The record.
+        faults: Why the episode of a world diverged, by the number of the world.
+        frames: Number of the last frame of each world's episode, shape [world_count].
+        later: Number of frames after the last one that count for the release alignment, shape [world_count].
+    """
+
+    def __init__(self, episodes: Sequence[Episode], worlds: Worlds, bounds: RigidBoundsOfWorlds) -> None:
+        experiment = episodes[0].experiment
+        dynamic = [body.name for body in experiment.scene.dynamic_bodies]
+        self._episodes = episodes
+        self._last = experiment.frame_count - 1
+        self.rows = [dynamic.index(name) for name in experiment.recorded]
+        limits = np.array([episode.later_limit for episode in episodes], dtype=np.intp)
+        self.recording: Recording = worlds.record(
+            dynamic,
+            frame_count=experiment.frame_count + int(limits.max()),
+            samples=SAMPLES_PER_FRAME,
+            interval_s=SAMPLE_INTERVAL_S,
+        )
+        self.faults: dict[int, str] = {}
+        self.frames = np.full(len(episodes), self._last, dtype=np.intp)
+        self.later = limits
+        self._judge(bounds)
+
+    def scores(self) -> dict[str, FloatArray]:
+        """Return the scores of all worlds, shape [world_count] each; NaN for a world that diverged.
+
+        The first episode has a band.
+        """
+        first = self._episodes[0]
+        assert first.band is not None
+        counts = (self.frames + self.later) * SAMPLES_PER_FRAME + 1
+        # A world without samples has no score.
+        counts[list(self.faults)] = 0
+        return score_recording(
+            first.experiment,
+            first.band,
+            positions_m=self.recording.positions_m,
+            rows=self.rows,
+            sample_counts=counts,
+        )
+
+    def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
+        states, positions = device_array(self.recording.states), device_array(self.recording.positions_m)
+        firsts = _first_suspects(states, positions, bounds, later=self._last + 1)
+        suspects = np.flatnonzero(firsts < len(states))
+        if not len(suspects):
+            return
+        import warp as wp
+
+        with wp.ScopedDevice(states.device):
+            chosen = wp.array(suspects.astype(np.int32), dtype=wp.int32)
+            near = wp.indexedarray(states, [None, chosen]).numpy()
+            places = wp.indexedarray(positions, [None, chosen]).numpy()
+        for column, world in enumerate(suspects.tolist()):
+            self._decide(world, int(firsts[world]), near[:, column], places[:, column])
+
+    def _decide(self, world: int, first: int, states: FloatArray, positions_m: FloatArray) -> None:
+        """Judge a world from a frame on, as `EpisodesAtOnce` does frame by frame."""
+        episode = self._episodes[world]
+        for frame in range(first, self._last + int(self.later[world]) + 1):
+            fault = episode.fault_of(states[frame])
+            if frame <= self._last:
+                if fault is not None:
+                    self.faults[world], self.frames[world], self.later[world] = fault, frame, 0
+                    return
+                continue
+            samples = positions_m[(frame - 1) * SAMPLES_PER_FRAME + 1 : frame * SAMPLES_PER_FRAME + 1, self.rows]
+            if fault is not None or not np.isfinite(samples).all():
+                self.later[world] = frame - 1 - self._last
+                return
+
+
+def _first_suspects(states: object, positions: object, bounds: RigidBoundsOfWorlds, *, later: int) -> NDArray[np.int32]:
+    """Return the first frame in which each world may be out of bounds, shape [world_count]; the frame count if none."""
+    import warp as wp
+
+    from gauge_envs.envs.bounds_kernel import find_suspects
+
+    assert isinstance(states, wp.array)
+    frame_count, world_count = states.shape[:2]
+    limits = (bounds.masses_kg, bounds.distances_m, bounds.speeds_m_per_s, bounds.energies_j)
+    with wp.ScopedDevice(states.device):
+        first = wp.full(world_count, frame_count, dtype=wp.int32)
+        wp.launch(
+            find_suspects,
+            dim=(frame_count - 1, world_count),
+            inputs=[
+                states,
+                positions,
+                *(wp.array(limit, dtype=wp.float64) for limit in limits),
+                SAMPLES_PER_FRAME,
+                later,
+            ],
+            outputs=[first],
+        )
+        return first.numpy()
+
+
+def episodes_in_lockstep(
+    arguments: EnvArguments,
+    experiments: Sequence[Experiment],
+    stated: Experiment,
+    band: Band | None,
+    *,
+    together: bool = True,
+) -> EpisodesOneByOne:
+    """Build worlds and their episodes. They run at once if the engine and the experiment allow it.
+
+    Args:
+        arguments: Engine, settings and marker proxy; and the reference of worlds that do not have the stated one.
+        experiments: The experiment of each world; they differ in starts and constants.
+        stated: The experiment without the changes of the worlds.
+        band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
+        together: Whether the engine may build the worlds as one simulation.
+    """
+    scene, engine = experiments[0].scene, backend_for(arguments.backend, stated.model_file)
+    build = worlds_of if together else Backend.build_worlds
+    worlds = build(engine, [one.scene for one in experiments], arguments.settings)
+    episodes = [
+        Episode(
+            one,
+            world,
+            band=band if one.trial is None and one.overrides == stated.overrides else arguments.band(one),
+            marker_proxy=arguments.proxy,
+            backend=arguments.backend,
+        )
+        for one, world in zip(experiments, worlds.worlds, strict=True)
+    ]
+    shares_model = not any(isinstance(world, Simulation) for world in worlds.worlds)
+    is_rigid = stated.score.observable is Observable.POSITION and not (scene.drivers or scene.deformables)
+    # Single-shot trials have a band each.
+    if not (shares_model and is_rigid and experiments[0].trial is None):
+        return EpisodesOneByOne(episodes, worlds)
+    return EpisodesAtOnce(episodes, worlds)

@@ -1,21 +1,29 @@
-"""Bases of the environments: engine, spec, renderer, and copies that continue bit for bit."""
+"""Bases of the environments: engine, spec, renderer, copies that continue bit for bit, and worlds in lockstep."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import gymnasium
+import numpy as np
+from gymnasium import spaces
 from gymnasium.core import ActType, ObsType
 from gymnasium.envs.registration import EnvSpec
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
 from gauge_envs.envs.arguments import check_support, plain_spec
 from gauge_envs.envs.rendering.lazy import RENDER_MODES, Pictures
-from gauge_envs.errors import BackendError, EpisodeError
+from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+WORLD_LIMIT = 100_000
+"""Largest number of worlds; as many SlopeSlider worlds take 63 GB on MuJoCo."""
 
 
 class EngineEnvironment:
@@ -157,6 +165,59 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
     def _free(self) -> None:
         self._pictures.close()
         self.simulation.close()
+
+
+class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]):
+    """An environment of many worlds on one engine."""
+
+    metadata: ClassVar[dict[str, Any]] = {  # type: ignore[misc]  # gymnasium declares it without ClassVar
+        **EngineEnvironment.metadata,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
+
+    def _set_spaces(self, world_count: int, first: Any) -> None:
+        """Set the spaces of a number of worlds that are like the first."""
+        self.num_envs = world_count
+        self.single_action_space: spaces.Space[Any] = first.action_space
+        self.single_observation_space: spaces.Space[ObsType] = first.observation_space
+        self.action_space = batch_space(self.single_action_space, world_count)
+        self.observation_space = batch_space(self.single_observation_space, world_count)
+
+    def _seeds(self, seed: int | Sequence[int | None]) -> list[int | None]:
+        """Return the seed of each world; each next one has one more than a single seed."""
+        if isinstance(seed, int | np.integer):
+            return list(range(int(seed), int(seed) + self.num_envs))
+        if isinstance(seed, str) or not isinstance(seed, Sequence | np.ndarray):
+            raise ParameterError(f"seed {seed!r}: expected a number of 0 or more, or one for each world")
+        if len(seed) != self.num_envs:
+            raise ParameterError(
+                f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
+            )
+        return list(seed)
+
+    def close_extras(self, **_: Any) -> None:
+        """Free the worlds and the renderer."""
+        self._is_closed = True
+        self._free()
+
+    def _free(self) -> None:
+        self._pictures.close()
+
+
+def world_constants(num_envs: int, world_parameters: Sequence[Mapping[str, Any]] | None) -> list[Mapping[str, Any]]:
+    """Return the constants of each world, or raise an error for an impossible number of worlds or of constants.
+
+    Args:
+        num_envs: Number of worlds.
+        world_parameters: Overrides for each world, or None.
+    """
+    if not isinstance(num_envs, int | np.integer) or isinstance(num_envs, bool) or not 1 <= num_envs <= WORLD_LIMIT:
+        raise ParameterError(f"num_envs is {num_envs!r}, expected a whole number from 1 to {WORLD_LIMIT}")
+    if world_parameters is not None and len(world_parameters) != num_envs:
+        raise ParameterError(
+            f"world_parameters has {len(world_parameters)} entries for {num_envs} worlds: give one for each"
+        )
+    return [{}] * num_envs if world_parameters is None else [*world_parameters]
 
 
 def _listed(versions: Mapping[str, str]) -> str:

@@ -8,12 +8,17 @@ from typing import Any, ClassVar, Unpack
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.arguments import EnvArguments, EnvKeywords, jitter_option, jittered_experiment, start_of
+from gauge_envs.envs.arguments import (
+    EnvArguments,
+    EnvKeywords,
+    TrialStart,
+    jitter_option,
+    jittered_experiment,
+    start_of,
+)
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
-from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.tracked import episode_picture
-from gauge_envs.envs.trial_start import TrialStart
+from gauge_envs.envs.rendering.lazy import Pictures, episode_picture
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
@@ -166,10 +171,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         episode.advance(self.simulation, episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
-        info = episode.info()
-        if fault:
-            info["diverged"] = fault
-        return episode.observation(), episode.reward(), bool(fault), truncated, info
+        return episode.observation(), episode.reward(), bool(fault), truncated, episode.info()
 
     def trajectory(self) -> Trajectory:
         """Return what the current episode has recorded so far.
@@ -206,6 +208,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         if self.render_mode is None:
             return None
+
         episode = self.episode
         self._check_started("render", started=episode.frame is not None)
         return episode_picture(self._pictures, episode, drawn_as=episode)

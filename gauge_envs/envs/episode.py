@@ -1,13 +1,12 @@
 """One episode of one experiment on one world: it drives, observes, records and judges, frame by frame.
 
-A world that is a simulation of its own advances by `Episode.advance`. Worlds that share a simulation advance by
-`advance_together`: six times a frame it calls `drive` of each episode, advances all worlds by `SAMPLE_INTERVAL_S`, and
-calls `observe` of each episode.
+A world that is a simulation of its own advances by `Episode.advance`. Worlds that share a simulation advance together:
+`Episode.simulated` yields where they must, six times a frame. `envs.lockstep` does both for many worlds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast
 
@@ -15,12 +14,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.base import Simulation, World
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
-from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -147,14 +146,13 @@ class Episode:
         self._samples = np.full((sample_count, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
         self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
-        self.action_space = self._action_space()
+        motions = sum(path.motion_count for path in self._drivers)
+        self.action_space: spaces.Space[Any] = (
+            spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+        )
         self.observation_space = self._observation_space()
 
     # --- spaces ---
-
-    def _action_space(self) -> spaces.Space[Any]:
-        count = sum(path.motion_count for path in self._drivers)
-        return spaces.Box(-1.0, 1.0, (count,), np.float64) if count else spaces.Discrete(1)
 
     def _observation_space(self) -> spaces.Space[Observation]:
         scene = self.experiment.scene
@@ -207,23 +205,24 @@ class Episode:
         self.frame, self.fault = 0, None
         self._later, self._later_limit, self._last_view = 0, self._later_frames, None
 
-    def drive(self, sample: int, rates: NDArray[np.float64]) -> None:
-        """Prescribe the motion of the driven bodies for a sample of the next frame.
+    @property
+    def no_rates(self) -> NDArray[np.float64]:
+        """Residual rates of zero, which replay the recorded motion, shape [motion_count]."""
+        return np.zeros(self.action_space.shape or 0)
+
+    def simulated(self, rates: NDArray[np.float64]) -> Generator[None]:
+        """Drive and observe the next frame of a world that someone else advances.
+
+        It yields where the world must advance by 1/180 s.
 
         Args:
-            sample: Number of the sample in the frame, from 0 to 5.
             rates: Residual rates from `checked`, shape [motion_count].
         """
-        number = self._simulated_frame * SAMPLES_PER_FRAME + sample
-        offset = 0
-        for path in self._drivers:
-            end = offset + path.motion_count
-            self._world.drive(path.body, *path.interval(number, rates[offset:end]))
-            offset = end
-
-    def observe(self, sample: int) -> None:
-        """Record g(t) after a sample of the next frame."""
-        self._samples[self._simulated_frame * SAMPLES_PER_FRAME + 1 + sample] = self._observer.now(self._world)
+        first = self._simulated_frame * SAMPLES_PER_FRAME
+        for sample in range(first, first + SAMPLES_PER_FRAME):
+            self._drive(sample, rates)
+            yield
+            self._samples[sample + 1] = self._observer.now(self._world)
 
     def advance(
         self, simulation: Simulation, rates: NDArray[np.float64], *, after_sample: Callable[[int], None] | None = None
@@ -235,16 +234,37 @@ class Episode:
             rates: Residual rates from `checked`, shape [motion_count].
             after_sample: Called after each sample with its number in the frame, from 0 to 5; it does not change g(t).
         """
-        first = self._simulated_frame * SAMPLES_PER_FRAME + 1
-        rows = self._samples[first : first + SAMPLES_PER_FRAME]
+        first = self._simulated_frame * SAMPLES_PER_FRAME
+        rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
         if not self._drivers and after_sample is None:
             rows[:] = self._observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
             return
         for sample, row in enumerate(rows):
-            self.drive(sample, rates)
+            self._drive(first + sample, rates)
             row[:] = self._observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
             if after_sample is not None:
                 after_sample(sample)
+
+    def _drive(self, sample: int, rates: NDArray[np.float64]) -> None:
+        """Prescribe the motion of the driven bodies for a sample, counted from the start."""
+        offset = 0
+        for path in self._drivers:
+            end = offset + path.motion_count
+            self._world.drive(path.body, *path.interval(sample, rates[offset:end]))
+            offset = end
+
+    def play(self, simulation: Simulation, *, after_sample: Callable[[int], None] | None = None) -> None:
+        """Run the episode without actions, on a world that is a simulation of its own and at its start.
+
+        Args:
+            simulation: The world.
+            after_sample: As for `advance`.
+        """
+        self.begin()
+        rates = self.no_rates
+        while not self.is_over:
+            self.advance(simulation, rates, after_sample=after_sample)
+            self.end_frame()
 
     def end_frame(self) -> str | None:
         """Record the frame, and return why the simulation counts as diverged, or None."""
@@ -269,11 +289,8 @@ class Episode:
         """
         if not self.runs_on:
             return
-        zero, state = np.zeros(self.action_space.shape or 0), simulation.state()
-        while self.runs_on:
-            self.begin_later_frame()
-            self.advance(simulation, zero)
-            self.end_later_frame()
+        state = simulation.state()
+        run_on_together([self], lambda _: self.advance(simulation, self.no_rates))
         simulation.restore(state)
 
     def begin_later_frame(self, view: View | None = None) -> None:
@@ -443,9 +460,10 @@ class Episode:
         return observation
 
     def info(self) -> dict[str, Any]:
-        """Return frame, time, grade of the reference, and the sources of reference and driven motion."""
+        """Return frame, time, grade of the reference, sources of reference and driven motion, and any divergence."""
         frame = self.frame or 0
-        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin}
+        diverged = {} if self.fault is None else {"diverged": self.fault}
+        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin, **diverged}
 
     def reward(self) -> float:
         """Return minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
@@ -472,38 +490,19 @@ class Episode:
         return self._rigid_bounds.fault(states)
 
 
-def run_on_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
-    """Simulate worlds that run together past the last frame, as `Episode.run_on` does for one."""
-    zero = {number: np.zeros(episode.action_space.shape or 0) for number, episode in enumerate(episodes)}
-    while running := {number: episode for number, episode in enumerate(episodes) if episode.runs_on}:
-        for episode in running.values():
-            episode.begin_later_frame()
-        advance_together(running, worlds, zero)
-        for episode in running.values():
-            episode.end_later_frame()
-
-
-def advance_together(episodes: Mapping[int, Episode], worlds: Worlds, rates: Mapping[int, NDArray[np.float64]]) -> None:
-    """Drive, advance and observe the next frame of episodes whose worlds run together.
-
-    Worlds that are simulations of their own give the same bits as in an environment of one world.
+def run_on_together(episodes: Sequence[Episode], advance: Callable[[Sequence[int]], None]) -> None:
+    """Simulate worlds on past the last frame, so that the release alignment knows the later motion.
 
     Args:
-        episodes: Running episodes, by the number of their world.
-        worlds: All worlds.
-        rates: Residual rates of each episode from `Episode.checked`, by the number of its world.
+        episodes: The episode of each world.
+        advance: Function that advances the worlds of some numbers by a frame without actions.
     """
-    simulations = [world for world in worlds.worlds if isinstance(world, Simulation)]
-    if len(simulations) == len(worlds.worlds):
-        for number, episode in episodes.items():
-            episode.advance(simulations[number], rates[number])
-        return
-    for sample in range(SAMPLES_PER_FRAME):
-        for number, episode in episodes.items():
-            episode.drive(sample, rates[number])
-        worlds.advance(SAMPLE_INTERVAL_S)
-        for episode in episodes.values():
-            episode.observe(sample)
+    while running := [number for number, episode in enumerate(episodes) if episode.runs_on]:
+        for number in running:
+            episodes[number].begin_later_frame()
+        advance(running)
+        for number in running:
+            episodes[number].end_later_frame()
 
 
 def reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,21 +25,6 @@ DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
 
 SAME_ANGLE_RAD = 1e-12
 """Largest rotation that rounding gives to a body that did not rotate [rad]."""
-
-
-@dataclass(frozen=True)
-class TrialStart:
-    """Start of an imported trial.
-
-    Attributes:
-        trial: Number of the trial, from 0.
-    """
-
-    trial: int
-
-    def to_dict(self) -> dict[str, float]:
-        """Return the start for a result."""
-        return {"trial": self.trial}
 
 
 def trial_scene(experiment: Experiment, trial: int) -> Scene:

@@ -6,8 +6,8 @@ from typing import Any
 
 import gymnasium
 
+from gauge_envs.envs.arguments import warn_without_reward
 from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.no_reward import warn_without_reward
 
 
 class ScoreEpisode(gymnasium.Wrapper, gymnasium.utils.RecordConstructorArgs):

@@ -5,8 +5,7 @@ The grade of these numbers is `statistics`. They stand beside the score and ente
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -14,7 +13,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid, statistic_unit
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 from gauge_envs.references.imported import DataSource, load_imported
 
@@ -75,16 +73,6 @@ class DeformationScore:
         """Return a JSON-ready dictionary of all fields."""
         return asdict(self) | {"statistics": [asdict(statistic) for statistic in self.statistics]}
 
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> DeformationScore:
-        """Build a score from `to_dict`; keys of later versions are ignored."""
-        known = {f.name for f in fields(cls)}
-        names = {f.name for f in fields(StatisticScore)}
-        statistics = tuple(
-            StatisticScore(**{k: v for k, v in row.items() if k in names}) for row in values["statistics"]
-        )
-        return cls(**{k: v for k, v in values.items() if k in known} | {"statistics": statistics})
-
 
 def deformation_reference(experiment: Experiment) -> DeformationReference | None:
     """Return the real statistics of an experiment from its reference source; None without any."""
@@ -114,6 +102,8 @@ def score_deformation(
     Returns:
         The comparison; None if the experiment has no markers on a solid, or no real statistics.
     """
+    from gauge_envs.observables.deformation import STATISTICS, deformation_statistics, marked_solid
+
     solid = marked_solid(experiment.scene)
     reference = deformation_reference(experiment) if reference is None else reference
     if solid is None or reference is None or experiment.scene.markers is None:
@@ -143,6 +133,8 @@ def score_deformation(
 
 
 def _score(name: str, simulated: FloatArray, mean: FloatArray, sigma: FloatArray) -> StatisticScore | None:
+    from gauge_envs.observables.deformation import statistic_unit
+
     known = np.isfinite(simulated) & np.isfinite(mean) & np.isfinite(sigma)
     if not known.any():
         return None

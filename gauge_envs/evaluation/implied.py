@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
-from gauge_envs.evaluation.metrics import oscillation_period
+from gauge_envs.evaluation.metrics.events import oscillation_period
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
-from gauge_envs.evaluation.ringing import Ringing, fit_ringing
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
@@ -30,8 +30,22 @@ LEAST_INCLINE = 0.05
 LARGEST_DAMPING_RATIO = 0.5
 """Damping ratio above which a body creeps: each half swing is less than a sixth of the one before."""
 
+LEAST_RINGING_SAMPLES = 12
+"""Smallest number of samples that determine the five constants of the law with their uncertainty."""
+
+HIGHER_MODES_S = 0.15
+"""Time after the release that is left out [s]: about the first swing of the recorded beam, which holds the most of
+higher bending modes."""
+
+PADDING = 8
+"""Length of the spectrum that starts the fit, over that of the signal."""
+
 STEEPEST_INCLINE = 0.999
 """Largest sine of the slope of a slide: a steeper path is a fall, in which nothing presses on the body."""
+
+
+RealValue = tuple[float | None, float | None, float | None]
+"""Value of the real trials, its standard uncertainty, and the standard deviation between trials."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,6 +72,26 @@ class ImpliedParameter:
     real_scatter: float | None
     source: str
 
+    @classmethod
+    def beside(
+        cls, real: RealValue | None, parameter: str, unit: str, value: float, uncertainty: float, *, source: str
+    ) -> ImpliedParameter:
+        """Return a parameter beside that of the real trials, with nine significant digits of its own value.
+
+        The last bits of a fit depend on the memory that holds its samples.
+        """
+        mean, error, scatter = real or (None, None, None)
+        return cls(
+            parameter=parameter,
+            unit=unit,
+            value=float(f"{value:.9g}"),
+            uncertainty=float(f"{uncertainty:.9g}"),
+            real=mean,
+            real_uncertainty=error,
+            real_scatter=scatter,
+            source=source,
+        )
+
 
 def implied_parameters(
     experiment: Experiment,
@@ -81,8 +115,7 @@ def implied_parameters(
     if not (single or rings) or experiment.scene.drivers:
         return ()
     if rings:
-        found = [] if band is None else _ringing(band, times_s, values)
-        return tuple(_rounded(one) for one in found)
+        return () if band is None else tuple(_ringing(band, times_s, values))
     found = []
     if band is not None:
         last_s = float(np.flatnonzero(np.isfinite(band.mean).any(axis=1))[-1]) / FRAME_RATE_HZ
@@ -91,21 +124,30 @@ def implied_parameters(
         if motion.kind is MotionKind.UNIFORM_ACCELERATION:
             found += _friction(experiment, band, times_s[seen], values[seen])
         elif motion.impact is not None:
-            found.append(_restitution(band, motion.impact.restitution))
+            found.append(
+                ImpliedParameter.beside(
+                    _real_restitution(band),
+                    "restitution",
+                    "1",
+                    motion.impact.restitution,
+                    0.0,
+                    source="speeds where the parabolas before and after the first impact meet; "
+                    "real: the same for each trial",
+                )
+            )
         if release_offset_s is not None and not experiment.scene.joints:
             found.append(_release_time(band, release_offset_s))
     if experiment.score.period_axis is not None or "pd" in experiment.score.metrics:
         found += _swing(experiment, times_s, values)
-    return tuple(_rounded(one) for one in found)
+    return tuple(found)
 
 
-def _rounded(one: ImpliedParameter) -> ImpliedParameter:
-    return replace(one, value=_reported(one.value), uncertainty=_reported(one.uncertainty))
-
-
-def _reported(value: float) -> float:
-    """Return nine significant digits: the last bits of a fit depend on the memory that holds its samples."""
-    return float(f"{value:.9g}")
+def _of_trials(found: list[float]) -> tuple[float, float, float] | None:
+    """Return the value of several trials; None of fewer than two."""
+    if len(found) < 2:
+        return None
+    scatter = float(np.std(found, ddof=1))
+    return float(np.mean(found)), scatter / math.sqrt(len(found)), scatter
 
 
 # --- slide -----------------------------------------------------------------------------------------------------------
@@ -123,18 +165,13 @@ def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: F
     gravity = experiment.scene.gravity_m_per_s2
     acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
     sine = -float(direction[2])
-    value = _friction_of(acceleration, sine, gravity)
-    across = gravity * math.sqrt(1.0 - sine**2)
-    real = _real_friction(band)
     return [
-        ImpliedParameter(
-            parameter="friction",
-            unit="1",
-            value=value,
-            uncertainty=error / across,
-            real=None if real is None else real[0],
-            real_uncertainty=None if real is None else real[1],
-            real_scatter=None if real is None else real[2],
+        ImpliedParameter.beside(
+            _real_friction(band),
+            "friction",
+            "1",
+            _friction_of(acceleration, sine, gravity),
+            error / (gravity * math.sqrt(1.0 - sine**2)),
             source="quadratic through the slide, (g sin - a) / (g cos); real: the same for each trial, tilt included",
         )
     ]
@@ -177,28 +214,15 @@ def _real_friction(band: Band) -> tuple[float, float, float] | None:
         along = 1e-3 * trial[seen] @ (path / np.linalg.norm(path))
         acceleration = 2.0 * float(np.polyfit(times_s[seen], along, 2)[0])
         found.append(_friction_of(acceleration, sine, GRAVITY_M_PER_S2))
-    if len(found) < 2:
+    real = _of_trials(found)
+    if real is None:
         return None
-    mean, scatter = float(np.mean(found)), float(np.std(found, ddof=1))
+    mean, error, scatter = real
     tilt = math.radians(input_uncertainties().tilt.std) * (1.0 + mean * sine / math.sqrt(1.0 - sine**2))
-    return mean, math.hypot(scatter / math.sqrt(len(found)), tilt), scatter
+    return mean, math.hypot(error, tilt), scatter
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
-
-
-def _restitution(band: Band, value: float) -> ImpliedParameter:
-    real = _real_restitution(band)
-    return ImpliedParameter(
-        parameter="restitution",
-        unit="1",
-        value=value,
-        uncertainty=0.0,
-        real=None if real is None else real[0],
-        real_uncertainty=None if real is None else real[1],
-        real_scatter=None if real is None else real[2],
-        source="speeds where the parabolas before and after the first impact meet; real: the same for each trial",
-    )
 
 
 @lru_cache(maxsize=64)
@@ -211,11 +235,7 @@ def _real_restitution(band: Band) -> tuple[float, float, float] | None:
         for trial in band.trials
         if (seen := np.isfinite(trial).all(axis=1)).sum() > 2 * LEAST_SAMPLES
     ]
-    found = [impact.restitution for impact in impacts if impact is not None]
-    if len(found) < 2:
-        return None
-    scatter = float(np.std(found, ddof=1))
-    return float(np.mean(found)), scatter / math.sqrt(len(found)), scatter
+    return _of_trials([impact.restitution for impact in impacts if impact is not None])
 
 
 # --- release and swing -----------------------------------------------------------------------------------------------
@@ -224,14 +244,12 @@ def _real_restitution(band: Band) -> tuple[float, float, float] | None:
 def _release_time(band: Band, release_offset_s: float) -> ImpliedParameter:
     scatter = _release_scatter_s(band)
     count = 0 if band.trials is None else len(band.trials)
-    return ImpliedParameter(
-        parameter="release_time",
-        unit="s",
-        value=0.0,
-        uncertainty=0.0,
-        real=release_offset_s,
-        real_uncertainty=None if scatter is None else scatter / math.sqrt(count),
-        real_scatter=scatter,
+    return ImpliedParameter.beside(
+        (release_offset_s, None if scatter is None else scatter / math.sqrt(count), scatter),
+        "release_time",
+        "s",
+        0.0,
+        0.0,
         source="the simulation starts at frame 0; real: the time shift that fits this simulation best",
     )
 
@@ -259,15 +277,16 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
     seen = times_s <= (frames - 1) / FRAME_RATE_HZ + 1e-6
     period_s = oscillation_period(swing[seen], frame_rate_hz=1.0 / step_s)
     count = input_uncertainties().trials.count
+    real = None
+    if baseline is not None:
+        real = baseline.mean, None if baseline.std is None else baseline.std / math.sqrt(count), baseline.std
     found = [
-        ImpliedParameter(
-            parameter="period",
-            unit="s",
-            value=period_s,
-            uncertainty=0.0,
-            real=None if baseline is None else baseline.mean,
-            real_uncertainty=None if baseline is None or baseline.std is None else baseline.std / math.sqrt(count),
-            real_scatter=None if baseline is None else baseline.std,
+        ImpliedParameter.beside(
+            real,
+            "period",
+            "s",
+            period_s,
+            0.0,
             source=f"strongest frequency of the windowed spectrum; real: published mean, {count} trials",
         )
     ]
@@ -276,14 +295,12 @@ def _swing(experiment: Experiment, times_s: FloatArray, values: FloatArray) -> l
     if len(apexes) >= LEAST_SAMPLES:
         line, covariance = np.polyfit(times_s[apexes], np.log(size[apexes]), 1, cov=True)
         found.append(
-            ImpliedParameter(
-                parameter="decay_rate",
-                unit="1/s",
-                value=-float(line[0]),
-                uncertainty=math.sqrt(float(covariance[0, 0])),
-                real=None,
-                real_uncertainty=None,
-                real_scatter=None,
+            ImpliedParameter.beside(
+                None,
+                "decay_rate",
+                "1/s",
+                -float(line[0]),
+                math.sqrt(float(covariance[0, 0])),
                 source="slope of the logarithm of the turning points; no real value is published",
             )
         )
@@ -302,37 +319,17 @@ def _ringing(band: Band, times_s: FloatArray, values: FloatArray) -> list[Implie
     simulated = fit_ringing(times_s[seen], heights, level_mm=level_mm)
     if simulated is None:
         return []
-    real = _real_ringing(band, level_mm)
-    units = {"frequency": "Hz", "decay_rate": "1/s", "droop": "mm"}
-    found = []
+    trials, found = _real_ringing(band, level_mm), []
     # What creeps to its place has no frequency: the fit then describes the creep by any one.
     creeps = simulated.damping_ratio > LARGEST_DAMPING_RATIO
-    for name, (value, error) in _constants_of(simulated).items():
+    for name, unit in (("frequency", "Hz"), ("decay_rate", "1/s"), ("droop", "mm")):
         if creeps and name != "droop":
             continue
-        trials = np.array([_constants_of(one)[name][0] for one in real])
-        scatter = float(np.std(trials, ddof=1)) if len(trials) > 1 else None
-        found.append(
-            ImpliedParameter(
-                parameter=name,
-                unit=units[name],
-                value=value,
-                uncertainty=error,
-                real=float(trials.mean()) if len(trials) else None,
-                real_uncertainty=None if scatter is None else scatter / math.sqrt(len(trials)),
-                real_scatter=scatter,
-                source="damped swing fitted from 0.15 s on; real: the same for each trial",
-            )
-        )
+        real_values = [one.constants[name][0] for one in trials]
+        real = _of_trials(real_values) or (real_values[0] if real_values else None, None, None)
+        source = "damped swing fitted from 0.15 s on; real: the same for each trial"
+        found.append(ImpliedParameter.beside(real, name, unit, *simulated.constants[name], source=source))
     return found
-
-
-def _constants_of(ringing: Ringing) -> dict[str, tuple[float, float]]:
-    return {
-        "frequency": ringing.frequency_hz,
-        "decay_rate": ringing.decay_rate_per_s,
-        "droop": ringing.droop_mm,
-    }
 
 
 @lru_cache(maxsize=64)
@@ -341,3 +338,77 @@ def _real_ringing(band: Band, level_mm: float) -> tuple[Ringing, ...]:
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     fits = [fit_ringing(times_s, trial[:, 0], level_mm=level_mm) for trial in trials]
     return tuple(fit for fit in fits if fit is not None)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ringing:
+    """Constants of z(t) = level - droop + A exp(-decay t) cos(2 pi f t + phase), each with its standard uncertainty.
+
+    Attributes:
+        frequency_hz: Frequency of the damped swing, and its uncertainty [Hz].
+        decay_rate_per_s: Decay rate of the amplitude, and its uncertainty [1/s].
+        droop_mm: How far the end hangs below its height in the level body, and its uncertainty [mm].
+        residual_mm: Root mean square of what the law leaves [mm].
+    """
+
+    frequency_hz: tuple[float, float]
+    decay_rate_per_s: tuple[float, float]
+    droop_mm: tuple[float, float]
+    residual_mm: float
+
+    @property
+    def constants(self) -> dict[str, tuple[float, float]]:
+        """The constants with their uncertainties, by the name of the implied parameter."""
+        return {"frequency": self.frequency_hz, "decay_rate": self.decay_rate_per_s, "droop": self.droop_mm}
+
+    @property
+    def damping_ratio(self) -> float:
+        """Decay rate over the angular frequency of the same swing without damping."""
+        angular = 2.0 * math.pi * self.frequency_hz[0]
+        return self.decay_rate_per_s[0] / math.hypot(angular, self.decay_rate_per_s[0])
+
+
+def fit_ringing(times_s: FloatArray, heights_mm: FloatArray, *, level_mm: float) -> Ringing | None:
+    """Fit one damped swing to heights after a release.
+
+    The first 0.15 s are left out: one sinusoid does not describe higher bending modes.
+
+    Args:
+        times_s: Times after the release, evenly spaced [s], shape [sample_count].
+        heights_mm: Heights at those times [mm], shape [sample_count].
+        level_mm: Height from which the droop counts, that of the level body [mm].
+
+    Returns:
+        The constants; None for heights that are not finite, do not swing, or have too few samples.
+    """
+    later = times_s >= HIGHER_MODES_S
+    times, signal = times_s[later], heights_mm[later]
+    if len(times) < LEAST_RINGING_SAMPLES or not np.isfinite(signal).all() or np.ptp(signal) == 0.0:
+        return None
+    step_s, mean = float(times[1] - times[0]), float(signal.mean())
+    spectrum = np.fft.rfft((signal - mean) * np.exp(-(times - times[0])), PADDING * len(signal))
+    strongest = 1 + int(np.abs(spectrum[1:]).argmax())
+    start_hz = strongest / (PADDING * len(signal) * step_s)
+
+    def misfit(constants: FloatArray) -> FloatArray:
+        hang, cosine, sine, decay, frequency = constants
+        angle = 2.0 * math.pi * frequency * (times - times[0])
+        swing = np.exp(-decay * (times - times[0])) * (cosine * np.cos(angle) + sine * np.sin(angle))
+        return np.asarray(hang + swing - signal)
+
+    # The spectrum leaves the phase open. Two starts a quarter of a swing apart reach the same least sum.
+    half = 0.5 * float(np.ptp(signal))
+    starts = ((half, 0.0), (0.0, half))
+    fits = [least_squares(misfit, [mean, *size, 1.0, start_hz], x_scale=[1.0, 1.0, 1.0, 1.0, 0.1]) for size in starts]
+    best = min(fits, key=lambda fit: fit.cost)
+    count = len(times) - 5
+    # A law that fits exactly, as in a test, has a covariance of 0.
+    covariance = np.linalg.pinv(best.jac.T @ best.jac) * (2.0 * best.cost / count)
+    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    hang, _, _, decay, frequency = (float(value) for value in best.x)
+    return Ringing(
+        frequency_hz=(abs(frequency), float(errors[4])),
+        decay_rate_per_s=(decay, float(errors[3])),
+        droop_mm=(level_mm - hang, float(errors[0])),
+        residual_mm=math.sqrt(2.0 * best.cost / len(times)),
+    )

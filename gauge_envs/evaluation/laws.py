@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
@@ -134,7 +135,6 @@ def _piece_distance_m(piece: FloatArray, against: FloatArray, direction: FloatAr
     cost = np.zeros(count + other_count + 1)
     cost[-1] = 1.0
     # Lists of experiments solve nothing, and the import takes a tenth of a second.
-    from scipy.optimize import linprog
 
     found = linprog(cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0])
     return float(found.x[-1]) if found.success else math.inf

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.optimize import brentq
-from scipy.signal import correlate, find_peaks
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -339,6 +338,8 @@ def _oscillation(
 
 def _period(times_s: FloatArray, values: FloatArray) -> float | None:
     """Return the lag at which the motion repeats itself [s], or None if it does not repeat."""
+    from scipy.signal import correlate, find_peaks
+
     step_s = float(np.median(np.diff(times_s)))
     even_s = np.arange(int((times_s[-1] - times_s[0]) / step_s) + 1) * step_s + times_s[0]
     even = _interpolated(times_s, values, even_s)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.laws import Straight, free_flight, slide
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
-from gauge_envs.references.published import CarriedLaw, FlightLaw, SlideLaw, carried_band, law_for, uncontacted_band
+from gauge_envs.references.published import CarriedLaw, FlightLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -45,14 +44,12 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     if isinstance(law, CarriedLaw):
         positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
         return carried_band(variant=experiment.name, positions_mm=positions_mm)
+    from gauge_envs.evaluation.laws import free_flight, slide
+
     # Parameters change friction and start, on which these laws depend.
-    motion = _straight_motion(law, calibrated if not experiment.overrides else load_experiment(experiment.name).scene)
+    scene = calibrated if not experiment.overrides else load_experiment(experiment.name).scene
+    motion = free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
     return uncontacted_band(law, positions_mm=motion.positions_mm(experiment.frame_count))
-
-
-def _straight_motion(law: FlightLaw | SlideLaw, scene: Scene) -> Straight:
-    """Return the motion that a law gives in the calibrated scene."""
-    return free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
 
 
 def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Places of the reference in space, where it is of positions: what pictures and pages draw as reality."""
+"""The reference as pictures and pages draw it: places in space, the same beside a simulation, and words for it."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
+from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +26,7 @@ class ReferencePath:
     """
 
     names: tuple[str, ...]
-    places_m: NDArray[np.float64]
+    places_m: FloatArray
     is_full: bool
 
     @property
@@ -69,3 +71,57 @@ def reference_path(experiment: Experiment, band: Band | None) -> ReferencePath |
         places_m=places_m[:, shown],
         is_full=bool(np.linalg.matrix_rank(band.projection) == len(start_mm)),
     )
+
+
+def ghost_trajectory(band: Band, g: FloatArray) -> FloatArray:
+    """Return the trajectory that is nearest to a simulated one and has the recorded mean.
+
+    A band may state fewer coordinates than g(t) has, as the place along a slope alone. The others are those of the
+    simulation, so that a ghost differs from the simulated body only where reality was measured.
+
+    Args:
+        band: The band.
+        g: Simulated g(t) at the 30 Hz frames in the band's unit, shape [frame_count, coordinate_count].
+
+    Returns:
+        Trajectory in the coordinates and the unit of g(t), shape [frame_count, coordinate_count]; NaN where the mean is
+        not known.
+    """
+    count = min(len(g), len(band.mean))
+    missing = band.mean[:count] - band.project(g[:count])
+    ghost = np.full_like(g, np.nan)
+    ghost[:count] = g[:count] + missing @ np.linalg.pinv(band.projection).T
+    return ghost
+
+
+def reference_words(grade: BandGrade, trial_count: int | None) -> str:
+    """Return what the mean of a band is, in words.
+
+    Args:
+        grade: Grade of the band.
+        trial_count: Number of its trials; None is unknown.
+    """
+    if grade is BandGrade.TRIALS:
+        if trial_count == 1:
+            return "one real trial"
+        return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
+    return "one recorded real trial" if grade is BandGrade.RECORDING else "the law that the score compares with"
+
+
+def reference_text(band: Band | None, path: ReferencePath | None, *, end_s: float, trial: int | None = None) -> str:
+    """Return what is drawn of a reference, in words; empty if nothing is.
+
+    Args:
+        band: The band, or None.
+        path: Its places in space, or None.
+        end_s: Time of the last picture [s]. A reference that ends before it has its end in the text.
+        trial: Number of the single trial that it is; None for others.
+    """
+    if band is None or path is None:
+        return ""
+    text = reference_words(band.grade, band.trial_count) if trial is None else f"real trial {trial}"
+    if band.withheld is not None:
+        text += ", withheld from scores"
+    if not path.is_full:
+        text += ", in the measured directions"
+    return f"{text}, until {path.last_s:.2f} s" if path.last_s < end_s - 0.5 / FRAME_RATE_HZ else text

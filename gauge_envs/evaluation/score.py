@@ -15,12 +15,13 @@ from gauge_envs.evaluation.deviation import (
     band_baseline,
     band_deviations,
     experiment_sensitivities,
+    percentile_among,
     sampled_frames,
+    trial_distances,
 )
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
-from gauge_envs.evaluation.metrics import band_coverage, dtw_path, mean_abs_z, signed_error, z_scores
+from gauge_envs.evaluation.metrics.trajectory import band_coverage, dtw_path, mean_abs_z, signed_error, z_scores
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
-from gauge_envs.evaluation.trials import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
@@ -278,15 +279,12 @@ def _band_scores(
 
 
 def _origin(sensitivities: Sensitivities) -> str:
-    named = [*(f"{name} {text}" for name, text in sensitivities.versions.items()), *_settings(sensitivities)]
-    return f"{sensitivities.backend} ({', '.join(named)})"
-
-
-def _settings(sensitivities: Sensitivities) -> list[str]:
-    return [
+    versions = [f"{name} {text}" for name, text in sensitivities.versions.items()]
+    settings = [
         f"{key}={value:.4g}" if isinstance(value, float) else f"{key} {value}"
         for key, value in sensitivities.settings.items()
     ]
+    return f"{sensitivities.backend} ({', '.join([*versions, *settings])})"
 
 
 def _interval(deviation: Deviation, baseline: Baseline) -> tuple[float, float]:

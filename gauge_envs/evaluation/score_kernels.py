@@ -1,4 +1,4 @@
-"""Warp kernels of `device_scores`; Warp compiles them, so they use Warp's types."""
+"""Warp kernels of `worlds.score_recording`; Warp compiles them, so they use Warp's types."""
 
 from __future__ import annotations
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.metrics import (
+from gauge_envs.evaluation.metrics.events import (
     SwingTimes,
     dropped_rests,
     energy_loss,

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import TrajectoryFileError
-from gauge_envs.evaluation.metrics import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, read_regular
 from gauge_envs.observables.kinds import Observable
@@ -108,11 +108,16 @@ def read_trajectory(file: Path, experiment: Experiment) -> UserTrajectory:
     reader = readers.get(file.suffix.lower())
     if reader is None:
         raise TrajectoryFileError(f"{file}: unknown suffix {file.suffix!r}, expected {', '.join(readers)}")
-    layout = _FileLayout(file, experiment.coordinates, experiment.score.observable.unit)
-    times, values = reader(layout)
+    known = experiment.scene.markers
+    layout = _FileLayout(
+        file,
+        experiment.coordinates,
+        experiment.score.observable.unit,
+        marker_count=0 if known is None else len(known.positions_m),
+    )
+    times, values, markers = reader(layout)
     if times is None:
         times = np.arange(len(values)) / FRAME_RATE_HZ
-    markers = _npz_markers(layout, len(values), experiment) if reader is _read_npz else None
     width = values.shape[1]
     if markers is not None:
         values = np.concatenate([values, markers.reshape(len(values), -1)], axis=1)
@@ -139,6 +144,7 @@ class _FileLayout:
     file: Path
     names: tuple[str, ...]
     unit: str
+    marker_count: int
 
     def error(self, place: str, reason: str) -> TrajectoryFileError:
         return TrajectoryFileError(f"{self.file}: {place}: {reason}" if place else f"{self.file}: {reason}")
@@ -186,8 +192,8 @@ def _short(value: Any) -> str:
 
 # --- formats ---------------------------------------------------------------------------------------------------------
 
-Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64]]
-"""Times [s], shape [T], or None; g(t), shape [T, C]."""
+Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.float64] | None]
+"""Times [s], shape [T], or None; g(t), shape [T, C]; markers [m], shape [T, M, 3], or None."""
 
 
 def _bytes(file: Path) -> bytes:
@@ -240,7 +246,7 @@ def _read_csv(layout: _FileLayout) -> Columns:
         times = np.array(
             [layout.number(place, "time_s", row[time_column]) for place, row in zip(places, rows, strict=True)]
         )
-    return times, layout.table([[row[i] for i in order] for row in rows], places)
+    return times, layout.table([[row[i] for i in order] for row in rows], places), None
 
 
 def _is_number(text: str) -> bool:
@@ -283,7 +289,7 @@ def _csv_columns(layout: _FileLayout, header: list[str] | None) -> tuple[list[in
 def _read_npz(layout: _FileLayout) -> Columns:
     content = _bytes(layout.file)
     try:
-        arrays = npz_arrays(content, ("g", "time_s"), MOST_ARRAY_BYTES)
+        arrays = npz_arrays(content, ("g", "time_s", "markers_m"), MOST_ARRAY_BYTES)
         names = npz_names(content)
     except ValueError as error:
         raise layout.error("", f"not an NPZ file: {error}") from error
@@ -299,25 +305,21 @@ def _read_npz(layout: _FileLayout) -> Columns:
         raise layout.error("g", f"shape is {list(g.shape)}, expected [T, {len(layout.names)}]; {layout.expected}")
     for row, column in np.argwhere(~(np.abs(g) <= LARGEST))[:1]:
         layout.number(f"g, row {row}", layout.names[column], g[row, column].item())
+    markers = _markers(layout, arrays.get("markers_m"), len(g))
     if times is None:
-        return None, g
+        return None, g, markers
     if times.shape != g.shape[:1]:
         raise layout.error("time_s", f"shape is {list(times.shape)}, expected [{len(g)}] as g has {len(g)} rows")
     for row in np.flatnonzero(~(np.abs(times) <= LARGEST))[:1]:
         layout.number(f"row {row}", "time_s", times[row].item())
-    return times, g
+    return times, g, markers
 
 
-def _npz_markers(layout: _FileLayout, row_count: int, experiment: Experiment) -> NDArray[np.float64] | None:
+def _markers(layout: _FileLayout, markers: NDArray[Any] | None, row_count: int) -> NDArray[np.float64] | None:
     """Return the array `markers_m` of a file, shape [T, M, 3]; None without one."""
-    try:
-        markers = npz_arrays(_bytes(layout.file), ["markers_m"], MOST_ARRAY_BYTES).get("markers_m")
-    except ValueError as error:
-        raise layout.error("", f"not an NPZ file: {error}") from error
     if markers is None:
         return None
-    known = experiment.scene.markers
-    wanted = [row_count, 0 if known is None else len(known.positions_m), 3]
+    wanted = [row_count, layout.marker_count, 3]
     if list(markers.shape) != wanted:
         raise layout.error("markers_m", f"shape is {list(markers.shape)}, expected {wanted}")
     if markers.dtype.kind not in "fiu" or not np.isfinite(markers).all():
@@ -350,11 +352,11 @@ def _read_json(layout: _FileLayout) -> Columns:
         raise layout.error("", f"no list {key!r} of rows; {layout.expected}")
     values = layout.table(rows, [f"{key}, row {index}" for index in range(len(rows))])
     if times is None:
-        return None, values
+        return None, values, None
     if not isinstance(times, list) or len(times) != len(rows):
         count = f"{len(times)} entries" if isinstance(times, list) else _short(times)
         raise layout.error("time_s", f"{count}, expected a list of {len(rows)} times as {key} has {len(rows)} rows")
-    return np.array([layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]), values
+    return np.array([layout.number(f"row {i}", "time_s", time) for i, time in enumerate(times)]), values, None
 
 
 # --- times -----------------------------------------------------------------------------------------------------------

@@ -30,7 +30,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
@@ -127,9 +127,7 @@ class BandErrors:
 
     def flat(self, deviation: FloatArray) -> FloatArray:
         """Return a deviation of shape [T, C] as a vector whose norm is its root mean square over frames."""
-        frame_count = max(int(self.known.any(axis=1).sum()), 1)
-        vector: FloatArray = np.where(self.known, deviation, 0.0).ravel() / math.sqrt(frame_count)
-        return vector
+        return np.asarray(np.where(self.known, deviation, 0.0).ravel() / _root_of_frames(self.known))
 
     def aligned(self, velocity: FloatArray) -> BandErrors:
         """Return the errors that a shift in time leaves, to first order.
@@ -244,7 +242,7 @@ class BandErrors:
             simulated: Band coordinates of the simulation, shape [T, C].
             mean: Mean of the real trials, shape [T, C].
         """
-        shapes = (self.shapes * math.sqrt(max(int(self.known.any(axis=1).sum()), 1))).reshape(-1, *self.known.shape)
+        shapes = (self.shapes * _root_of_frames(self.known)).reshape(-1, *self.known.shape)
         of_simulation = np.zeros(len(shapes), dtype=bool)
         for source in self.sources:
             of_simulation[source.columns] = source.kind in SIMULATION_KINDS
@@ -255,7 +253,7 @@ class BandErrors:
         cells = (self.factors[:count] @ errors).reshape(count, *difference.shape) + difference
         distances = np.linalg.norm(cells, axis=2).mean(axis=1) / self.baseline_ratio[:count]
         observed = float(np.linalg.norm(difference, axis=1).mean())
-        half = float(student.ppf(0.5 * (1.0 + LEVEL), 1e9) * distances.std(ddof=1))
+        half = float(stdtrit(1e9, 0.5 * (1.0 + LEVEL)) * distances.std(ddof=1))
         return _reported(max(observed - half, 0.0)), _reported(observed + half)
 
     def draws(self, deviation: FloatArray) -> FloatArray:
@@ -270,8 +268,7 @@ class BandErrors:
 
     def _added(self, vector: FloatArray) -> FloatArray:
         size, along, squares = self._moments(vector)
-        distances: FloatArray = np.sqrt(np.maximum(size**2 + 2.0 * size * along + squares, 0.0)) / self.baseline_ratio
-        return distances
+        return np.asarray(np.sqrt(np.maximum(size**2 + 2.0 * size * along + squares, 0.0)) / self.baseline_ratio)
 
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
@@ -285,27 +282,29 @@ class BandErrors:
         """
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        rows = []
+        stds: list[tuple[_Source, float]] = []
         for source in self.sources:
             factors, shapes = self.factors[:, source.columns], self.shapes[source.columns]
             if size > 0.0 and self.is_observed:
                 std = float(np.std(factors @ (shapes @ (vector / size))))
             else:
                 std = float(np.sqrt(np.mean(np.square(factors @ shapes).sum(axis=1))))
-            rows.append((source.name, source.kind, source.evaluation, std / baseline, source.source))
-        ratio = float(np.std(1.0 / self.baseline_ratio)) * size / baseline
-        rows.append(("baseline", "baseline", "A", ratio, self.baseline_source))
-        total = sum(row[3] ** 2 for row in rows)
+            stds.append((source, std / baseline))
+        own = _Source(
+            name="baseline", kind="baseline", evaluation="A", source=self.baseline_source, columns=slice(0, 0)
+        )
+        stds.append((own, float(np.std(1.0 / self.baseline_ratio)) * size / baseline))
+        total = sum(std**2 for _, std in stds)
         entries = [
             BudgetEntry(
-                name=name,
-                kind=kind,
-                evaluation=evaluation,
+                name=one.name,
+                kind=one.kind,
+                evaluation=one.evaluation,
                 standard_uncertainty=_reported(std),
                 share=_reported(std**2 / total) if total > 0.0 else 0.0,
-                source=source,
+                source=one.source,
             )
-            for name, kind, evaluation, std, source in rows
+            for one, std in stds
         ]
         return tuple(sorted(entries, key=lambda entry: -entry.share))
 
@@ -325,15 +324,8 @@ class _Shapes:
         kept = np.array([np.nan_to_num(shape) for shape in shapes])
         self.shapes.append(kept.reshape(len(kept), -1))
         self.factors.append(factors)
-        self.sources.append(
-            _Source(
-                name=name,
-                kind=kind,
-                evaluation=evaluation,
-                source=source,
-                columns=slice(start, start + len(kept)),
-            )
-        )
+        columns = slice(start, start + len(kept))
+        self.sources.append(_Source(name=name, kind=kind, evaluation=evaluation, source=source, columns=columns))
 
 
 def band_errors(band: Band, baseline: Baseline | None, sensitivities: Sensitivities | None) -> BandErrors:
@@ -351,22 +343,30 @@ def band_errors(band: Band, baseline: Baseline | None, sensitivities: Sensitivit
 @lru_cache(maxsize=64)
 def _band_errors(band: Band, baseline_spread: float | None, sensitivities: Sensitivities | None) -> BandErrors:
     """Return the errors; `baseline_spread` is the relative standard deviation of the published score of trials."""
-    known = np.isfinite(band.mean)
-    frame_count = max(int(known.any(axis=1).sum()), 1)
-    shapes = _Shapes([], [], [])
+    known, shapes = np.isfinite(band.mean), _Shapes([], [], [])
     ratio, baseline_source = _sampling(band, baseline_spread, shapes)
     _measurement(band, shapes)
     if sensitivities is not None:
         _inputs(band, sensitivities, shapes)
     return BandErrors(
         known=known,
-        shapes=np.concatenate(shapes.shapes) * known.ravel() / math.sqrt(frame_count),
+        shapes=np.concatenate(shapes.shapes) * known.ravel() / _root_of_frames(known),
         factors=np.concatenate(shapes.factors, axis=1),
         baseline_ratio=ratio,
         baseline_source=baseline_source,
         sources=tuple(shapes.sources),
         is_observed=band.grade is not BandGrade.LAW,
     )
+
+
+def _root_of_frames(known: NDArray[np.bool_]) -> float:
+    """Return the square root of the number of frames with a mean."""
+    return math.sqrt(max(int(known.any(axis=1).sum()), 1))
+
+
+def _by_coordinate(spread: FloatArray) -> list[FloatArray]:
+    """Return an error shape for each coordinate, of spreads of shape [T, C] that are constant in time."""
+    return [unit * spread for unit in np.eye(spread.shape[1])]
 
 
 def _random(name: str) -> np.random.Generator:
@@ -381,7 +381,9 @@ def _sampling(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tup
     trial_count = input_uncertainties().trials.count
     shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
     known = "one trial" if shared == 1 else f"{shared} trials"
-    columns = [np.eye(band.mean.shape[1])[column] * band.sigma / math.sqrt(shared) for column in _columns(band)]
+    columns = [
+        np.eye(band.mean.shape[1])[column] * band.sigma / math.sqrt(shared) for column in range(band.mean.shape[1])
+    ]
     shapes.add(
         "mean of the trials",
         "sampling",
@@ -392,21 +394,14 @@ def _sampling(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tup
     )
     if baseline_spread is None:
         return np.ones(DRAW_COUNT), "not published"
-    relative = baseline_spread / math.sqrt(band.trial_count or trial_count)
-    ratio = 1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT)
-    return np.maximum(ratio, 0.1), f"published standard deviation over the root of {band.trial_count or trial_count}"
+    count = band.trial_count or trial_count
+    ratio = _baseline_ratio(baseline_spread / math.sqrt(count))
+    return ratio, f"published standard deviation over the root of {count}"
 
 
-def _spread_of(distances: FloatArray, count: int) -> tuple[FloatArray, str]:
-    """Return the baseline's ratio for few trials, a resample of which may hold one of them alone."""
-    mean = float(distances.mean())
-    relative = float(distances.std(ddof=1)) / mean / math.sqrt(count) if mean > 0.0 else 0.0
-    ratio = 1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT)
-    return np.maximum(ratio, 0.1), f"standard deviation over the root of {count} trials"
-
-
-def _columns(band: Band) -> range:
-    return range(band.mean.shape[1])
+def _baseline_ratio(relative: float) -> FloatArray:
+    """Return draws of the baseline over the baseline, with a relative standard uncertainty."""
+    return np.maximum(1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT), 0.1)
 
 
 def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatArray, str]:
@@ -416,7 +411,7 @@ def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatAr
     weights = _random("sampling").multinomial(count, np.full(count, 1.0 / count), DRAW_COUNT) / count
     # A bootstrap has the variance of n instead of n - 1, and the tails of a normal instead of Student's distribution.
     tail = 0.5 * (1.0 + LEVEL)
-    wider = math.sqrt(count / (count - 1)) * float(student.ppf(tail, count - 1) / student.ppf(tail, 1e9))
+    wider = math.sqrt(count / (count - 1)) * float(stdtrit(count - 1, tail) / stdtrit(1e9, tail))
     factors = wider * (weights - 1.0 / count)
     velocity = np.nan_to_num(np.gradient(np.nan_to_num(band.mean), axis=0) * np.isfinite(band.mean)).ravel()
     size = float(velocity @ velocity)
@@ -426,7 +421,11 @@ def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatAr
     shapes.add("release time of the mean", "release", "A", source, list(-shift), factors)
     shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), factors)
     if count < LEAST_RESAMPLED:
-        return _spread_of(np.linalg.norm(residuals, axis=1), count)
+        # A resample of so few may hold one of them alone.
+        distances = np.linalg.norm(residuals, axis=1)
+        mean = float(distances.mean())
+        relative = float(distances.std(ddof=1)) / mean / math.sqrt(count) if mean > 0.0 else 0.0
+        return _baseline_ratio(relative), f"standard deviation over the root of {count} trials"
     gram = residuals @ residuals.T
     own = np.einsum("kj,kj->k", weights @ gram, weights)
     squares = np.maximum(np.diag(gram) - 2.0 * weights @ gram + own[:, None], 0.0)
@@ -445,7 +444,7 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
     ):
         spread = np.where(frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0)
         if spread.any():
-            columns = [np.eye(band.mean.shape[1])[column] * spread for column in _columns(band)]
+            columns = _by_coordinate(spread)
             factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
             shapes.add(name, kind, "B", "uncertainty of the mean in the band's table", columns, factors)
 

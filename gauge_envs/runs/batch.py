@@ -14,7 +14,7 @@ from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of
 from gauge_envs.envs.arguments import check_support, start_of
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.runs.episodes import planned_result, run_episode, run_repeats
+from gauge_envs.runs.episodes import planned_result, run_episodes
 from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
@@ -99,16 +99,39 @@ def run_many(
         Iterator over the results; it runs an episode when its result is asked for.
     """
     place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
-    runs = [_Run(replace(request, jitter=request.scatter)) for request in requests]
+    runs = [(replace(request, jitter=request.scatter), request.calibrated_experiment()) for request in requests]
     if out is not None:
         check_writable(out)
-    return _all_results(runs, place, out, notify if resume else None)
+    return _results(runs, place, out, notify if resume else None)
 
 
-def _all_results(runs: Sequence[_Run], place: _Place, out: Path | None, notify: Notify | None) -> Iterator[Result]:
+def _results(
+    runs: Sequence[tuple[RunRequest, Experiment]], place: _Place, out: Path | None, notify: Notify | None
+) -> Iterator[Result]:
+    """Yield the results of requests: those in a folder if all of a request are there, else new ones.
+
+    Args:
+        runs: Requests with the jitter that applies, and their calibrated experiments.
+        place: Choice of the process.
+        out: Folder of the result files, or None.
+        notify: Receives a sentence for each file that cannot be taken; None takes no files.
+    """
     try:
-        for run in runs:
-            yield from run.results(place, out, notify=notify)
+        for request, calibrated in runs:
+            planned = _planned(request, calibrated)
+            files = [None if out is None else out / result_file_name(one) for one in planned]
+            taken = [
+                _earlier_result(file, one, place, notify)
+                for file, one in zip(files, planned, strict=True)
+                if file is not None and notify is not None
+            ]
+            if taken and None not in taken:
+                yield from filter(None, taken)
+                continue
+            for result, file in zip(place.episodes(request, planned), files, strict=True):
+                if file is not None and result.error is None:
+                    write_result(result, file)
+                yield result
     finally:
         place.close()
 
@@ -155,43 +178,6 @@ class _Place:
         return not is_bundled(backend)
 
 
-class _Run:
-    """The episodes of one request.
-
-    Args:
-        request: The request, with the jitter that applies.
-    """
-
-    def __init__(self, request: RunRequest) -> None:
-        self._request = request
-        self._calibrated = request.calibrated_experiment()
-
-    def results(self, place: _Place, out: Path | None, *, notify: Notify | None) -> Iterator[Result]:
-        """Yield the results: those in a folder if all are there, else new ones.
-
-        Args:
-            place: Choice of the process.
-            out: Folder of the result files, or None.
-            notify: Receives a sentence for each file that cannot be taken; None takes no files.
-        """
-        request = self._request
-        planned = _planned(request, self._calibrated)
-        if out is None:
-            yield from place.episodes(request, planned)
-            return
-        files = [out / result_file_name(one) for one in planned]
-        if notify is not None:
-            found = [_earlier_result(file, one, place, notify) for file, one in zip(files, planned, strict=True)]
-            taken = [result for result in found if result is not None]
-            if len(taken) == len(planned):
-                yield from taken
-                return
-        for result, file in zip(place.episodes(request, planned), files, strict=True):
-            if result.error is None:
-                write_result(result, file)
-            yield result
-
-
 def planned_results(request: RunRequest) -> list[Result]:
     """Return the results of a request that has not run, in the order of their seeds.
 
@@ -233,8 +219,7 @@ def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result
         outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
         return not_run(planned, outcome, str(error)), True
     try:
-        is_single = request.jitter is None and request.repeats == 1
-        return ([run_episode(request)] if is_single else run_repeats(request)), True
+        return run_episodes(request), True
     except GaugeError as error:
         outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
         return not_run(planned, outcome, str(error)), True
@@ -246,14 +231,6 @@ def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result
         return not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": ")), False
 
 
-def _remove_leftovers(out: Path) -> None:
-    """Remove the temporary files of runs that were killed while they wrote."""
-    for file in out.glob(".*.json.*.tmp"):
-        with suppress(OSError):
-            if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
-                file.unlink()
-
-
 def check_writable(out: Path) -> None:
     """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
     probe = out / f".probe.{os.getpid()}.tmp"
@@ -261,7 +238,10 @@ def check_writable(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
-        _remove_leftovers(out)
+        for file in out.glob(".*.json.*.tmp"):
+            with suppress(OSError):
+                if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
+                    file.unlink()
     except OSError as error:
         raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 

@@ -8,15 +8,12 @@ from dataclasses import replace
 from typing import Any
 
 import gymnasium
-import numpy as np
 
-from gauge_envs.backends import backend_for
-from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.registry import versions_of
 from gauge_envs.backends.settings import settings_record
-from gauge_envs.envs.arguments import EnvArguments, jittered_experiment, start_of
-from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.episode import Episode, advance_together, run_on_together
-from gauge_envs.envs.trial_start import TrialStart
+from gauge_envs.envs.arguments import EnvArguments, TrialStart, check_support, jittered_experiment, start_of
+from gauge_envs.envs.at_once import episodes_in_lockstep
+from gauge_envs.envs.episode import Episode
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -25,47 +22,62 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.scene_record import asset_record
-from gauge_envs.runs.sensitivity import measure_sensitivities
+from gauge_envs.runs.result_file import asset_record
 from gauge_envs.scene.jitter import Jitter
 
 
-class _Clock:
-    """Wall and CPU time of this process since its creation [s]."""
-
-    def __init__(self) -> None:
-        self._start_s = time.perf_counter(), time.process_time()
-
-    @property
-    def wall_s(self) -> float:
-        return time.perf_counter() - self._start_s[0]
-
-    @property
-    def cpu_s(self) -> float:
-        return time.process_time() - self._start_s[1]
-
-
 def run_episode(request: RunRequest) -> Result:
-    """Run one episode with zero actions, which replay the recorded motion, and score it.
+    """Run one episode without actions, which replays the recorded motion, and score it.
 
     Args:
-        request: The run; `repeats` and `jitter` apply to `run_repeats` only.
+        request: The run; its `repeats` and `jitter` do not apply.
     """
-    env = request.make_env()
+    (result,) = run_episodes(replace(request, repeats=1, jitter=None))
+    return result
+
+
+def run_episodes(request: RunRequest) -> list[Result]:
+    """Run the episodes of a request without actions, and score each.
+
+    Repeats and episodes with a jitter are worlds of one simulation if the engine supports that; else simulations that
+    are stepped in turn.
+
+    Args:
+        request: The run. Its repeats start as those of real trials scatter: with its `jitter`, with the default one, or
+            as the single-shot trial of each seed.
+
+    Returns:
+        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
+        against its own single-shot trial.
+    """
+    experiment = request.experiment()
+    seeds = range(request.seed, request.seed + request.repeats)
+    together = request.repeats > 1 or request.jitter is not None
+    starts = [start_of(experiment, request.jitter, seed=seed) or (Jitter() if together else None) for seed in seeds]
+    runs = [
+        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
+        for start, seed in zip(starts, seeds, strict=True)
+    ]
+    check_support(runs[0], request.backend)
+    lockstep = episodes_in_lockstep(request, runs, experiment, request.band(experiment), together=together)
     try:
-        space = env.action_space
-        zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
-        clock = _Clock()
-        env.reset(seed=request.seed)
-        over = False
-        info: dict[str, Any] = {}
-        while not over:
-            *_, terminated, truncated, info = env.step(zero)
-            over = terminated or truncated
-        result = episode_result(env, info, wall_s=clock.wall_s, cpu_s=clock.cpu_s)
+        began_s = time.perf_counter(), time.process_time()
+        lockstep.play(request.seed)
+        wall_s, cpu_s = time.perf_counter() - began_s[0], time.process_time() - began_s[1]
+        results = [
+            _finished(
+                # The grade is that of the calibrated start: a law may not hold for another one.
+                planned_result(request, experiment, seed=seed, jitter=start),
+                episode,
+                episode.score(),
+                engine_versions=versions_of(request.backend),
+                times_s=(wall_s / len(starts), cpu_s / len(starts)),
+            )
+            for seed, start, episode in zip(seeds, starts, lockstep.episodes, strict=True)
+        ]
     finally:
-        env.close()
-    return with_measured_uncertainty(request, [result])[0] if request.uncertainty else result
+        lockstep.worlds.close()
+    return with_measured_uncertainty(request, results) if request.uncertainty else results
 
 
 def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) -> list[Result]:
@@ -82,6 +94,8 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
     band = request.band(experiment)
     if band is None or not any(result.outcome is Outcome.FINISHED for result in results):
         return list(results)
+    from gauge_envs.runs.sensitivity import measure_sensitivities
+
     measured = measure_sensitivities(request)
     if not request.settings and request.parameters == "calibrated" and request.asset is None:
         write_sensitivities(measured)
@@ -108,78 +122,12 @@ def episode_result(
         wall_s: Duration of the episode [s].
         cpu_s: CPU time of the process in the episode [s].
     """
+    from gauge_envs.envs.env import GaugeEnv
+
     inner = env.unwrapped
     assert isinstance(inner, GaugeEnv)
     planned = planned_result(inner.arguments, inner.experiment, seed=inner.seed_used, jitter=inner.jitter)
     return _finished(planned, inner.episode, info["score"], engine_versions=inner.versions, times_s=(wall_s, cpu_s))
-
-
-def run_repeats(request: RunRequest) -> list[Result]:
-    """Run an experiment several times at once, from starts that scatter as those of real trials, and score each.
-
-    The repeats are worlds of one simulation if the engine supports that; else simulations that are stepped in turn.
-
-    Args:
-        request: The run; without a `jitter` it has the default `Jitter`, or the single-shot trial of each seed.
-
-    Returns:
-        Results in the order of their seeds. All are scored against the reference of the calibrated start, or each
-        against its own single-shot trial.
-    """
-    experiment = request.experiment()
-    engine = backend_for(request.backend, experiment.model_file)
-    band = request.band(experiment)
-    seeds = range(request.seed, request.seed + request.repeats)
-    starts = [start_of(experiment, request.jitter, seed=seed) or Jitter() for seed in seeds]
-    runs = [
-        jittered_experiment(experiment, start, seed=seed, backend=request.backend)
-        for start, seed in zip(starts, seeds, strict=True)
-    ]
-    worlds = engine.build_worlds([run.scene for run in runs], request.settings)
-    try:
-        clock = _Clock()
-        worlds.reset(request.seed)
-        episodes = [
-            Episode(
-                run,
-                world,
-                band=band if run.trial is None else request.band(run),
-                marker_proxy=request.proxy,
-                backend=request.backend,
-            )
-            for run, world in zip(runs, worlds.worlds, strict=True)
-        ]
-        run_together(episodes, worlds)
-        shares_s = clock.wall_s / request.repeats, clock.cpu_s / request.repeats
-        results = [
-            _finished(
-                # The grade is that of the calibrated start: a law may not hold for another one.
-                planned_result(request, experiment, seed=seed, jitter=jitter),
-                episode,
-                episode.score(),
-                engine_versions=engine.versions(),
-                times_s=shares_s,
-            )
-            for seed, jitter, episode in zip(seeds, starts, episodes, strict=True)
-        ]
-    finally:
-        worlds.close()
-    return with_measured_uncertainty(request, results) if request.uncertainty else results
-
-
-def run_together(episodes: Sequence[Episode], worlds: Worlds) -> None:
-    """Run episodes with zero actions to their end, all worlds at once.
-
-    An episode that diverges ends there, with the reason in its `fault`; the others continue.
-    """
-    zero = {number: np.zeros(episode.action_space.shape or 0) for number, episode in enumerate(episodes)}
-    for episode in episodes:
-        episode.begin()
-    while running := {number: episode for number, episode in enumerate(episodes) if not episode.is_over}:
-        advance_together(running, worlds, zero)
-        for episode in running.values():
-            episode.end_frame()
-    run_on_together(episodes, worlds)
 
 
 def planned_result(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import io
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,16 +21,15 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
 from gauge_envs.backends.base import Simulation
-from gauge_envs.envs.arguments import check_support, jittered_experiment
+from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
-from gauge_envs.envs.trial_start import TrialStart
 from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
 from gauge_envs.observables.observer import checked_proxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
@@ -147,10 +147,12 @@ def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = 
             made = worker.call(replay, result, views_per_frame=views_per_frame)
     if not is_default:
         return made
-    try:
-        write_whole(path, _packed(made, key))
-    except OSError:
-        return made
+    stream = io.BytesIO()
+    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
+    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
+    np.savez_compressed(stream, **arrays)
+    with suppress(OSError):
+        write_whole(path, stream.getvalue())
     return made
 
 
@@ -171,7 +173,6 @@ def _start(result: Result) -> Jitter | TrialStart | None:
 def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int) -> Replay:
     """Run an episode to its end with zero actions, and return its views, a number in each frame."""
     samples_per_view = SAMPLES_PER_FRAME // views
-    zero = np.zeros(episode.action_space.shape or 0)
     names = tuple(episode.poses())
     poses: list[Any] = []
     nodes: dict[str, list[Any]] = {body.name: [] for body in scene.deformables}
@@ -184,11 +185,9 @@ def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int
         for name, points in episode.nodes_m().items():
             nodes[name].append(points.astype(np.float32))
 
-    episode.begin()
+    # The start is a view too; the world is there.
     look(-1)
-    while not episode.is_over:
-        episode.advance(simulation, zero, after_sample=look)
-        episode.end_frame()
+    episode.play(simulation, after_sample=look)
     return Replay(
         rate_hz=FRAME_RATE_HZ * views,
         bodies=names,
@@ -218,17 +217,6 @@ def _check_same(result: Result, episode: Episode, installed: Mapping[str, str]) 
         raise ReplayError(f"the run again has {size}{cause}")
     apart = np.nanmax(np.abs(stored - now)) if np.isfinite(stored - now).any() else np.nan
     raise ReplayError(f"the run again differs from the result by up to {apart:.3g} {result.trajectory.unit}{cause}")
-
-
-# --- file beside the result ---
-
-
-def _packed(made: Replay, key: NDArray[np.uint8]) -> bytes:
-    stream = io.BytesIO()
-    arrays: dict[str, Any] = {f"nodes_{index}": points for index, points in enumerate(made.nodes_m.values())}
-    arrays |= {"key": key, "rate_hz": np.array([made.rate_hz]), "poses": made.poses, "markers_m": made.markers_m}
-    np.savez_compressed(stream, **arrays)
-    return stream.getvalue()
 
 
 def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None:

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
-
-import gymnasium
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.no_reward import unreported
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.experiment import ASSET_NAME, Experiment
+from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_source import is_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.single_shot import single_shots
@@ -66,13 +62,3 @@ class RunRequest(EnvArguments):
     def calibrated_experiment(self) -> Experiment:
         """Load the experiment with calibrated parameters, which exists also if the parameters are wrong."""
         return replace(self, parameters="calibrated").experiment()
-
-    def make_env(self) -> gymnasium.Env[Any, Any]:
-        """Make the environment of the request, without a warning if it has no reward: its result states the grade."""
-        keywords = {field.name: getattr(self, field.name) for field in fields(EnvArguments)}
-        variant = keywords.pop("variant")
-        name = variant.id if isinstance(variant, Variant) else f"GAUGE/{ASSET_NAME}"
-        if not isinstance(variant, Variant):
-            keywords["asset"] = variant
-        with unreported():
-            return gymnasium.make(name, disable_env_checker=True, **keywords)

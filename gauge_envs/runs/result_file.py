@@ -1,4 +1,4 @@
-"""Names, reading and writing of result files."""
+"""Names, reading and writing of result files, and the scene that a result holds."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import hashlib
 import json
 import re
 from collections.abc import Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-from gauge_envs.errors import ResultFileError, UnknownNameError, first_fault
-from gauge_envs.experiments.experiment import ASSET_NAME, AssetKind
-from gauge_envs.experiments.user_file import EXPERIMENT_NAME
+from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
+from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
@@ -112,10 +113,13 @@ def _check(result: Result, *, needs_trajectory: bool) -> None:
     """Check what types alone do not state."""
     if result.asset:
         _AssetRecord.model_validate(result.asset)
-    if not result.has_experiment_file:
+    if result.has_experiment_file:
+        from gauge_envs.experiments.user_file import EXPERIMENT_NAME
+
+        if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
+            raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
+    else:
         find_variant(result.id)
-    elif not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
-        raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
     stated = {"score.grade": (result.score.grade, BandGrade), "marker_proxy": (result.marker_proxy, MarkerProxy)}
     stated |= {f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA}
     for key, (value, known) in stated.items():
@@ -131,3 +135,63 @@ def _check(result: Result, *, needs_trajectory: bool) -> None:
     times_s = [*trajectory.times_s, *trajectory.later_times_s]
     if any(later <= earlier for earlier, later in pairwise(times_s)):
         raise ValueError("trajectory.times_s: increasing times are expected")
+
+
+# --- the scene of a result ---
+
+
+def asset_record(experiment: Experiment) -> dict[str, Any]:
+    """Return the record of an experiment's asset for its result; empty without an asset."""
+    asset = experiment.asset
+    if asset is None:
+        return {}
+    record = asset.to_dict()
+    # The scene of a model file is that of the variant; only its engine could read the file back.
+    if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
+        from gauge_envs.scene.usd.writer import to_usd
+
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "scene.usda"
+            to_usd(experiment.scene, path)
+            record["scene"] = path.read_text(encoding="utf-8")
+    if asset.kind is AssetKind.EXPERIMENT:
+        from gauge_envs.experiments.user_file import FileExperiment, experiment_record
+
+        assert isinstance(experiment, FileExperiment)
+        record["experiment"] = experiment_record(experiment)
+    return record
+
+
+def recorded_experiment(result: Result) -> Experiment:
+    """Return the experiment of a result with the scene that ran; it needs no other file.
+
+    If an engine's model file stated the scene, the scene is that of the variant.
+    """
+    record = result.asset
+    if not record or "scene" not in record:
+        return load_experiment(
+            result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
+        )
+    from gauge_envs.experiments.user_file import recorded_experiment_file
+    from gauge_envs.scene.usd.reader import from_usd
+
+    try:
+        with TemporaryDirectory() as folder:
+            path = Path(folder) / "scene.usda"
+            path.write_text(record["scene"], encoding="utf-8")
+            scene = from_usd(path)
+        asset = Asset(
+            path=Path(record["file"]),
+            kind=AssetKind(record["kind"]),
+            sha256=record["sha256"],
+            edited=record["edited"],
+            changes=tuple(record["changes"]),
+        )
+        if result.has_experiment_file:
+            return recorded_experiment_file(record["experiment"], scene, asset=asset, file_sha256=result.task_sha256)
+    except (KeyError, TypeError, ValueError) as error:
+        if isinstance(error, GaugeError):
+            raise
+        raise ResultFileError(f"{result.id}: the asset in the result is damaged: {error}") from error
+    experiment = load_experiment(result.id, reference=result.dataset["reference"])
+    return replace(experiment, scene=scene, asset=asset, driver_provenance=driver_provenance(scene))

@@ -17,7 +17,12 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities, input_uncertainties
+from gauge_envs.references.sensitivities import (
+    InputUncertainty,
+    Sensitivities,
+    StandardUncertainty,
+    input_uncertainties,
+)
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Contact, Motion, Scene, Sphere
 from gauge_envs.scene.geometry import vector
@@ -34,19 +39,25 @@ An error of first order is twice that change. It is the half width of a rectangu
 
 @dataclass(frozen=True, kw_only=True)
 class _Perturbation:
-    """Two scenes, one standard uncertainty of an input below and above."""
+    """Two scenes, one standard uncertainty of an input below and above.
+
+    Attributes:
+        name: Name of the input.
+        kind: Its kind, as in `evaluation.uncertainty`.
+        known: Its standard uncertainty, with unit and source.
+        low: Scene below.
+        high: Scene above.
+        tilt: Rotation about the origin of the scene above; that of the scene below is its inverse.
+        width: Distance of the two scenes, in standard uncertainties.
+    """
 
     name: str
     kind: str
-    std: float
-    unit: str
-    source: str
+    known: StandardUncertainty
     low: Scene
     high: Scene
-    low_rotation: Rotation | None = None
-    high_rotation: Rotation | None = None
+    tilt: Rotation | None = None
     width: float = 2.0
-    """Distance of the two scenes, in standard uncertainties."""
 
 
 def measure_sensitivities(request: RunRequest) -> Sensitivities:
@@ -66,13 +77,21 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
     for one in _perturbations(experiment):
         try:
             low, high = (
-                _rotated_back(_frames(request, engine, replace(experiment, scene=scene), request.settings)[0], turn)
-                for scene, turn in ((one.low, one.low_rotation), (one.high, one.high_rotation))
+                _frames(request, engine, replace(experiment, scene=scene), request.settings)[0]
+                for scene in (one.low, one.high)
             )
         except GaugeError as error:
             left_out.append(f"{one.name}: {error}")
             continue
-        inputs.append(_input(one, (high - low) / one.width))
+        if one.tilt is not None:
+            low, high = _rotated(low, one.tilt), _rotated(high, one.tilt.inv())
+        change = (high - low) / one.width
+        known = one.known
+        inputs.append(
+            InputUncertainty(
+                name=one.name, kind=one.kind, std=known.std, unit=known.unit, source=known.source, change=change
+            )
+        )
     for setting, name, unit in (("timestep_s", "time step", "s"), ("cell_m", "cell", "m")):
         size = settings.get(setting)
         if not isinstance(size, float) or (setting == "cell_m" and not experiment.scene.deformables):
@@ -104,10 +123,6 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
     )
 
 
-def _input(one: _Perturbation, change: FloatArray) -> InputUncertainty:
-    return InputUncertainty(name=one.name, kind=one.kind, std=one.std, unit=one.unit, source=one.source, change=change)
-
-
 def _frames(
     request: RunRequest, engine: Backend, experiment: Experiment, settings: Mapping[str, Any] | None
 ) -> tuple[FloatArray, Mapping[str, Any]]:
@@ -116,11 +131,7 @@ def _frames(
     try:
         simulation.reset(0)
         episode = Episode(experiment, simulation, band=None, marker_proxy=request.proxy)
-        episode.begin()
-        zero = np.zeros(episode.action_space.shape or 0)
-        while not episode.is_over:
-            episode.advance(simulation, zero)
-            episode.end_frame()
+        episode.play(simulation)
         if episode.fault is not None:
             raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
         return episode.trajectory().frames, simulation.settings
@@ -128,12 +139,9 @@ def _frames(
         simulation.close()
 
 
-def _rotated_back(frames: FloatArray, rotation: Rotation | None) -> FloatArray:
-    """Return positions in the frame of a scene that was rotated about the origin."""
-    if rotation is None:
-        return frames
-    turned: FloatArray = rotation.inv().apply(frames.reshape(-1, 3)).reshape(frames.shape)
-    return turned
+def _rotated(frames: FloatArray, rotation: Rotation) -> FloatArray:
+    """Return positions that are rotated about the origin."""
+    return np.asarray(rotation.apply(frames.reshape(-1, 3)).reshape(frames.shape))
 
 
 def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
@@ -146,12 +154,11 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
             low, high = max(value - entry.std, 0.0), value + entry.std
             if constant == "restitution":
                 high = min(high, 1.0)
+            pairs = ", ".join(f"{contact.first[0]}/{contact.second[0]}" for contact in group)
             yield _Perturbation(
-                name=f"{constant} {', '.join(map(_pair, group))}",
+                name=f"{constant} {pairs}",
                 kind="constant",
-                std=entry.std,
-                unit=entry.unit,
-                source=entry.source,
+                known=entry,
                 low=_with_contacts(scene, group, constant, low),
                 high=_with_contacts(scene, group, constant, high),
                 width=(high - low) / entry.std,
@@ -161,31 +168,21 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
         yield _Perturbation(
             name=f"start of {', '.join(experiment.recorded)} along {name}",
             kind="start",
-            std=known.start.std,
-            unit=known.start.unit,
-            source=known.start.source,
+            known=known.start,
             low=_shifted(scene, experiment.recorded, -shift),
             high=_shifted(scene, experiment.recorded, shift),
         )
     if experiment.score.observable is not Observable.POSITION or not experiment.recorded:
         return
-    angle, origin = math.radians(known.tilt.std), np.zeros(3)
-    for axis, name in ((np.array([1.0, 0.0, 0.0]), "x"), (np.array([0.0, 1.0, 0.0]), "y")):
+    for axis, name in zip(math.radians(known.tilt.std) * np.eye(3)[:2], "xy", strict=True):
         yield _Perturbation(
             name=f"tilt about {name}",
             kind="tilt",
-            std=known.tilt.std,
-            unit=known.tilt.unit,
-            source=known.tilt.source,
-            low=tilted(scene, -angle * axis, origin),
-            high=tilted(scene, angle * axis, origin),
-            low_rotation=Rotation.from_rotvec(-angle * axis),
-            high_rotation=Rotation.from_rotvec(angle * axis),
+            known=known.tilt,
+            low=tilted(scene, -axis, np.zeros(3)),
+            high=tilted(scene, axis, np.zeros(3)),
+            tilt=Rotation.from_rotvec(axis),
         )
-
-
-def _pair(contact: Contact) -> str:
-    return f"{contact.first[0]}/{contact.second[0]}"
 
 
 def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.evaluation.laws import free_flight
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.variants import variants

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 import gauge_envs
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.deformation import STATISTICS, affine_map, marked_solid, trial_statistics

@@ -38,7 +38,7 @@ from gauge_envs.envs.control.pendulum import PendulumLimit
 from gauge_envs.envs.control.slope_slider import SlopeSliderLimit
 from gauge_envs.envs.control.stage import FRAME_S, acceleration_to_rest
 from gauge_envs.envs.control.throw import SPEED_M_PER_S, STROKE_M, ThrowLimit
-from gauge_envs.envs.control.worlds import ControlWorlds
+from gauge_envs.envs.control.vector import ControlWorlds
 
 FloatArray = NDArray[np.float64]
 Act = Callable[[ControlEnv, int, FloatArray], FloatArray]

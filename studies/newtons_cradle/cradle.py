@@ -14,7 +14,7 @@ import numpy as np
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
+from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.pages.text import markdown_row
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

@@ -60,9 +60,8 @@ from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.stacks.documents import read_yaml
 from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.sweep.store import update_store
+from gauge_envs.tools.sweep.store import SweepFolder, update_store
 from gauge_envs.tools.transfer.policies.normalization import read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.video import read_camera, read_track

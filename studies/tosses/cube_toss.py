@@ -21,9 +21,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from toss_errors import bootstrap_interval, impacts, shot_error
 from tosses import Run, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
 
-from gauge_envs.evaluation.single_shot import bootstrap_interval, impacts, shot_error
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.single_shot import SingleShots
 

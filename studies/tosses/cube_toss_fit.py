@@ -22,9 +22,8 @@ from cube_toss import loss, shots, toss
 from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.stats import qmc
+from toss_errors import shot_error
 from tosses import write
-
-from gauge_envs.evaluation.single_shot import shot_error
 
 FloatArray = NDArray[np.float64]
 Changes = tuple[dict[str, float], dict[str, Any]]

@@ -25,11 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+from toss_errors import angle_error, bootstrap_interval, shot_error
 from tosses import Run, Toss, add_run_options, median, quartiles, recorded_tosses, simulated_tosses, write
 
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
-from gauge_envs.evaluation.single_shot import angle_error, bootstrap_interval, shot_error
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import with_trial
 from gauge_envs.references.single_shot import SingleShot, SingleShots

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from toss_errors import perturbed_scene
 
 from gauge_envs.backends import backend_for
-from gauge_envs.evaluation.single_shot import perturbed_scene
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.single_shot import with_trial
 from gauge_envs.references.single_shot import SingleShots, single_shots

@@ -145,10 +145,10 @@ def rollout(name: str) -> list[Any]:
 
 
 def test_eight_threads_with_an_environment_each_give_the_bits_of_one() -> None:
-    names = ["SlopeSlider-2-wood", "SlopeSlider-3-metal", "BouncingBall-rubber", "Turntable-1-wood"] * 2
-    alone = {name: rollout(name) for name in names}
+    names = ["SlopeSlider-2-wood", "SlopeSlider-3-metal", "BouncingBall-rubber", "Turntable-2-wood"]
+    alone = [rollout(name) for name in names]
     with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(rollout, names)) == [alone[name] for name in names]
+        assert list(pool.map(rollout, names * 2)) == alone * 2
 
 
 def resident_mb() -> float:

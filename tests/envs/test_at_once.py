@@ -16,6 +16,7 @@ from gauge_envs import GaugeEnv
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.at_once import EpisodesAtOnce
+from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.envs.vector import ScoreEpisodes
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.scene import Scene
@@ -89,7 +90,7 @@ def assert_same_steps(many: VectorEnv, loop: VectorEnv, count: int) -> None:
 def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together: None) -> None:
     options = {"jitter": True}
     many = gymnasium.make_vec(f"GAUGE/{name}", num_envs=3)
-    assert many.unwrapped._at_once is not None
+    assert isinstance(many.unwrapped._lockstep, EpisodesAtOnce)
     singles = SyncVectorEnv([lambda: GaugeEnv(name)] * 3)
     loop = ScoreEpisodes(singles)
     many.reset(seed=4, options=options)
@@ -127,7 +128,7 @@ def test_a_world_that_diverges_at_once_ends_alone(together: None) -> None:
 def test_newton_reads_all_worlds_with_the_values_of_each() -> None:
     pytest.importorskip("newton")
     envs = gymnasium.make_vec("GAUGE/NonsmoothContact-1-wood", num_envs=3, backend="newton").unwrapped
-    assert envs._at_once is not None
+    assert isinstance(envs._lockstep, EpisodesAtOnce)
     envs.reset(seed=0, options={"jitter": True})
     for _ in range(5):
         envs.step(zeros(envs))
@@ -151,7 +152,8 @@ def test_wrong_actions_are_refused(together: None) -> None:
 
 def test_driven_and_soft_experiments_run_in_a_loop(together: None) -> None:
     for name in ("SlopeSlider-3-metal", "StickStack-soft"):
-        assert gymnasium.make_vec(f"GAUGE/{name}", num_envs=1).unwrapped._at_once is None
+        envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=1).unwrapped
+        assert isinstance(envs._lockstep, EpisodesOneByOne)
 
 
 def test_scores_as_arrays_are_those_of_each_world(together: None) -> None:
@@ -197,9 +199,8 @@ def test_arrays_need_a_native_environment_and_a_reference(together: None) -> Non
 def test_records_are_parts_of_shared_arrays(together: None) -> None:
     envs = gymnasium.make_vec("GAUGE/SlopeSlider-2-wood", num_envs=2).unwrapped
     envs.reset(seed=0)
-    assert EpisodesAtOnce.fits(envs.episodes, envs.worlds)
     envs.step(zeros(envs))
-    times_s, samples = envs._at_once.trajectories()
+    times_s, samples = envs._lockstep.trajectories()
     assert samples.shape == (2, len(times_s), 3)
     assert np.isfinite(samples[:, :7]).all()
     assert np.isnan(samples[:, 7:]).all()

@@ -16,7 +16,7 @@ from gauge_envs.experiments.single_shot import with_trial
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_repeats
+from gauge_envs.runs.episodes import run_episodes
 from gauge_envs.runs.request import RunRequest
 
 ID = "GAUGE/CubeToss-acrylic"
@@ -78,7 +78,7 @@ def test_overridden_starts_have_no_reference() -> None:
 
 
 def test_worlds_and_repeats_toss_one_trial_each() -> None:
-    results = run_repeats(RunRequest(NAME, seed=3, repeats=2))
+    results = run_episodes(RunRequest(NAME, seed=3, repeats=2))
     assert [result.jitter for result in results] == [{"trial": 3}, {"trial": 4}]
     worlds = gymnasium.make_vec(ID, num_envs=2)
     _, infos = worlds.reset(seed=3)

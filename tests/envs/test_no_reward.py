@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import gauge_envs
 from gauge_envs import load_experiment, reference_band, variants
 from gauge_envs.cli.app import app
-from gauge_envs.envs import no_reward
+from gauge_envs.envs import arguments
 from gauge_envs.envs.dm_env import load
 from gauge_envs.errors import NoRewardWarning
 from gauge_envs.runs.episodes import run_episode
@@ -26,7 +26,7 @@ SILENT = "GAUGE/Turntable-2-wood"
 
 @pytest.fixture(autouse=True)
 def _nothing_was_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(no_reward, "_warned", set())
+    monkeypatch.setattr(arguments, "_warned", set())
 
 
 def warnings_of(make) -> list[warnings.WarningMessage]:

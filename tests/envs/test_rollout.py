@@ -83,7 +83,7 @@ def assert_same_records(one: GaugeVectorEnv, other: GaugeVectorEnv) -> None:
         assert (first.frame, first.fault) == (second.frame, second.fault)
     for key, values in one.score_arrays().items():
         assert np.array_equal(values, other.score_arrays()[key], equal_nan=True), key
-    assert all(np.array_equal(a, b) for a, b in zip(one._flags(), other._flags(), strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(one._lockstep.flags(), other._lockstep.flags(), strict=True))
 
 
 @pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "BouncingBall-rubber", "NonsmoothContact-1-wood"])

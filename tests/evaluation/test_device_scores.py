@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation import device_scores
-from gauge_envs.evaluation.device_scores import score_recording
+from gauge_envs.evaluation import worlds
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.worlds import score_worlds
+from gauge_envs.evaluation.worlds import score_recording, score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -103,7 +102,7 @@ def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -
         mean[[5, 6]] = mean[[6, 5]]
         band = replace(band, mean=mean)
     elif fault == "release offset":
-        monkeypatch.setattr(device_scores, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
+        monkeypatch.setattr(worlds, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
     else:
         counts[2:8] += 1
     kernels = score_recording(experiment, band, positions_m=positions, rows=[0], sample_counts=counts)

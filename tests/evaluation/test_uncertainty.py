@@ -13,12 +13,12 @@ import pytest
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.errors import ReferenceFileError
-from gauge_envs.evaluation.trials import percentile_among, trial_distances
+from gauge_envs.evaluation.deviation import percentile_among, trial_distances
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
-from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter
@@ -279,7 +279,7 @@ def test_worlds_of_a_vector_environment_score_as_one_alone():
 
 
 def test_repeats_run_on_too():
-    results = run_repeats(RunRequest(SLIDES[1], repeats=2, jitter=Jitter()))
+    results = run_episodes(RunRequest(SLIDES[1], repeats=2, jitter=Jitter()))
     assert all(len(result.trajectory.later_times_s) == 60 for result in results)
     assert all(result.score.release_offset_s < 0.0 for result in results)
 

@@ -24,11 +24,10 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
 from gauge_envs.scene.diff import scene_changes
@@ -209,7 +208,7 @@ def test_newton_takes_an_edited_layer(edited: Callable[[str, Edit], Path]) -> No
 
 def test_jitter_and_repeats_start_from_the_layer(edited: Callable[[str, Edit], Path]) -> None:
     path = edited(SLIDE, setting(Contacts_at_contact_0__gauge__friction=0.1))
-    results = run_repeats(RunRequest(SLIDE, repeats=2, asset=path))
+    results = run_episodes(RunRequest(SLIDE, repeats=2, asset=path))
     assert all(result.is_edited for result in results)
     starts = [result.trajectory.samples[0] for result in results if result.trajectory is not None]
     assert 0.0 < np.abs(np.subtract(*starts)).max() < 10.0

@@ -19,9 +19,9 @@ from gauge_envs.backends.mujoco.model_diff import model_changes
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.variants import variants
-from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.mjcf import write_mjcf
 
@@ -270,7 +270,7 @@ def test_settings_and_jitter_need_a_scene() -> None:
     with pytest.raises(ParameterError, match="an MJCF file contains its own settings"):
         gymnasium.make(f"GAUGE/{SLIDE}", asset=shipped(SLIDE), settings={"timestep_s": 1 / 1800})
     with pytest.raises(AssetError, match="use a USD layer for another start, such as a jitter"):
-        run_repeats(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
+        run_episodes(RunRequest(SLIDE, repeats=2, asset=shipped(SLIDE)))
 
 
 # --- the hook --------------------------------------------------------------------------------------------------------

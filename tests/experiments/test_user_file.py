@@ -29,10 +29,9 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_episode, run_repeats
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
 from gauge_envs.scene.usd.reader import read_points
@@ -126,7 +125,7 @@ def test_gymnasium_makes_it_as_an_id() -> None:
 
 
 def test_repeats_scatter() -> None:
-    results = run_repeats(RunRequest(str(CRATE), repeats=3))
+    results = run_episodes(RunRequest(str(CRATE), repeats=3))
     assert len({result.score.rmse for result in results}) == 3
 
 

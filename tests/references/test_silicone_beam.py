@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from gauge_envs import beyond_variants, load_experiment, variants
-from gauge_envs.evaluation.implied import implied_parameters
+from gauge_envs.evaluation.implied import fit_ringing, implied_parameters
 from gauge_envs.evaluation.reference import band_grade, load_band
-from gauge_envs.evaluation.ringing import fit_ringing
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.episodes import run_episode

@@ -14,11 +14,12 @@ from scipy.spatial.distance import pdist
 from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.episode import Episode
+from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.batch import run_many
-from gauge_envs.runs.episodes import run_episode, run_repeats, run_together
+from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.jitter import JITTER_FORMAT, jittered
@@ -116,33 +117,37 @@ def test_impossible_scatter_is_refused(values: dict[str, float]) -> None:
 
 def test_repeats_without_scatter_are_the_single_run() -> None:
     single = run_episode(RunRequest("Turntable-2-metal"))
-    for result in run_repeats(RunRequest("Turntable-2-metal", repeats=3, jitter=STILL)):
+    for result in run_episodes(RunRequest("Turntable-2-metal", repeats=3, jitter=STILL)):
         assert result.trajectory == single.trajectory
         assert result.score == single.score
 
 
 def test_repeats_scatter_about_the_single_run_and_keep_its_reference() -> None:
     single = run_episode(RunRequest("SlopeSlider-2-metal")).score.rmse
-    results = run_repeats(RunRequest("SlopeSlider-2-metal", repeats=8, seed=10))
+    results = run_episodes(RunRequest("SlopeSlider-2-metal", repeats=8, seed=10))
     assert [result.seed for result in results] == list(range(10, 18))
     assert results[0].jitter == {"position_m": 1e-3, "angle_rad": math.radians(0.5)}
     errors = np.array([result.score.rmse for result in results])
     # A start 1 mm further downhill is at most 1 mm in E_RMSE.
     assert 0.05 < errors.std() < 2.0
     assert abs(errors.mean() - single) < 2.0
-    assert run_repeats(RunRequest("SlopeSlider-2-metal", repeats=1, seed=12))[0].trajectory == results[2].trajectory
+    assert (
+        run_episodes(RunRequest("SlopeSlider-2-metal", jitter=Jitter(), seed=12))[0].trajectory == results[2].trajectory
+    )
 
 
 def test_one_world_that_diverges_leaves_the_others() -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     worlds = backend("mujoco").build_worlds([experiment.scene] * 2)
-    worlds.reset(0)
-    worlds.worlds[0].data.qvel[0] = 900.0
     episodes = [
         Episode(experiment, world, band=reference_band(experiment), marker_proxy=MarkerProxy.NODE)
         for world in worlds.worlds
     ]
-    run_together(episodes, worlds)
+    lockstep = EpisodesOneByOne(episodes, worlds)
+    lockstep.begin(0)
+    worlds.worlds[0].data.qvel[0] = 900.0
+    while lockstep.running.size:
+        lockstep.step([0, 0])
     assert "m/s" in episodes[0].fault
     assert episodes[1].fault is None
     assert [episode.frame for episode in episodes] == [1, experiment.frame_count - 1]
@@ -251,6 +256,6 @@ def test_a_body_in_a_corner_moves_along_it_and_does_not_turn() -> None:
 
 
 def test_a_start_off_the_seam_is_scored_against_the_calibrated_law() -> None:
-    results = run_repeats(RunRequest("SlopeContact-wood", repeats=4))
+    results = run_episodes(RunRequest("SlopeContact-wood", repeats=4))
     assert [(result.outcome, result.score.grade) for result in results] == [("finished", "law")] * 4
     assert max(result.score.rmse for result in results) < 5.0

@@ -47,12 +47,6 @@ class CarryLimit(LeastTimeLimit):
         return replace(stated, drivers=(driver,))
 
     @staticmethod
-    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
-        """Return the least time [s]: speeding up, then braking to the speed left."""
-        fastest = math.sqrt(deceleration_m_per_s2 * distance_m + 0.5 * speed_m_per_s**2)
-        return (2.0 * fastest - speed_m_per_s) / deceleration_m_per_s2
-
-    @staticmethod
     def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:
         """Return the least time [s] to rest at the goal: a cube that is too fast passes the goal and comes back."""
         braked_s = abs(speed_m_per_s) / deceleration_m_per_s2

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import SimulationEnvironment
-from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
+from gauge_envs.envs.control.limit import Ending, Limit, LimitReport, friction_uncertainty, pair_friction
 from gauge_envs.envs.divergence import speed_fault
+from gauge_envs.envs.lockstep import run_frames
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
@@ -133,6 +134,19 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _limit(self) -> Limit:
         """Return the best that the law allows."""
 
+    def _friction_limit(self, pair: tuple[str, str], quantity: str) -> Limit:
+        """Return the limit of a quantity that is at most the friction of two bodies."""
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
+        return Limit(
+            quantity=quantity,
+            unit="1",
+            value=pair_friction(self.experiment.scene, *pair),
+            sigma=friction_uncertainty(self._variant.material) * calibrated,
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
     @abstractmethod
     def _begin(self) -> None:
         """Record the start of an episode; the simulation is at it."""
@@ -203,14 +217,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s."""
-        frame = self.frame(action)
-        while True:
-            try:
-                next(frame)
-            except StopIteration as end:
-                step: Step = end.value
-                return step
-            self.simulation.advance(SAMPLE_INTERVAL_S)
+        return run_frames({0: self.frame(action)}, lambda _: self.simulation.advance(SAMPLE_INTERVAL_S))[0]
 
     def frame(self, action: Any) -> Generator[None, None, Step]:
         """Drive one frame of a world that someone else advances; return what `step` returns.

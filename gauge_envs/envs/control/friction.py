@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.envs.control.env import ControlEnv, Frame
-from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
-from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import Pose, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -125,18 +124,7 @@ class FrictionLimit(ControlEnv):
         return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
 
     def _limit(self) -> Limit:
-        scene = self.experiment.scene
-        carrier = scene.drivers[0].body
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        calibrated = pair_friction(load_experiment(self._variant).scene, CUBE, carrier)
-        return Limit(
-            quantity="friction used",
-            unit="1",
-            value=pair_friction(scene, CUBE, carrier),
-            sigma=friction_uncertainty(self._variant.material) * calibrated,
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+        return self._friction_limit((CUBE, self.experiment.scene.drivers[0].body), "friction used")
 
     @property
     def largest_reward(self) -> float:

@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.envs.control.env import ControlEnv, Frame
-from gauge_envs.envs.control.limit import Ending, Limit, friction_uncertainty, pair_friction
+from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import Stage
 from gauge_envs.evaluation.reference_path import ReferencePath
-from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -115,24 +114,9 @@ class LeastTimeLimit(ControlEnv):
         return ReferencePath(names=(CUBE, self.DRIVEN), places_m=away[:, None] + np.asarray(starts), is_full=True)
 
     def _limit(self) -> Limit:
-        scene = self.experiment.scene
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        calibrated = pair_friction(load_experiment(self._variant).scene, CUBE, self.FLOOR)
-        return Limit(
-            quantity="friction that the time needs",
-            unit="1",
-            value=pair_friction(scene, CUBE, self.FLOOR),
-            sigma=friction_uncertainty(self._variant.material) * calibrated,
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+        return self._friction_limit((CUBE, self.FLOOR), "friction that the time needs")
 
     # --- what a subclass states ---
-
-    @staticmethod
-    @abstractmethod
-    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
-        """Return the least time [s] from rest over a distance, with friction's mu g and the speed left at the end."""
 
     @staticmethod
     @abstractmethod

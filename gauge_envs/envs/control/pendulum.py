@@ -175,11 +175,9 @@ class PendulumLimit(ControlEnv):
         frame_s = 1.0 / FRAME_RATE_HZ
         direction = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
         torque = direction * self._largest_torque_n_m
-        rotation = self._rotation(torque, frame_s)
+        rotation, rate = self._rotation(torque, frame_s), self._rate + self._acceleration(torque) * frame_s
         # Near a turning point a push would brake in the second half of the frame.
-        if left_j <= 0.0 or (
-            self._work_j > 0.0 and (rotation * direction <= 0.0 or self._rate_after(torque, frame_s) * direction <= 0)
-        ):
+        if left_j <= 0.0 or (self._work_j > 0.0 and (rotation * direction <= 0.0 or rate * direction <= 0)):
             return 0.0
         for _ in range(5):
             torque = direction * min(self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s)))
@@ -192,6 +190,3 @@ class PendulumLimit(ControlEnv):
     def _rotation(self, torque: float, seconds: float) -> float:
         """Return the rotation in the next `seconds` [rad], to second order."""
         return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds
-
-    def _rate_after(self, torque: float, seconds: float) -> float:
-        return self._rate + self._acceleration(torque) * seconds

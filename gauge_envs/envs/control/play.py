@@ -23,12 +23,24 @@ def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
         policy: The policy.
         seed: Seed of the reset.
     """
+    return play_paid(env, policy, seed=seed)[1]
+
+
+def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float, LimitReport]:
+    """Run one episode and return the sum of its rewards and its report.
+
+    Args:
+        env: The task, without wrappers.
+        policy: The policy.
+        seed: Seed of the reset, which draws the goal of a task that has one.
+    """
     observation, _ = env.reset(seed=seed)
-    over = False
+    paid, over = 0.0, False
     while not over:
-        observation, _, terminated, truncated, _ = env.step(policy(observation))
+        observation, reward, terminated, truncated, _ = env.step(policy(observation))
+        paid += reward
         over = terminated or truncated
-    return env.report()
+    return paid, env.report()
 
 
 def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), resolution: float = 0.002) -> float:

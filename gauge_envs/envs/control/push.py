@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.envs.control.least_time import CUBE, X_AXIS, Y_AXIS, LeastTimeLimit
-from gauge_envs.envs.control.stage import FRAME_S, stage_driver
-from gauge_envs.scene import Box, Contact, ContactMode, Motion, Pose, RigidBody, Scene
+from gauge_envs.envs.control.stage import FRAME_S, stage_driver, with_stage
+from gauge_envs.scene import Box, Motion, Scene
 
 PUSHER = "pusher"
 PUSHER_SIZE_M = (0.02, 0.12, 0.03)
@@ -70,32 +70,13 @@ class PushLimit(LeastTimeLimit):
         assert isinstance(cube.shape, Box)
         x, y, z = cube.pose.position_m
         behind = 0.5 * (cube.shape.size_m[0] + PUSHER_SIZE_M[0]) + GAP_M
-        pusher = RigidBody(
-            name=PUSHER,
-            shape=Box(size_m=PUSHER_SIZE_M),
-            motion=Motion.KINEMATIC,
-            pose=Pose(position_m=(x - behind, y, z)),
-            mass_kg=1.0,
-        )
         (on_board,) = (contact for contact in stated.contacts if self.FLOOR in contact.second)
-        bodies = (*(replace(board, motion=Motion.FIXED) if body is board else body for body in stated.bodies), pusher)
-        push = Contact(
-            first=(CUBE,),
-            second=(PUSHER,),
-            friction=on_board.friction,
-            restitution=on_board.restitution,
-            mode=ContactMode.SUSTAINED,
-        )
+        bodies = tuple(replace(board, motion=Motion.FIXED) if body is board else body for body in stated.bodies)
         driver = stage_driver(
             PUSHER, (X_AXIS, Y_AXIS), largest_speed_m_per_s=self.ACCELERATION_M_PER_S2 * self.DURATION_S
         )
-        return replace(stated, bodies=bodies, contacts=(*stated.contacts, push), drivers=(driver,))
-
-    @staticmethod
-    def least_time_s(distance_m: float, deceleration_m_per_s2: float, speed_m_per_s: float = 0.0) -> float:
-        """Return the least time [s]: friction brakes all the way to the speed left."""
-        first = math.sqrt(speed_m_per_s**2 + 2.0 * deceleration_m_per_s2 * distance_m)
-        return (first - speed_m_per_s) / deceleration_m_per_s2
+        still = replace(stated, bodies=bodies)
+        return with_stage(still, PUSHER, PUSHER_SIZE_M, (x - behind, y, z), driver, pushes=CUBE, like=on_board)
 
     @staticmethod
     def time_to_go_s(distance_m: float, speed_m_per_s: float, deceleration_m_per_s2: float) -> float:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
-from gauge_envs.scene import Pose
+from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
@@ -31,6 +32,27 @@ def stage_driver(body: str, axes: tuple[Vector, ...], *, largest_speed_m_per_s: 
         DriverMotion(kind="translate", axis=axis, residual_rate=largest_speed_m_per_s, profiles=()) for axis in axes
     )
     return Driver(body=body, motions=motions, provenance="action")
+
+
+def with_stage(
+    stated: Scene, body: str, size_m: Vector, position_m: Vector, driver: Driver, *, pushes: str, like: Contact
+) -> Scene:
+    """Return a scene with a box that actions move.
+
+    Args:
+        stated: The scene.
+        body: Name of the box.
+        size_m: Its edges [m].
+        position_m: Its centre at the start [m].
+        driver: Driver of `stage_driver`.
+        pushes: Name of the body that it touches.
+        like: Contact of that body whose constants and mode the contact with the box has.
+    """
+    box = RigidBody(
+        name=body, shape=Box(size_m=size_m), motion=Motion.KINEMATIC, pose=Pose(position_m=position_m), mass_kg=1.0
+    )
+    contact = replace(like, first=(pushes,), second=(body,))
+    return replace(stated, bodies=(*stated.bodies, box), contacts=(*stated.contacts, contact), drivers=(driver,))
 
 
 class Stage:

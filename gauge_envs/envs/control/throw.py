@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,10 +12,10 @@ from scipy.optimize import minimize_scalar
 
 from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
-from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver
+from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver, with_stage
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 
 BALL, PLATE = "ball", "plate"
@@ -132,23 +131,10 @@ class ThrowLimit(ControlEnv):
         """Return the scene with a plate beside the ball's vertical."""
         x, y, _ = stated.body(BALL).pose.position_m
         top_m = stated.body("ground").pose.position_m[2] + PLATE_TOP_M
-        plate = RigidBody(
-            name=PLATE,
-            shape=Box(size_m=PLATE_SIZE_M),
-            motion=Motion.KINEMATIC,
-            pose=Pose(position_m=(x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])),
-            mass_kg=1.0,
-        )
-        (on_ground,) = stated.contacts
-        bounce = Contact(
-            first=(BALL,),
-            second=(PLATE,),
-            friction=on_ground.friction,
-            restitution=on_ground.restitution,
-            mode=on_ground.mode,
-        )
+        place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
         driver = stage_driver(PLATE, ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), largest_speed_m_per_s=SPEED_M_PER_S)
-        return replace(stated, bodies=(*stated.bodies, plate), contacts=(*stated.contacts, bounce), drivers=(driver,))
+        (on_ground,) = stated.contacts
+        return with_stage(stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground)
 
     @staticmethod
     def _middle_m(scene: Scene) -> float:

@@ -28,6 +28,8 @@ ELEVATIONS_DEG = (-34.0, -13.0)
 """Elevation of the view for a flat action, and for one as high as wide [deg]."""
 MARGIN = 0.07
 """Share of the picture between the action and each edge."""
+MOST_PLACES = 400
+"""About the largest number of places that are tested for what hides them."""
 LEAST_SIZE_M = 0.08
 """Smallest extent that fills a picture [m]."""
 
@@ -147,7 +149,7 @@ def _azimuth_deg(scene: Scene, expected: Expected, elevation_deg: float) -> floa
 
 def _hidden_share(scene: Scene, expected: Expected, forward: FloatArray) -> float:
     """Return the share of the places of moving bodies that a still body covers, seen along a direction."""
-    places = _thinned(expected.places_m)
+    places = expected.places_m[:: -(-len(expected.places_m) // MOST_PLACES)]
     hidden = np.zeros(len(places), dtype=np.bool_)
     for body in scene.bodies:
         if body.name in expected.movers or isinstance(body.shape, Plane):
@@ -179,7 +181,3 @@ def _meets_box(starts: FloatArray, way: FloatArray, low: FloatArray, high: Float
     first, second = (low - starts) / way, (high - starts) / way
     enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
     return np.asarray((leave > np.maximum(enter, 0.0)) & (leave > 0.0))
-
-
-def _thinned(points: FloatArray, most: int = 400) -> FloatArray:
-    return points[:: -(-len(points) // most)]

@@ -6,16 +6,29 @@ until the floor, a loose cloth falls by half its size. No engine runs for them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.envs.rendering.expected_deformables import deformable_way
+from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.evaluation.reference_path import ReferencePath
-from gauge_envs.scene import Hinge, Motion, Plane, Pose, RigidBody, Scene, Tether
+from gauge_envs.scene import (
+    Box,
+    Cloth,
+    Deformable,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Rope,
+    Scene,
+    SoftBody,
+    Tether,
+)
 from gauge_envs.scene.geometry import vector
 
 FloatArray = NDArray[np.float64]
@@ -55,19 +68,6 @@ class Expected:
     movers: frozenset[str]
 
 
-@dataclass
-class _Ways:
-    """Collected ways: the corners of each body at several moments, each of shape [moment_count, corner_count, 3]."""
-
-    ways: list[FloatArray] = field(default_factory=list)
-
-    def add(self, corners: Iterable[FloatArray]) -> None:
-        self.ways.append(np.array(list(corners)))
-
-    def points(self) -> FloatArray:
-        return np.concatenate([way.reshape(-1, 3) for way in self.ways]) if self.ways else np.zeros((0, 3))
-
-
 def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Expected:
     """Return where the bodies of a scene are expected to go.
 
@@ -75,16 +75,17 @@ def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Exp
         scene: The scene.
         reference: Places of the reference, or None. A body with a place follows it, also a driven one.
     """
-    ways = _Ways()
+    # The corners of each body at several moments, each of shape [moment_count, corner_count, 3].
+    ways: list[FloatArray] = []
     carriers = {driver.body: _driven_poses(scene, driver.body, reference) for driver in scene.drivers}
     for name, poses in carriers.items():
-        ways.add(pose.to_world(scene.body(name).shape.corners_m) for pose in poses)
+        ways.append(np.array([pose.to_world(scene.body(name).shape.corners_m) for pose in poses]))
     swing, supports = _swings(scene), _supports(scene)
     for body in scene.dynamic_bodies:
-        ways.add(_way_of(scene, body, carriers, swing, reference, supports.get(body.name)))
+        ways.append(np.array(_way_of(scene, body, carriers, swing, reference, supports.get(body.name))))
     for soft in scene.deformables:
-        ways.add(deformable_way(scene, soft, carriers))
-    action = ways.points()
+        ways.append(np.array(_deformable_way(scene, soft, carriers)))
+    action = np.concatenate([way.reshape(-1, 3) for way in ways]) if ways else np.zeros((0, 3))
     movers = frozenset({*carriers, *(body.name for body in scene.dynamic_bodies)})
     if not len(action):
         still = [_corners(body) for body in scene.bodies if not isinstance(body.shape, Plane)]
@@ -92,7 +93,7 @@ def expected_motion(scene: Scene, reference: ReferencePath | None = None) -> Exp
     return Expected(
         points_m=np.concatenate([action, _surroundings(scene, action, movers)]),
         places_m=action,
-        across=_across(ways.ways, scene),
+        across=_across(ways, scene),
         movers=movers,
     )
 
@@ -167,7 +168,7 @@ def _carried(body: RigidBody, carrier: RigidBody, poses: list[Pose]) -> list[Flo
         )
         shift[2] += 0.5 * size
         carried.append(steepest.to_world(local) + shift)
-    elif _is_turned(poses):
+    elif any((pose.rotation * poses[0].rotation.inv()).magnitude() > 0.2 for pose in poses):
         # A turning carrier throws it off sideways, in a direction that nobody knows.
         centre, radius = np.array(carrier.pose.position_m), 0.5 * np.ptp(carrier.shape.corners_m[:, 0])
         for angle in np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False):
@@ -178,10 +179,6 @@ def _carried(body: RigidBody, carrier: RigidBody, poses: list[Pose]) -> list[Flo
 
 def _tilt(pose: Pose) -> float:
     return float(np.arccos(np.clip(pose.rotation.as_matrix()[2, 2], -1.0, 1.0)))
-
-
-def _is_turned(poses: list[Pose]) -> bool:
-    return any((pose.rotation * poses[0].rotation.inv()).magnitude() > 0.2 for pose in poses)
 
 
 def _swings(scene: Scene) -> dict[str, list[FloatArray]]:
@@ -273,6 +270,102 @@ def _supports(scene: Scene) -> dict[str, RigidBody]:
                 if gap <= 1e-6:
                     break
     return found
+
+
+# --- deformable bodies ---
+
+
+def outline_m(body: Deformable) -> FloatArray:
+    """Return the corners of a deformable body in its own frame [m], shape [8, 3]."""
+    if isinstance(body, SoftBody):
+        return body.shape.corners_m
+    if isinstance(body, Cloth):
+        return Box(size_m=(*body.size_m, 0.0)).corners_m
+    return Box(size_m=(body.length_m, 0.0, 0.0) if isinstance(body, Rope) else (0.0, 0.0, body.length_m)).corners_m
+
+
+def _deformable_way(scene: Scene, body: Deformable, carriers: Mapping[str, list[Pose]]) -> list[FloatArray]:
+    """Return outlines that a deformable body is expected to have, each of shape [8, 3], from the start on.
+
+    Args:
+        scene: The scene.
+        body: The body.
+        carriers: Poses of each driven body over the episode.
+    """
+    start = body.pose.to_world(outline_m(body))
+    held = [a for a in scene.attachments if a.deformable == body.name]
+    moment = [start]
+    sides = {(a.region.axis, a.region.side) for a in held}
+    for attachment in held:
+        if attachment.to in carriers:
+            poses = carriers[attachment.to]
+            along = outline_m(body)[:, "xyz".index(attachment.region.axis)]
+            side = np.asarray(along < 0.0 if attachment.region.side == "low" else along > 0.0)
+            moved = poses[0].to_body(start[side])
+            for pose in poses:
+                place = start.copy()
+                place[side] = pose.to_world(moved)
+                if len(sides) == 1:
+                    place[~side] += pose.to_world(moved).mean(axis=0) - start[side].mean(axis=0)
+                moment.append(place)
+    if isinstance(body, Cloth):
+        moment += _cloth_falls(scene, body, start, len(sides), moment[-1])
+    if isinstance(body, SoftBody):
+        moment += _drooped(scene, body, start)
+    return moment
+
+
+def _cloth_falls(scene: Scene, body: Cloth, start: FloatArray, held: int, last: FloatArray) -> list[FloatArray]:
+    """Return outlines of a cloth that falls, swings on from a held edge, or sags between two."""
+    size = max(body.size_m)
+    if held == 0:
+        lowered = min(0.5 * size, max(float(start[:, 2].min()) - scene.floor_height_m, 0.0))
+        inner = start.mean(axis=0) + 0.75 * (start - start.mean(axis=0))
+        return [inner - [0.0, 0.0, lowered]]
+    if held == 1 and np.ptp(start[:, 2]) > 0.5 * size:
+        moved = (last - start).mean(axis=0)
+        way = float(np.linalg.norm(moved[:2]))
+        if way < 1e-6:
+            return []
+        # The free edge swings on by about a third of the cloth.
+        over = start + moved
+        over[over[:, 2] < over[:, 2].mean()] += [*(0.35 * size * moved[:2] / way), 0.0]
+        return [over]
+    if held == 2:
+        gap = last.reshape(-1, 3)
+        chord = float(np.linalg.norm(np.ptp(gap[:, :2], axis=0)))
+        full = float(np.linalg.norm(np.ptp(start[:, :2], axis=0)))
+        # Arc and chord of a shallow curve: length = chord + 8 sag^2 / (3 chord).
+        sag = np.sqrt(max(3.0 * chord * (full - chord) / 8.0, 0.0))
+        return [last - [0.0, 0.0, float(sag)]]
+    return []
+
+
+def _drooped(scene: Scene, body: SoftBody, start: FloatArray) -> list[FloatArray]:
+    """Return the outline of a block in a level bar that is held at one end alone: the bar sinks.
+
+    The end of a bar of length L, mass m, stiffness E and second moment of area I sinks by m g L^3 / (8 E I) at rest and
+    by twice as much when it is let go (Euler and Bernoulli). A soft one sinks by less: the bar keeps its length.
+    """
+    bar = next(row for row in bonded_soft_bodies(scene) if body in row)
+    names = {one.name for one in bar}
+    grips = [a for a in scene.attachments if a.deformable in names and a.to not in names]
+    if len(grips) != 1:
+        return []
+    held = next(one for one in bar if one.name == grips[0].deformable)
+    axis = "xyz".index(grips[0].region.axis)
+    along = held.pose.rotation.as_matrix()[:, axis] * (1.0 if grips[0].region.side == "low" else -1.0)
+    corners = np.concatenate([one.pose.to_world(outline_m(one)) for one in bar]) @ along
+    length = float(np.ptp(corners))
+    height = min(np.delete(np.array(held.shape.size_m), axis))
+    width = max(np.delete(np.array(held.shape.size_m), axis))
+    weight = scene.gravity_m_per_s2 * sum(one.mass_kg for one in bar)
+    stiffness = min(one.young_modulus_pa for one in bar) * width * height**3 / 12.0
+    share = np.hypot(*along[:2])
+    sinks = float(share) * min(2.0 * weight * length**3 / (8.0 * stiffness), 0.6 * length)
+    outline = start.copy()
+    outline[:, 2] -= sinks * ((start @ along - corners.min()) / length) ** 2
+    return [outline]
 
 
 # --- what surrounds the action, and its plane ---

@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import add_geoms
-from gauge_envs.envs.rendering.expected_deformables import outline_m
+from gauge_envs.envs.rendering.expected import outline_m
 from gauge_envs.envs.rendering.materials import USUAL
 from gauge_envs.envs.rendering.overlay import Color
 from gauge_envs.envs.rendering.skin import Skin
+from gauge_envs.envs.rendering.studio import material_textures
 from gauge_envs.scene import Hinge, Motion, Plane, Scene
 
 FIELD_OF_VIEW_DEG = 40.0
@@ -104,8 +105,7 @@ def flat_model(scene: Scene, skins: Sequence[Skin], width: int, height: int, vie
         width=256,
         height=256,
     )
-    textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
-    textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "table"
+    textures = material_textures("table")
     # One checker square is 25 mm, the hole pitch of the real optical table.
     spec.add_material(name="table", textures=textures, texrepeat=[40, 40], texuniform=True, reflectance=0.0)
     for body in scene.bodies:
@@ -142,9 +142,7 @@ def _add_backdrop(spec: mujoco.MjSpec, view: FlatView, width: int, height: int) 
         grey = np.clip(brightness + contrast * smooth / smooth.std(), 0.0, 255.0).astype(np.uint8)
         texture = spec.add_texture(name=name, type=kind, width=BACKDROP_TEXELS, height=BACKDROP_TEXELS, nchannel=3)
         texture.data = np.repeat(grey[:, :, None], 3, axis=2).tobytes()
-        textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
-        textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
-        spec.add_material(name=name, textures=textures, texrepeat=[1, 1], specular=0.0, reflectance=0.0)
+        spec.add_material(name=name, textures=material_textures(name), texrepeat=[1, 1], specular=0.0, reflectance=0.0)
     plane = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, name="backdrop")
     half = 0.55 * view.scale_m_per_px * np.array([width, height])
     plane.size = [*half, 1.0]

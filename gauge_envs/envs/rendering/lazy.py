@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 
 if TYPE_CHECKING:
+    from gauge_envs.envs.episode import Episode
     from gauge_envs.envs.rendering.overlay import Overlay
     from gauge_envs.envs.rendering.renderer import SceneRenderer
-
+    from gauge_envs.evaluation.reference_path import ReferencePath
 
 RENDER_MODES = ("rgb_array",)
 """Render modes of the environments, apart from None."""
@@ -77,6 +77,7 @@ class Pictures:
         if self._renderer is None:
             from gauge_envs.envs.rendering.camera import scene_view
             from gauge_envs.envs.rendering.renderer import SceneRenderer
+            from gauge_envs.evaluation.reference_path import reference_path
 
             width, height = self._size
             view = scene_view(
@@ -96,3 +97,23 @@ class Pictures:
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the renderer, whose graphics context neither pickles nor copies."""
         return vars(self) | {"_renderer": None}
+
+
+def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) -> NDArray[np.uint8]:
+    """Return a picture of an episode, shape [height, width, 3], with its overlay if the pictures have one.
+
+    Args:
+        pictures: Renderer.
+        episode: An episode that has begun.
+        drawn_as: Episode whose scene states camera and shapes, the same in each call until the renderer is closed.
+    """
+    from gauge_envs.envs.rendering.overlay import tracked_overlay
+
+    return pictures.draw(
+        drawn_as.experiment,
+        drawn_as.rest_nodes_m,
+        band=drawn_as.band,
+        poses=episode.poses(),
+        nodes_m=episode.nodes_m(),
+        overlay=tracked_overlay(episode) if pictures.has_overlay else None,
+    )

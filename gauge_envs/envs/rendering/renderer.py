@@ -11,23 +11,39 @@ from typing import Any
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, View, scene_view
-from gauge_envs.envs.rendering.decor import add_overlay, add_tube, overlay_geom_count
 from gauge_envs.envs.rendering.flat import FlatView, flat_model, light_camera
 from gauge_envs.envs.rendering.materials import STRING, look_of
-from gauge_envs.envs.rendering.overlay import Overlay
+from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color, Overlay
 from gauge_envs.envs.rendering.skin import Skin
-from gauge_envs.envs.rendering.studio import Studio
-from gauge_envs.errors import RenderError
+from gauge_envs.envs.rendering.studio import studio_model
+from gauge_envs.errors import RenderError, UnknownNameError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
 STRING_RADIUS_M = 0.0015
 """Radius of a string in pictures [m]."""
 STRING_PX = 1.1
 """Smallest radius of strings and ropes in pictures of a perspective camera [pixels]."""
+MARKER_PX = 4.0
+"""Radius of a marker [pixels]."""
+RECORDED_MARKER_PX = 3.4
+"""Radius of a marker of the reference [pixels]: where a simulation follows it, its own marker covers it."""
+PATH_PX = 1.6
+"""Radius of the tube of a path [pixels]."""
+RECORDED_PATH_PX = 1.3
+"""Radius of a path in the colour of the reference [pixels]: where a simulation follows it, its own path covers it."""
+GHOST_AHEAD_PX = 3.0
+"""Distance by which a ghost is drawn nearer to the camera than it is [pixels].
+
+Surfaces of a ghost and its body that coincide are at the same depth, so that rounding would decide for each pixel, and
+differently in each picture, which one is in front. A ghost that is displaced by less than can be seen is in front.
+"""
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
+
+FloatArray = NDArray[np.float64]
 
 
 def _graphics_context(width: int, height: int) -> Any:
@@ -96,14 +112,7 @@ class SceneRenderer:
             self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
         else:
             self.camera = view or scene_view(scene, aspect=width / height)
-            studio = Studio(
-                scene=scene,
-                skins=self._skins,
-                rest_nodes_m=rest_nodes_m,
-                materials=materials or {},
-                view=self.camera,
-            )
-            self._model = studio.model(width, height)
+            self._model = studio_model(scene, self._skins, rest_nodes_m, materials or {}, self.camera, width, height)
             # Size of a pixel in the middle of the scene.
             self._pixel_m = 2.0 * self.camera.distance_m * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / height
             self._least_radius_m = STRING_PX * self._pixel_m
@@ -139,7 +148,7 @@ class SceneRenderer:
             self._data.mocap_quat[index] = pose[3:]
         mujoco.mj_kinematics(self._model, self._data)
         mujoco.mj_camlight(self._model, self._data)
-        extra = 0 if overlay is None else overlay_geom_count(self._model, overlay)
+        extra = 0 if overlay is None else _overlay_geom_count(self._model, overlay)
         if self._own_geoms + extra > self._drawing.maxgeom:
             self._drawing = self._drawing_of(self._own_geoms + 2 * extra)
         self._context.make_current()
@@ -163,7 +172,7 @@ class SceneRenderer:
         shadow = mujoco.mjtRndFlag.mjRND_SHADOW
         had_shadows, self._drawing.flags[shadow] = self._drawing.flags[shadow], 0
         bare = self._rendered()
-        add_overlay(self._drawing, self._model, overlay, pixel_m=self._pixel_m)
+        _add_overlay(self._drawing, self._model, overlay, pixel_m=self._pixel_m)
         marked = self._rendered()
         self._drawing.flags[shadow] = had_shadows
         # Software rasterizers round a pixel now and then by one level.
@@ -181,11 +190,11 @@ class SceneRenderer:
         radius_m = max(STRING_RADIUS_M if self._flat is not None else 0.0, self._least_radius_m)
         for joint in self._scene.joints:
             end = self._data.mocap_pos[self._mocap_ids[joint.body]]
-            add_tube(self._drawing, np.asarray(joint.anchor_m), end, radius_m=radius_m, color=STRING.color)
+            _add_tube(self._drawing, np.asarray(joint.anchor_m), end, radius_m=radius_m, color=STRING.color)
         for line in self._lines:
             radius_m = max(line.radius_m, self._least_radius_m)
             for start, end in pairwise(nodes_m[line.name]):
-                add_tube(self._drawing, start, end, radius_m=radius_m, color=self._looks[line.name].color)
+                _add_tube(self._drawing, start, end, radius_m=radius_m, color=self._looks[line.name].color)
 
     def _drawing_of(self, geom_count: int) -> mujoco.MjvScene:
         """Return an empty drawing with room for a number of shapes."""
@@ -199,3 +208,95 @@ class SceneRenderer:
         """Free the OpenGL context."""
         self._device.free()
         self._context.free()
+
+
+# --- what is drawn after the bodies ---
+
+
+def _add_tube(drawing: mujoco.MjvScene, start: FloatArray, end: FloatArray, *, radius_m: float, color: Color) -> None:
+    """Add a straight tube with round ends between two points [m], shape [3] each."""
+    kind = mujoco.mjtGeom.mjGEOM_CAPSULE
+    geom = _next_geom(drawing)
+    mujoco.mjv_initGeom(geom, kind, np.zeros(3), np.zeros(3), np.eye(3).ravel(), np.array(color, dtype=np.float32))
+    mujoco.mjv_connector(geom, kind, radius_m, start, end)
+
+
+def _add_ball(drawing: mujoco.MjvScene, centre: FloatArray, *, radius_m: float, color: Color) -> None:
+    """Add a ball around a point [m], shape [3]."""
+    kind = mujoco.mjtGeom.mjGEOM_SPHERE
+    geom = _next_geom(drawing)
+    size = np.full(3, radius_m)
+    mujoco.mjv_initGeom(geom, kind, size, centre, np.eye(3).ravel(), np.array(color, dtype=np.float32))
+    # Light of its own keeps the colour of a small ball readable in the shade.
+    geom.emission = 0.4
+
+
+def _overlay_geom_count(model: mujoco.MjModel, overlay: Overlay) -> int:
+    """Return the number of shapes of an overlay."""
+    return overlay.geom_count + sum(int(model.body(_known(model, name)).geomnum[0]) for name in overlay.ghosts)
+
+
+def _add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overlay, *, pixel_m: float) -> None:
+    """Add an overlay to a drawing that has room for `_overlay_geom_count` more shapes.
+
+    Args:
+        drawing: The drawing.
+        model: Model of the bodies.
+        overlay: The overlay.
+        pixel_m: Size of a pixel in the middle of the scene [m]. Balls and tubes have the same size in pixels there,
+            whatever the size of the scene.
+    """
+    for points, color, radius_px in (
+        (overlay.recorded_m, RECORDED_COLOR, RECORDED_MARKER_PX),
+        (overlay.markers_m, SIMULATED_COLOR, MARKER_PX),
+    ):
+        for point in points[np.isfinite(points).all(axis=1)]:
+            _add_ball(drawing, point, radius_m=radius_px * pixel_m, color=color)
+    for path in overlay.paths:
+        known = np.asarray(np.isfinite(path.points_m).all(axis=1))
+        radius_m = pixel_m * (RECORDED_PATH_PX if path.color == RECORDED_COLOR else PATH_PX)
+        for (start, end), both_known in zip(pairwise(path.points_m), known[1:] & known[:-1], strict=True):
+            if both_known:
+                _add_tube(drawing, start, end, radius_m=radius_m, color=path.color)
+                drawing.geoms[drawing.ngeom - 1].emission = 0.4
+    for name, pose in overlay.ghosts.items():
+        if np.isfinite(pose).all():
+            ahead = GHOST_AHEAD_PX * pixel_m * _to_camera(drawing, pose[:3])
+            _add_ghost(drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]]), overlay.ghost_color)
+
+
+def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
+    """Return the unit vector from a point [m] to the camera of a drawing, shape [3]."""
+    # A drawing has a camera for each eye; a picture is taken from between them.
+    left, right = drawing.camera
+    way = -left.forward.astype(np.float64) if left.orthographic else 0.5 * (left.pos + right.pos) - point_m
+    unit: FloatArray = way / np.linalg.norm(way)
+    return unit
+
+
+def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray, color: Color) -> None:
+    turn = Rotation.from_quat(pose[3:], scalar_first=True)
+    body = model.body(_known(model, name))
+    for index in range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0])):
+        place = pose[:3] + turn.apply(model.geom_pos[index])
+        axes = (turn * Rotation.from_quat(model.geom_quat[index], scalar_first=True)).as_matrix()
+        geom = _next_geom(drawing)
+        kind = mujoco.mjtGeom(int(model.geom_type[index]))
+        rgba = np.array(color, dtype=np.float32)
+        mujoco.mjv_initGeom(geom, kind, model.geom_size[index], place, axes.ravel(), rgba)
+        if kind == mujoco.mjtGeom.mjGEOM_MESH:
+            # A drawing numbers each mesh twice: as itself, then as its convex hull.
+            geom.dataid = 2 * int(model.geom_dataid[index])
+
+
+def _known(model: mujoco.MjModel, name: str) -> str:
+    names = [model.body(index).name for index in range(1, model.nbody)]
+    if name not in names:
+        raise UnknownNameError("body", name, names)
+    return name
+
+
+def _next_geom(drawing: mujoco.MjvScene) -> mujoco.MjvGeom:
+    geom = drawing.geoms[drawing.ngeom]
+    drawing.ngeom += 1
+    return geom

@@ -43,7 +43,7 @@ class Skin:
         self.name = body.name
         local = body.pose.to_body(rest_m)
         is_sheet = isinstance(body, Cloth)
-        sides = [_sheet_faces(local)] if is_sheet else _sides(local)
+        sides = [Delaunay(local[:, :2]).simplices.astype(np.intp)] if is_sheet else _sides(local)
         self.faces = np.concatenate(sides)
         # A vertex has one normal, so that front and back of a sheet, and each side of a block, have their own.
         patches = [(side, 1.0) for side in sides] + ([(sides[0][:, ::-1], -1.0)] if is_sheet else [])
@@ -105,11 +105,6 @@ class Skin:
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         normals = np.where(length > 0.0, normals / np.maximum(length, 1e-30), [0.0, 0.0, 1.0])
         return vertices + self._half_m * normals, normals
-
-
-def _sheet_faces(local_m: FloatArray) -> NDArray[np.intp]:
-    faces: NDArray[np.intp] = Delaunay(local_m[:, :2]).simplices.astype(np.intp)
-    return faces
 
 
 def _sides(local_m: FloatArray) -> list[NDArray[np.intp]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -53,96 +53,94 @@ def grid_pitch_m(view: View) -> float:
     return GRID_PITCHES_M[int(height_m > WIDE_VIEW_M)]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Studio:
-    """What the model of a picture is made of.
+def studio_model(
+    scene: Scene,
+    skins: Sequence[Skin],
+    rest_nodes_m: Mapping[str, FloatArray],
+    materials: Mapping[str, str],
+    view: View,
+    width: int,
+    height: int,
+) -> mujoco.MjModel:
+    """Return a model of shapes without physics: every body is a mocap body.
 
-    Attributes:
+    Args:
         scene: The scene.
         skins: Surfaces of its deformable bodies.
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         materials: Material of bodies by name.
         view: Where the camera is.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
     """
+    spec = mujoco.MjSpec()
+    _set_quality(spec, view, width, height)
+    _add_light(spec, view)
+    _add_ground(spec, view)
+    for body in scene.bodies:
+        _add_body(spec, scene, body, look_of(body, materials.get(body.name)))
+    soft = {one.name: one for one in scene.deformables}
+    for skin in skins:
+        look = look_of(soft[skin.name], materials.get(skin.name))
+        skin.add(spec, look, _material(spec, look))
+    for attachment in scene.attachments:
+        block = soft.get(attachment.deformable)
+        if isinstance(block, SoftBody):
+            look = look_of(block, materials.get(block.name))
+            _add_gripped(spec, scene, attachment, block, rest_nodes_m[block.name], look)
+    model = spec.compile()
+    for skin in skins:
+        skin.place(model)
+    return model
 
-    scene: Scene
-    skins: Sequence[Skin]
-    rest_nodes_m: Mapping[str, FloatArray]
-    materials: Mapping[str, str]
-    view: View
 
-    def model(self, width: int, height: int) -> mujoco.MjModel:
-        """Return a model of shapes without physics: every body is a mocap body.
-
-        Args:
-            width: Picture width [pixels].
-            height: Picture height [pixels].
-        """
-        spec = mujoco.MjSpec()
-        _set_quality(spec, self.view, width, height)
-        _add_light(spec, self.view)
-        _add_ground(spec, self.view)
-        for body in self.scene.bodies:
-            self._add_body(spec, body)
-        for skin in self.skins:
-            soft = next(one for one in self.scene.deformables if one.name == skin.name)
-            look = look_of(soft, self.materials.get(soft.name))
-            skin.add(spec, look, _material(spec, look))
-        for attachment in self.scene.attachments:
-            self._add_gripped(spec, attachment)
-        model = spec.compile()
-        for skin in self.skins:
-            skin.place(model)
-        return model
-
-    def _add_body(self, spec: mujoco.MjSpec, body: RigidBody) -> None:
-        frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
-        look = look_of(body, self.materials.get(body.name))
-        if not isinstance(body.shape, Box | Cylinder) or len(self.scene.bodies) > MOST_GRAINED:
-            # The grain of a mesh radiates from its middle, which looks like no wood; on many bodies it costs time.
-            look = replace(look, has_grain=False)
-        if body.motion is not Motion.DYNAMIC:
-            red, green, blue, opacity = look.color
-            look = replace(look, color=(STILL * red, STILL * green, STILL * blue, opacity))
-        material = "ground" if isinstance(body.shape, Plane) else _material(spec, look)
-        for geom in add_geoms(spec, frame, body.name, body.shape):
-            geom.material = material
-            if isinstance(body.shape, Plane):
-                geom.size = [0.0, 0.0, 0.05]
-            else:
-                geom.rgba = look.color
-
-    def _add_gripped(self, spec: mujoco.MjSpec, attachment: Attachment) -> None:
-        """Add the material of a block in a grip to the body that holds it.
-
-        Engines may leave it out of the nodes, because it moves rigidly.
-        """
-        block = next((one for one in self.scene.deformables if one.name == attachment.deformable), None)
-        holders = {body.name: body for body in self.scene.bodies}
-        if not isinstance(block, SoftBody) or attachment.to not in holders:
-            return
-        holder, axis = holders[attachment.to], "xyz".index(attachment.region.axis)
-        nodes = block.pose.to_body(self.rest_nodes_m[block.name])
-        low, high = block.shape.corners_m.min(axis=0), block.shape.corners_m.max(axis=0)
-        if attachment.region.side == "low":
-            high[axis] = nodes[:, axis].min()
+def _add_body(spec: mujoco.MjSpec, scene: Scene, body: RigidBody, look: Look) -> None:
+    frame = spec.worldbody.add_body(name=body.name, pos=body.pose.position_m, quat=body.pose.quaternion, mocap=True)
+    if not isinstance(body.shape, Box | Cylinder) or len(scene.bodies) > MOST_GRAINED:
+        # The grain of a mesh radiates from its middle, which looks like no wood; on many bodies it costs time.
+        look = replace(look, has_grain=False)
+    if body.motion is not Motion.DYNAMIC:
+        red, green, blue, opacity = look.color
+        look = replace(look, color=(STILL * red, STILL * green, STILL * blue, opacity))
+    material = "ground" if isinstance(body.shape, Plane) else _material(spec, look)
+    for geom in add_geoms(spec, frame, body.name, body.shape):
+        geom.material = material
+        if isinstance(body.shape, Plane):
+            geom.size = [0.0, 0.0, 0.05]
         else:
-            low[axis] = nodes[:, axis].max()
-        if high[axis] - low[axis] < 1e-4:
-            return
-        pose = block.pose.relative_to(holder.pose)
-        look = look_of(block, self.materials.get(block.name))
-        spec.body(holder.name).add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            name=f"{block.name}/{attachment.region.side} {attachment.region.axis}",
-            size=(0.5 * (high - low)).tolist(),
-            pos=pose.to_world(0.5 * (low + high)[None])[0].tolist(),
-            quat=pose.quaternion,
-            rgba=look.color,
-            material=_material(spec, look),
-            contype=0,
-            conaffinity=0,
-        )
+            geom.rgba = look.color
+
+
+def _add_gripped(
+    spec: mujoco.MjSpec, scene: Scene, attachment: Attachment, block: SoftBody, rest_m: FloatArray, look: Look
+) -> None:
+    """Add the material of a block in a grip to the body that holds it.
+
+    Engines may leave it out of the nodes, because it moves rigidly.
+    """
+    holder = next((body for body in scene.bodies if body.name == attachment.to), None)
+    if holder is None:
+        return
+    nodes, axis = block.pose.to_body(rest_m), "xyz".index(attachment.region.axis)
+    low, high = block.shape.corners_m.min(axis=0), block.shape.corners_m.max(axis=0)
+    if attachment.region.side == "low":
+        high[axis] = nodes[:, axis].min()
+    else:
+        low[axis] = nodes[:, axis].max()
+    if high[axis] - low[axis] < 1e-4:
+        return
+    pose = block.pose.relative_to(holder.pose)
+    spec.body(holder.name).add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        name=f"{block.name}/{attachment.region.side} {attachment.region.axis}",
+        size=(0.5 * (high - low)).tolist(),
+        pos=pose.to_world(0.5 * (low + high)[None])[0].tolist(),
+        quat=pose.quaternion,
+        rgba=look.color,
+        material=_material(spec, look),
+        contype=0,
+        conaffinity=0,
+    )
 
 
 def _set_quality(spec: mujoco.MjSpec, view: View, width: int, height: int) -> None:
@@ -218,7 +216,7 @@ def _add_ground(spec: mujoco.MjSpec, view: View) -> None:
     lit = AMBIENT - sum(light * way[2] for _, way, light, _ in _lights(view))
     spec.add_material(
         name="ground",
-        textures=_textures("ground"),
+        textures=material_textures("ground"),
         # MuJoCo repeats a uniform texture this often in two metres.
         texrepeat=[2.0 / pitch_m] * 2,
         texuniform=True,
@@ -236,7 +234,7 @@ def _material(spec: mujoco.MjSpec, look: Look) -> str:
     grain = {}
     if look.has_grain:
         _add_grain(spec)
-        grain = {"textures": _textures("grain")}
+        grain = {"textures": material_textures("grain")}
     spec.add_material(name=name, specular=look.specular, shininess=look.shininess, reflectance=0.0, **grain)
     return name
 
@@ -256,7 +254,8 @@ def _add_grain(spec: mujoco.MjSpec) -> None:
     texture.data = face.tobytes()
 
 
-def _textures(name: str) -> list[str]:
+def material_textures(name: str) -> list[str]:
+    """Return the textures of a material that has one, by role."""
     textures = [""] * mujoco.mjtTextureRole.mjNTEXROLE
     textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = name
     return textures

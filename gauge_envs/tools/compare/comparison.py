@@ -26,7 +26,7 @@ from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.draws import ScoreDraws, ScoreSpread, repeats_interval, score_draws
 from gauge_envs.tools.compare.grades import GradeComparison, GradedExperiment, PairComparison, compare_grade, grade_name

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ

@@ -22,7 +22,7 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.comparison import Cell
 from gauge_envs.tools.compare.distance import distances_over_time

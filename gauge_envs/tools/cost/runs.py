@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.closed_forms import closed_form
 from gauge_envs.evaluation.deviation import experiment_sensitivities, sampled_frames
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.swing import swing_metrics
 from gauge_envs.experiments.experiment import Experiment
@@ -22,7 +21,8 @@ from gauge_envs.pages.results import raw_score
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.tools.cost.closed_form import closed_form
 from gauge_envs.tools.cost.model import EFFORT, STEP
 
 FloatArray = NDArray[np.float64]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 
 FloatArray = NDArray[np.float64]
 

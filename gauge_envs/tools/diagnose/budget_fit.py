@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from gauge_envs.evaluation.metrics import release_offset
+from gauge_envs.evaluation.metrics.trajectory import release_offset
 from gauge_envs.evaluation.motion_kinds import RecognizedMotion
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.model import BudgetStage

@@ -32,7 +32,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.budget_fit import MAX_SHIFT_S, NestedFits, StageFit
 from gauge_envs.tools.diagnose.model import (

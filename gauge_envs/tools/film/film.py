@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.rendering.ghost import reference_text
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
+from gauge_envs.evaluation.reference_path import reference_text
 from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
 from gauge_envs.pages.text import BACKEND_TITLES, short_id
 from gauge_envs.runs.configuration import RunConfiguration

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
-from gauge_envs.envs.rendering.tracked import MOST_PATHS, reference_ghosts
+from gauge_envs.envs.rendering.overlay import MOST_PATHS, RECORDED_COLOR, Overlay, OverlayPath, reference_ghosts
 from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path

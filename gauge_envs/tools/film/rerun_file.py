@@ -12,10 +12,10 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.envs.rendering.ghost import ghost_trajectory
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference_path import ghost_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest

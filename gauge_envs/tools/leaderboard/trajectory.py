@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.episode import LATER_FRAMES
 from gauge_envs.evaluation.deviation import band_baseline
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment

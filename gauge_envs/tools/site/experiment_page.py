@@ -18,7 +18,7 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.result import Result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare_grade, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings

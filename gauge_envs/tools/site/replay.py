@@ -14,11 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
-from gauge_envs.envs.rendering.ghost import reference_words
 from gauge_envs.envs.rendering.materials import USUAL
 from gauge_envs.envs.rendering.renderer import STRING_RADIUS_M
 from gauge_envs.envs.rendering.skin import Skin
-from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.evaluation.reference_path import reference_path, reference_words
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandGrade

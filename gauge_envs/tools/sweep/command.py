@@ -165,8 +165,7 @@ def _processors() -> int:
 
 def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list[Lane]:
     """Return the lanes, at most so many as there are tasks."""
-    from gauge_envs.tools.sweep.lanes import WorkerLane
-    from gauge_envs.tools.sweep.ray_lanes import ray_lanes
+    from gauge_envs.tools.sweep.lanes import WorkerLane, ray_lanes
 
     if ray is not None:
         return [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
@@ -196,9 +195,8 @@ def _write_slurm(
 
 def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, form: Format) -> None:
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.estimate import EarlierCosts
-    from gauge_envs.tools.sweep.folder import SweepFolder
     from gauge_envs.tools.sweep.plan import remaining_tasks
+    from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder
     from gauge_envs.tools.sweep.words import cost_text, plan_document
 
     folder = SweepFolder(out)

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.backends import Backend, backend_for, backend_names, engine_call, is_bundled, support_of, versions_of
+from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.files import versions
+from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT
-from gauge_envs.tools.sweep.engine_facts import EngineFacts, engine_facts
-from gauge_envs.tools.sweep.key import KEY_LENGTH, episode_key, experiment_sha256, run_sha256
+from gauge_envs.tools.sweep.key import KEY_LENGTH, content_sha256, episode_key, experiment_sha256, run_sha256
 from gauge_envs.tools.sweep.spec import MOST_EPISODES, SweepSpec
+
+FACTS_LIMIT_S = 600.0
+"""Time limit of the questions to an engine of another package [s]."""
 
 
 @dataclass(frozen=True)
@@ -110,15 +117,19 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         raise ParameterError(
             f"the sweep has {shown} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
         )
-    subjects = [_Subject.load(spec, subject, parameters) for subject, parameters in _subjects(spec)]
-    _check_parameters(spec, subjects)
+    subjects = [_Subject.load(spec, one, parameters) for one in spec.subjects() for parameters in spec.parameters]
+    # Parameters that no experiment takes are an error.
+    for number in range(len(spec.parameters)):
+        refusals = [subject.refusal for subject in subjects[number :: len(spec.parameters)]]
+        if refusals[0] is not None and None not in refusals:
+            raise refusals[0]
     runs: dict[str, SweepRun] = {}
     for backend in dict.fromkeys(spec.backends):
         choices = list(spec.setting_choices(backend))
         facts = engine_facts(backend, [one.experiment for one in subjects], choices, isolate=isolate)
         for number, subject in enumerate(subjects):
             for choice, settings in enumerate(choices):
-                run = _run(spec, backend, subject, settings, facts, (number, choice))
+                run = _run(backend, subject, settings, facts, (number, choice))
                 runs.setdefault(run.sha256, run)
     plan = SweepPlan(tuple(runs.values()))
     return replace(plan, duplicates=count - plan.episode_count)
@@ -130,57 +141,35 @@ class _Subject:
 
     Attributes:
         request: A request for it.
-        parameters: The parameters.
         experiment: The experiment, or the calibrated one if it does not take the parameters.
         refusal: Why it does not take the parameters, or None.
-        sha256: Hash of the experiment.
     """
 
     request: RunRequest
-    parameters: Parameters
     experiment: Experiment
-    refusal: ParameterError | None
-    sha256: str
+    refusal: ParameterError | None = None
+
+    @cached_property
+    def sha256(self) -> str:
+        """Hash of the experiment."""
+        return experiment_sha256(self.experiment)
 
     @classmethod
-    def load(cls, spec: SweepSpec, subject: Any, parameters: Parameters) -> _Subject:
+    def load(cls, spec: SweepSpec, subject: Variant | str, parameters: Parameters) -> _Subject:
         given = RunRequest(subject, parameters=parameters, seed=spec.seed, repeats=spec.repeats)
         request = replace(given, jitter=spec.start_jitter or given.scatter)
-        refusal = None
         try:
-            experiment = request.experiment()
+            return cls(request, request.experiment())
         except ParameterError as error:
-            experiment, refusal = request.calibrated_experiment(), error
-        return cls(request, parameters, experiment, refusal, experiment_sha256(experiment))
-
-
-def _subjects(spec: SweepSpec) -> Iterator[tuple[Any, Parameters]]:
-    for subject in spec.subjects():
-        for parameters in spec.parameters:
-            yield subject, parameters
-
-
-def _check_parameters(spec: SweepSpec, subjects: Sequence[_Subject]) -> None:
-    """Raise an error for parameters that no experiment takes; the subjects are in the order of `_subjects`."""
-    count = len(spec.parameters)
-    for number in range(count):
-        refusals = [subject.refusal for subject in subjects[number::count]]
-        if refusals[0] is not None and None not in refusals:
-            raise refusals[0]
+            return cls(request, request.calibrated_experiment(), error)
 
 
 def _run(
-    spec: SweepSpec,
-    backend: str,
-    subject: _Subject,
-    settings: dict[str, Any],
-    facts: EngineFacts,
-    place: tuple[int, int],
+    backend: str, subject: _Subject, settings: dict[str, Any], facts: EngineFacts, place: tuple[int, int]
 ) -> SweepRun:
     declined = facts.declined.get(place[0]) or (None if subject.refusal is None else str(subject.refusal))
-    found = facts.settings.get(place)
+    given_sha256, timestep_s = facts.settings.get(place, (str(settings), None))
     jitter = subject.request.jitter
-    timestep_s = None if found is None else found.timestep_s
     name = subject.experiment.name
     return SweepRun(
         request=replace(subject.request, backend=backend, settings=settings or None),
@@ -189,15 +178,15 @@ def _run(
             subject.sha256,
             backend=backend,
             versions=facts.versions,
-            settings=str(settings) if found is None else found.sha256,
-            parameters=subject.parameters,
+            settings=given_sha256,
+            parameters=subject.request.parameters,
             jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
         ),
         versions=facts.versions,
         shares_worlds=facts.shares_worlds,
         declined=declined,
         steps=None if timestep_s is None else subject.experiment.scene.duration_s / timestep_s,
-        label=", ".join([str(subject.parameters), *(f"{key}={value}" for key, value in settings.items())]),
+        label=", ".join([str(subject.request.parameters), *(f"{key}={value}" for key, value in settings.items())]),
     )
 
 
@@ -237,3 +226,79 @@ def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
         raise ParameterError(f"shard {number}/{count}: expected a number from 0 to {count - 1}")
     total = len(plan.runs)
     return replace(plan, runs=plan.runs[number * total // count : (number + 1) * total // count])
+
+
+# --- what a plan needs to know of an engine ---
+
+
+@dataclass(frozen=True)
+class EngineFacts:
+    """What a plan needs to know of an engine.
+
+    Attributes:
+        versions: Versions of its packages and of gauge-envs.
+        shares_worlds: Whether repeats are worlds of one simulation.
+        declined: Why the engine cannot build an experiment, by the number of the experiment.
+        settings: Hash of the settings and time step [s] by the number of the experiment and the number of the choice,
+            for experiments that it can build. Settings are resolved where the engine does that; the step is None where
+            it does not tell.
+    """
+
+    versions: dict[str, str]
+    shares_worlds: bool
+    declined: dict[int, str]
+    settings: dict[tuple[int, int], tuple[str, float | None]]
+
+
+def engine_facts(
+    backend: str, experiments: Sequence[Experiment], choices: Sequence[Mapping[str, Any]], *, isolate: bool = False
+) -> EngineFacts:
+    """Ask an engine; one of another package is asked in another process.
+
+    Args:
+        backend: Name of the engine.
+        experiments: The experiments.
+        choices: Settings that replace those of the presets.
+        isolate: Ask an engine of this package in another process, too.
+    """
+    if backend not in backend_names():
+        raise UnknownNameError("backend", backend, backend_names())
+    if is_bundled(backend) and not isolate:
+        return _facts(backend, experiments, choices)
+    with Worker(FACTS_LIMIT_S) as worker:
+        return worker.call(_facts, backend, experiments, choices)
+
+
+def _facts(backend: str, experiments: Sequence[Experiment], choices: Sequence[Mapping[str, Any]]) -> EngineFacts:
+    engine = backend_for(backend, None)
+    facts = EngineFacts(
+        versions=versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]},
+        shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
+        declined={},
+        settings={},
+    )
+    for number, experiment in enumerate(experiments):
+        support = support_of(backend, experiment.scene, experiment.model_file)
+        if not support:
+            facts.declined[number] = "; ".join(support.missing)
+            continue
+        for choice, settings in enumerate(choices):
+            facts.settings[number, choice] = _settings_facts(engine, experiment, settings)
+    return facts
+
+
+def _settings_facts(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> tuple[str, float | None]:
+    try:
+        with engine_call(engine.name, "resolved_settings"):
+            resolved = engine.resolved_settings(experiment.scene, settings)
+    except UnsupportedSceneError:
+        # The preset is one of other scenes: the episode will be declined.
+        resolved = None
+    except (ParameterError, UnknownNameError) as error:
+        raise ParameterError(
+            f"{experiment.name} on {engine.name}: {error}. A setting or preset of one engine belongs in its own table, "
+            f"[settings.{engine.name}]"
+        ) from None
+    timestep_s = (settings if resolved is None else resolved).get("timestep_s")
+    sha256 = content_sha256({"given": settings} if resolved is None else resolved)
+    return sha256, timestep_s if isinstance(timestep_s, float) else None

@@ -1,28 +1,43 @@
-"""The SQLite store of a sweep: one row for each result file, made from the files alone.
+"""The folder of a sweep: a file for each episode, those without a result apart, a lock, and a store made of the files.
 
-The table `results` has the scalar fields of a result and of its score as columns. Mappings, as `settings`, are JSON
-texts: `json_extract(settings, '$.iterations')` reads one entry.
+DIR/SlopeSlider-2-wood.mujoco.e8ec72ec30333307.json     the episode ran; `diverged` counts
+DIR/failed/...json                                      an error or the end of its process prevented it
+DIR/declined/...json                                    the engine or the experiment cannot do it
+DIR/sweep.sqlite                                        a row for each of these files
+
+The store is SQLite. Its table `results` has the scalar fields of a result and of its score as columns. Mappings, as
+`settings`, are JSON texts: `json_extract(settings, '$.iterations')` reads one entry.
 """
 
 from __future__ import annotations
 
 import json
 import math
+import os
 import sqlite3
-from collections.abc import Callable, Container, Iterator
-from contextlib import closing, contextmanager
-from dataclasses import fields
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, fields
 from pathlib import Path
+from statistics import median
 from typing import Any
+
+import numpy as np
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.score import Score
-from gauge_envs.runs.batch import move_aside
+from gauge_envs.files import locked
+from gauge_envs.runs.batch import check_writable, move_aside
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.sweep.folder import SweepFolder
+from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.tools.sweep.key import KEY_LENGTH
+from gauge_envs.tools.sweep.plan import SweepTask
 
 Notify = Callable[[str], None]
+
+STORE_NAME = "sweep.sqlite"
+
+SUBFOLDERS = {Outcome.FAILED: "failed", Outcome.DECLINED: "declined"}
 
 BUSY_LIMIT_S = 60.0
 """Longest wait for another process that holds the store [s]."""
@@ -78,15 +93,69 @@ COLUMNS = {
 """Columns of the table `results` and their types. `score` is the normalized score that reports show first."""
 
 
+class SweepFolder:
+    """The folder of a sweep.
+
+    Args:
+        path: The folder; `create` makes it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    @property
+    def store_path(self) -> Path:
+        """Path of the SQLite store."""
+        return self.path / STORE_NAME
+
+    def create(self) -> None:
+        """Create the folders that do not exist."""
+        for name in ("", *SUBFOLDERS.values()):
+            check_writable(self.path / name)
+
+    @contextmanager
+    def lock(self, *, shared: bool = False) -> Iterator[None]:
+        """Hold the folder against other sweeps.
+
+        Args:
+            shared: Let parts of a sweep in, which hold the lock in the same way.
+        """
+        try:
+            with locked(self.path, name=".sweep.lock", waits=False, shared=shared):
+                yield
+        except BlockingIOError:
+            raise ResultFileError(
+                f"{self.path}: another sweep writes there; wait for its end, or give another folder with --out"
+            ) from None
+
+    def files(self, *outcomes: Outcome) -> Iterator[os.DirEntry[str]]:
+        """Yield the JSON files of outcomes, by default of all."""
+        names = dict.fromkeys(SUBFOLDERS.get(outcome, "") for outcome in outcomes or Outcome)
+        for name in names:
+            with suppress(FileNotFoundError), os.scandir(self.path / name) as entries:
+                yield from (one for one in entries if one.name.endswith(".json") and not one.name.startswith("."))
+
+    def write(self, result: Result, name: str) -> Path:
+        """Write a result file and return its path; a file of an earlier failure of the episode is removed."""
+        file = self.path / SUBFOLDERS.get(result.outcome, "") / name
+        write_result(result, file)
+        for folder in SUBFOLDERS.values():
+            if (earlier := self.path / folder / name) != file:
+                earlier.unlink(missing_ok=True)
+        return file
+
+    def read(self, file: Path) -> Result:
+        """Read a file of the folder."""
+        return load_result(file, needs_trajectory=file.parent == self.path)
+
+
 def read_only(path: Path) -> sqlite3.Connection:
-    """Return a connection to a store that cannot write, and that reads no other file."""
+    """Return a connection to a store that cannot write."""
     _check_regular(path)
     try:
-        connection = sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
+        return sqlite3.connect(f"{path.resolve().as_uri()}?mode=ro", uri=True, timeout=BUSY_LIMIT_S)
     except sqlite3.Error as error:
         raise ResultFileError(f"{path}: cannot be opened: {error}") from error
-    connection.setlimit(sqlite3.SQLITE_LIMIT_ATTACHED, 0)
-    return connection
 
 
 def _check_regular(path: Path) -> None:
@@ -271,7 +340,7 @@ def _row(result: Result, file: Path, name: str) -> dict[str, Any]:
     stem = name.removesuffix(".json").rpartition(".")[2]
     row |= {
         "file": name,
-        "key": stem if _is_key(stem) else None,
+        "key": stem if len(stem) == KEY_LENGTH and set(stem) <= set("0123456789abcdef") else None,
         "preset": result.settings.get("preset") or result.settings_given.get("preset"),
         "timestep_s": result.settings.get("timestep_s") or result.settings_given.get("timestep_s"),
         "score": result.score.primary_normalized,
@@ -295,5 +364,76 @@ def _storable(value: Any) -> Any:
     return value if value is None or isinstance(value, int | float) else json.dumps(value)
 
 
-def _is_key(text: str) -> bool:
-    return len(text) == KEY_LENGTH and set(text) <= set("0123456789abcdef")
+# --- the cost of a sweep, estimated from earlier results ---
+
+
+@dataclass(frozen=True)
+class Cost:
+    """Estimated cost of episodes.
+
+    Attributes:
+        engine_s: Time in the engines of the episodes whose cost is known [s], without their start and building.
+        known: Episodes with an estimate.
+        unknown: Episodes without one: no earlier result of that engine and experiment exists.
+    """
+
+    engine_s: float = 0.0
+    known: int = 0
+    unknown: int = 0
+
+
+class EarlierCosts:
+    """Costs of the results in the store of a folder.
+
+    The cost of an episode is the median time of earlier episodes of the same engine and experiment with as many time
+    steps. Between two numbers of steps it is interpolated, and beyond the largest it grows in proportion. Other
+    settings, as iterations, are not considered.
+
+    Args:
+        folder: The folder; without a store nothing is known.
+    """
+
+    def __init__(self, folder: SweepFolder) -> None:
+        times_s: dict[tuple[str, str], dict[float, list[float]]] = {}
+        for experiment, backend, wall_s, steps in _measured(folder):
+            times_s.setdefault((backend, experiment), {}).setdefault(round(steps), []).append(wall_s)
+        self._medians = {
+            group: {steps: median(values) for steps, values in sorted(by_steps.items())}
+            for group, by_steps in times_s.items()
+        }
+
+    def of(self, tasks: Iterable[SweepTask]) -> Cost:
+        """Return the estimated cost of tasks."""
+        engine_s, known, unknown = 0.0, 0, 0
+        for task in tasks:
+            medians = self._medians.get(task.run.group)
+            if medians is None or task.run.steps is None:
+                unknown += len(task.seeds)
+            else:
+                known += len(task.seeds)
+                engine_s += len(task.seeds) * _interpolated(medians, task.run.steps)
+        return Cost(engine_s, known, unknown)
+
+
+def _interpolated(medians: Mapping[float, float], steps: float) -> float:
+    """Return the time for a number of steps [s], from times by numbers of steps in ascending order."""
+    most = max(medians)
+    if steps > most:
+        return medians[most] * steps / most
+    return float(np.interp(steps, list(medians), list(medians.values())))
+
+
+def _measured(folder: SweepFolder) -> list[tuple[str, str, float, float]]:
+    """Return experiment, engine, wall time [s] and number of steps of earlier results."""
+    if not folder.store_path.exists():
+        return []
+    try:
+        with closing(read_only(folder.store_path)) as connection:
+            return connection.execute(
+                "SELECT replace(id, 'GAUGE/', ''), backend, wall_s, sim_s / timestep_s AS steps FROM results "
+                "WHERE outcome = 'finished' AND wall_s > 0 AND steps BETWEEN 1 AND 1e15 "
+                "AND typeof(wall_s) = 'real' AND typeof(steps) = 'real'"
+            ).fetchall()
+    except (sqlite3.DatabaseError, ResultFileError):
+        # A damaged store is made again when the sweep runs.
+        return []

@@ -8,8 +8,8 @@ from typing import Any
 from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.runs.result import Outcome
-from gauge_envs.tools.sweep.estimate import Cost, EarlierCosts
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
+from gauge_envs.tools.sweep.store import Cost, EarlierCosts
 
 
 def duration_text(seconds: float) -> str:

@@ -14,15 +14,14 @@ from scipy.stats import norm, qmc
 
 from gauge_envs.envs.control.limit import LimitReport
 from gauge_envs.envs.control.play import Policy
-from gauge_envs.envs.control.worlds import ControlWorlds
+from gauge_envs.envs.control.vector import ControlWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 from gauge_envs.scene import Scene
-from gauge_envs.tools.transfer.policy_replays import make_control_env
-from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
+from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
 FloatArray = NDArray[np.float64]
 
@@ -146,7 +145,8 @@ def experiment_envelope(
             elif is_scored:
                 values.append(np.nan if one.score is None else one.score)
             else:
-                values.append(_distance(one.frames, calibrated.frames))
+                away = np.sum((one.frames - calibrated.frames) ** 2, axis=1)
+                values.append(float(np.sqrt(np.mean(away))))
         notify(len(values))
     return Envelope(
         id=experiment.id,
@@ -180,17 +180,14 @@ def _batch(experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], 
             _, _, terminations, truncations, _ = envs.step(actions)
             over |= terminations | truncations
         return [
-            _Outcome(None if score is None else score.rmse_normalized, None)
-            if episode.fault is not None
-            else _Outcome(None if score is None else score.rmse_normalized, episode.trajectory().frames)
+            _Outcome(
+                None if score is None else score.rmse_normalized,
+                None if episode.fault is not None else episode.trajectory().frames,
+            )
             for score, episode in zip(envs.scores(), envs.episodes, strict=True)
         ]
     finally:
         envs.close()
-
-
-def _distance(frames: FloatArray, others: FloatArray) -> float:
-    return float(np.sqrt(np.mean(np.sum((frames - others) ** 2, axis=1))))
 
 
 def control_envelope(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import Any
 
@@ -15,12 +16,13 @@ import numpy as np
 from gauge_envs.backends.registry import backend
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.limit import LimitReport
-from gauge_envs.envs.control.play import Policy
+from gauge_envs.envs.control.play import Policy, play_paid
 from gauge_envs.envs.control.tasks import find_control_task
 from gauge_envs.errors import GaugeError, ParameterError, PolicyError
+from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at
-from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
+from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 
 MOST_SIGMAS = 10.0
 """Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""
@@ -116,6 +118,28 @@ def make_control_env(task: str, **arguments: Any) -> ControlEnv:
     return env
 
 
+def task_uncertainties(env: ControlEnv) -> tuple[UncertainParameter, ...]:
+    """Return the uncertain inputs of a control task around its calibrated values.
+
+    A constant that is the task's limit has the uncertainty of the limit, which the task derives from trials of the very
+    pair of bodies.
+
+    Args:
+        env: The task, without wrappers.
+    """
+    experiment = env.experiment
+    assert isinstance(experiment, TaskExperiment)
+    calibrated = load_experiment(experiment.variant)
+    found = []
+    for parameter in uncertain_parameters(calibrated):
+        stated = experiment.overrides.get(parameter.key, parameter.value)
+        if isinstance(stated, float) and math.isclose(stated, env.limit.value, rel_tol=1e-12):
+            source = f'info["limit"]: {env.limit.sigma_source}'
+            parameter = replace(parameter, std=env.limit.sigma, source=source)
+        found.append(parameter)
+    return tuple(found)
+
+
 def training_world(
     engine: str = "mujoco", settings: Mapping[str, Any] | None = None, parameters: Parameters = "calibrated"
 ) -> ReplayWorld:
@@ -205,23 +229,6 @@ def start_overrides(env: ControlEnv, count: int, *, seed: int = 0) -> list[dict[
     return [{}, *(overrides_at(movable, random.standard_normal(len(movable)).tolist()) for _ in range(count - 1))]
 
 
-def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float, LimitReport]:
-    """Run one episode and return the sum of its rewards and its report.
-
-    Args:
-        env: The task, without wrappers.
-        policy: The policy.
-        seed: Seed of the reset, which draws the goal of a task that has one.
-    """
-    observation, _ = env.reset(seed=seed)
-    paid, over = 0.0, False
-    while not over:
-        observation, reward, terminated, truncated, _ = env.step(policy(observation))
-        paid += reward
-        over = terminated or truncated
-    return paid, env.report()
-
-
 def replay(
     task: str,
     policies: Mapping[str, Policy],
@@ -302,11 +309,8 @@ def _built(task: str, world: ReplayWorld, start: Mapping[str, Any]) -> ControlEn
     parameters = world.parameters
     if start:
         # A parameter set has a name; its overrides are those of its experiment.
-        stated = parameters if isinstance(parameters, Mapping) else _overrides(task, parameters)
-        parameters = {**stated, **start}
+        if isinstance(parameters, str):
+            with closing(make_control_env(task, parameters=parameters)) as env:
+                parameters = env.experiment.overrides
+        parameters = {**parameters, **start}
     return make_control_env(task, backend=world.backend, settings=world.settings or None, parameters=parameters)
-
-
-def _overrides(task: str, parameters: str) -> Mapping[str, Any]:
-    with closing(make_control_env(task, parameters=parameters)) as env:
-        return dict(env.experiment.overrides)

@@ -101,7 +101,10 @@ def transfer_report(replays: Replays) -> TransferReport:
     if len(replays.worlds) < 2:
         reasons = "; ".join(f"{name}: {reason}" for name, reason in replays.left_out.items())
         raise ParameterError(f"{replays.task}: no world could be run besides the training. {reasons}".rstrip())
-    rewards = _rewards(replays)
+    places = {world.name: number for number, world in enumerate(replays.worlds)}
+    rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
+    for one in replays.episodes:
+        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
     promised = float(rewards[0].mean())
     if not promised > 0.0:
         raise ParameterError(
@@ -111,14 +114,15 @@ def transfer_report(replays: Replays) -> TransferReport:
     shares = rewards.mean(axis=(1, 2)) / promised
     # A share is a ratio of means: to first order its error is the mean of these deviations.
     deviations = (rewards - shares[:, None, None] * rewards[0]) / promised
-    largest = [_largest_reward(replays, world.name) for world in replays.worlds]
+    # Each episode of a world states the same.
+    largest = {one.world: one.largest_reward for one in replays.episodes}
     rows = [
         _world(
             world,
             [one for one in replays.episodes if one.world == world.name],
             reward=_estimate(float(rewards[number].mean()), rewards[number]),
             kept=Estimate(value=1.0) if number == 0 else _estimate(float(shares[number]), deviations[number]),
-            allowed=largest[number] / largest[0],
+            allowed=largest[world.name] / largest[replays.worlds[0].name],
         )
         for number, world in enumerate(replays.worlds)
     ]
@@ -135,15 +139,6 @@ def transfer_report(replays: Replays) -> TransferReport:
     )
 
 
-def _rewards(replays: Replays) -> NDArray[np.float64]:
-    """Return the rewards, shape [worlds, policies, starts]."""
-    places = {world.name: number for number, world in enumerate(replays.worlds)}
-    rewards = np.full((len(places), len(replays.policies), replays.starts), np.nan)
-    for one in replays.episodes:
-        rewards[places[one.world], replays.policies.index(one.policy), one.start] = one.reward
-    return rewards
-
-
 def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
     """Return a mean with its interval.
 
@@ -151,21 +146,21 @@ def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
         value: The mean.
         table: What scatters about it, or about zero, shape [policies, starts].
     """
-    half = _half_width(table)
-    return Estimate(value=value) if half is None else Estimate(value=value, low=value - half, high=value + half)
+    means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
+    if not means:
+        return Estimate(value=value)
+    half = _half_width(means)
+    return Estimate(value=value, low=value - half, high=value + half)
 
 
-def _half_width(table: NDArray[np.float64]) -> float | None:
-    """Return half of the interval of the mean over policies and starts, shape [policies, starts]; None for one episode.
+def _half_width(means: Sequence[NDArray[np.float64]]) -> float:
+    """Return half of the interval of a mean, from its means over policies and over starts.
 
     The mean squares of policies and of starts add up, with the degrees of freedom of Welch and Satterthwaite for
     Student's t. Both contain the scatter of single episodes, so this scatter counts twice: with few starts, a
     difference of three mean squares is often too small. Source: the variance of a two-way layout with random effects;
     GUM (JCGM 100:2008), annex G.4.
     """
-    means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
-    if not means:
-        return None
     # Each variance of means over their number estimates a part of the variance of the mean.
     parts = [float(one.var(ddof=1)) / len(one) for one in means]
     variance = sum(parts)
@@ -173,10 +168,6 @@ def _half_width(table: NDArray[np.float64]) -> float | None:
         return 0.0
     freedom = variance**2 / sum(part**2 / (len(one) - 1) for part, one in zip(parts, means, strict=True))
     return float(student.ppf(0.5 * (1.0 + LEVEL), freedom)) * math.sqrt(variance)
-
-
-def _largest_reward(replays: Replays, world: str) -> float:
-    return next(one.largest_reward for one in replays.episodes if one.world == world)
 
 
 def _world(

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gauge_envs.envs.control.play import play_paid
 from gauge_envs.envs.control.throw import ThrowLimit
-from gauge_envs.tools.transfer.policy_replays import play_paid
 
 ROOT = Path(__file__).resolve().parents[3]
 LEAST_RATIO = 0.85

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gauge_envs.envs.rendering.ghost import ghost_trajectory, reference_text
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.evaluation.reference_path import ghost_trajectory, reference_path, reference_text
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.bands import Band, BandGrade
 

@@ -12,9 +12,8 @@ import pytest
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, load_experiment
-from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
+from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath, tracked_overlay
 from gauge_envs.envs.rendering.renderer import SceneRenderer
-from gauge_envs.envs.rendering.tracked import tracked_overlay
 from gauge_envs.errors import ParameterError, ShapeError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path

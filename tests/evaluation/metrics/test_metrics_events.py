@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics import (
+from gauge_envs.evaluation.metrics.events import (
     dropped_rests,
     energy_loss,
     longest_stationary_duration,

@@ -10,7 +10,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics import (
+from gauge_envs.evaluation.metrics.trajectory import (
     band_coverage,
     dtw_path,
     mean_abs_z,

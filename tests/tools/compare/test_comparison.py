@@ -23,8 +23,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
-from gauge_envs.runs.result_file import result_file_name, write_result
-from gauge_envs.runs.scene_record import recorded_experiment
+from gauge_envs.runs.result_file import recorded_experiment, result_file_name, write_result
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.distance import MOTION_SHARE
 from gauge_envs.tools.compare.draws import ScoreSpread

@@ -11,13 +11,13 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.closed_forms import closed_form
 from gauge_envs.evaluation.laws import slide
 from gauge_envs.evaluation.score import Score
 from gauge_envs.files import versions
 from gauge_envs.pages.document import as_markdown, as_rows
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.tools.cost import Family, Phenomenon, Tradeoff, pareto_document, tradeoff
+from gauge_envs.tools.cost.closed_form import closed_form
 
 WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
 STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ShapeError
-from gauge_envs.evaluation.metrics import trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact
 from gauge_envs.pages.document import Terminal, as_rows
 from gauge_envs.references.bands import Band, BandGrade

@@ -13,7 +13,7 @@ from sanity_cases import CHEETAH, moved
 
 from gauge_envs.backends import backend
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
+from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.runs.rollout import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath

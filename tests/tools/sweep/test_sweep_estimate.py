@@ -8,11 +8,9 @@ import pytest
 
 from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.sweep.estimate import EarlierCosts
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
 from gauge_envs.tools.sweep.spec import sweep_spec
-from gauge_envs.tools.sweep.store import SweepStore
+from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder, SweepStore
 
 DURATION_S = 0.6
 """Duration of SlopeSlider-2."""

@@ -1,4 +1,4 @@
-"""Hostile sweep files, result files, stores end in an error for people, and nothing is written."""
+"""Hostile sweep files, result files and stores end in an error for people, and nothing is written."""
 
 from __future__ import annotations
 
@@ -19,11 +19,9 @@ from gauge_envs.errors import GaugeError, ParameterError
 from gauge_envs.evaluation.score import Score
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.sweep import command
-from gauge_envs.tools.sweep.estimate import EarlierCosts
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
-from gauge_envs.tools.sweep.store import SweepStore, update_store
+from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder, SweepStore, update_store
 
 NAME = "SlopeSlider-2-wood"
 ESCAPE = "\x1b[2J"

@@ -17,9 +17,8 @@ from sweep_lanes import HereLane, contents, needs_rapier, stored
 
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.sweep.lanes import Limits
+from gauge_envs.tools.sweep.lanes import Limits, ray_lanes
 from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep
-from gauge_envs.tools.sweep.ray_lanes import ray_lanes
 from gauge_envs.tools.sweep.session import SweepSession
 from gauge_envs.tools.sweep.spec import sweep_spec
 

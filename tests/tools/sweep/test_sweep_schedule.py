@@ -6,7 +6,7 @@ import threading
 from typing import cast
 
 from gauge_envs.tools.sweep.plan import SweepRun, SweepTask
-from gauge_envs.tools.sweep.schedule import Schedule
+from gauge_envs.tools.sweep.session import Schedule
 
 
 class Run:

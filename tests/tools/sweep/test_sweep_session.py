@@ -18,11 +18,11 @@ from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.tools.sweep.folder import SweepFolder
 from gauge_envs.tools.sweep.lanes import LaneLostError, Limits, WorkerLane
 from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep
 from gauge_envs.tools.sweep.session import SweepSession
 from gauge_envs.tools.sweep.spec import sweep_spec
+from gauge_envs.tools.sweep.store import SweepFolder
 
 WOOD, PLASTIC, METAL = "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal"
 QUICK = {"timestep_s": [1 / 360, 1 / 720]}

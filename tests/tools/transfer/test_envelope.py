@@ -18,9 +18,8 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
 from gauge_envs.tools.transfer.envelope import Envelope, LawPolicy, control_envelope, experiment_envelope, sobol_sigmas
 from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-from gauge_envs.tools.transfer.policy_replays import make_control_env
+from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 from gauge_envs.tools.transfer.randomization import randomization_files, ranges_of
-from gauge_envs.tools.transfer.uncertain_task import task_uncertainties
 
 SLIDE = "SlopeSlider-2-wood"
 TASK = "SlopeSlider-Limit-wood"

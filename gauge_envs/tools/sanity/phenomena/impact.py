@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.metrics import momentum_transfer_efficiency
+from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.evaluation.metrics import energy_loss
+from gauge_envs.evaluation.metrics.events import energy_loss
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere

@@ -6,6 +6,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from gymnasium import spaces
@@ -13,10 +14,15 @@ from numpy.typing import NDArray
 
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.play import Policy
-from gauge_envs.errors import PolicyError
+from gauge_envs.errors import MissingExtraError, PolicyError
+from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.tools.transfer.policies.normalization import read_normalization
-from gauge_envs.tools.transfer.policies.onnx import load_onnx
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+
+MOST_ONNX_BYTES = 512 * MEGABYTE
+
+NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
+"""Types of the input that an ONNX policy may have."""
 
 
 def load_policies(
@@ -62,19 +68,15 @@ def load_policy(source: str, env: ControlEnv, *, normalization: Path | None = No
     if suffix == ".zip":
         policy = load_sb3(Path(source), observation_size=shape[0], action_size=actions, trust=trust)
     elif suffix == ".onnx":
-        policy = load_onnx(Path(source), observation_size=shape[0])
+        policy = _onnx(Path(source), observation_size=shape[0])
     elif ":" in source:
         policy = _function(source, trust=trust)
     else:
         raise PolicyError(f"{source}: expected a .zip of Stable-Baselines3, a .onnx, or module:function")
-    if normalization is not None:
-        policy = _normalized(policy, normalization, observation_size=shape[0])
-    return checked_policy(source, policy, env)
-
-
-def _normalized(policy: Policy, file: Path, *, observation_size: int) -> Policy:
-    statistics = read_normalization(file, observation_size=observation_size)
-    return lambda observation: policy(np.asarray(statistics.apply(observation)))
+    statistics = None if normalization is None else read_normalization(normalization, observation_size=shape[0])
+    if statistics is None:
+        return checked_policy(source, policy, env)
+    return checked_policy(source, lambda observation: policy(np.asarray(statistics.apply(observation))), env)
 
 
 def _function(source: str, *, trust: bool) -> Policy:
@@ -99,6 +101,62 @@ def _function(source: str, *, trust: bool) -> Policy:
     if not callable(found):
         raise PolicyError(f"{source}: it is a {type(found).__name__}, expected a function of an observation")
     return found
+
+
+def _onnx(file: Path, *, observation_size: int) -> Policy:
+    """Return the policy of an ONNX file: one input of shape [1, n] or [n]; the first output is the action.
+
+    The network is loaded and run in another process first, which has limits of memory and time.
+
+    Args:
+        file: The file.
+        observation_size: Size n of the task's observation.
+    """
+    try:
+        import onnxruntime
+    except ImportError as error:
+        raise MissingExtraError("an ONNX policy", "onnx", error) from error
+    try:
+        content = read_regular(file, MOST_ONNX_BYTES)
+    except OSError as error:
+        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
+    refusal = child_refusal(Path(__file__).with_name("onnx_probe.py"), str(observation_size), content=content)
+    if refusal is not None:
+        raise PolicyError(f"{file}: {refusal}")
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 4
+    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
+    inputs = session.get_inputs()
+    if len(inputs) != 1:
+        names = ", ".join(one.name for one in inputs)
+        raise PolicyError(f"{file}: the network has the inputs {names}, expected one, the observation")
+    entry = inputs[0]
+    if entry.type not in NUMBERS:
+        raise PolicyError(f"{file}: input {entry.name!r} has the type {entry.type}, expected {' or '.join(NUMBERS)}")
+    shape = _shape(entry.shape, observation_size)
+    if shape is None:
+        raise PolicyError(
+            f"{file}: input {entry.name!r} has shape {entry.shape}, "
+            f"the task's observation has {observation_size} entries"
+        )
+    number, first = NUMBERS[entry.type], session.get_outputs()[0].name
+
+    def act(observation: NDArray[np.float64]) -> NDArray[np.floating]:
+        fed = np.asarray(observation, dtype=number).reshape(shape)
+        return np.asarray(session.run([first], {entry.name: fed})[0])
+
+    return act
+
+
+def _shape(stated: list[Any], size: int) -> tuple[int, ...] | None:
+    """Return the shape of an input for one observation, or None if the observation does not fit."""
+    # A free dimension has a name or None.
+    if not 1 <= len(stated) <= 2 or (isinstance(stated[-1], int) and stated[-1] != size):
+        return None
+    if len(stated) == 2 and isinstance(stated[0], int) and stated[0] != 1:
+        return None
+    return (1, size)[-len(stated) :]
 
 
 def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:

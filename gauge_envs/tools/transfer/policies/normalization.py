@@ -92,18 +92,10 @@ class _Array:
             raise ValueError(f"an array is damaged: {error}") from error
 
 
-def _reconstructed(*_: Any) -> _Array:
-    return _Array()
-
-
 def _from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _Array:
     array = _Array()
     array.__setstate__((1, shape, kind, order == "F", data))
     return array
-
-
-def _scalar(kind: Any, data: Any) -> Any:
-    return kind.array(data).item()
 
 
 CLASSES: dict[tuple[str, str], Any] = {
@@ -112,8 +104,8 @@ CLASSES: dict[tuple[str, str], Any] = {
         (f"numpy.{core}.{module}", name): made
         for core in ("core", "_core")
         for module, name, made in (
-            ("multiarray", "_reconstruct", _reconstructed),
-            ("multiarray", "scalar", _scalar),
+            ("multiarray", "_reconstruct", lambda *_: _Array()),
+            ("multiarray", "scalar", lambda kind, data: kind.array(data).item()),
             ("numeric", "_frombuffer", _from_buffer),
         )
     },
@@ -138,16 +130,8 @@ def _check_operations(content: bytes) -> None:
             raise ValueError("it is damaged")
 
 
-class UnchangedObservations:
-    """Statistics of a training that did not normalize observations."""
-
-    def apply(self, observation: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the observation."""
-        return observation
-
-
-def read_normalization(file: Path, *, observation_size: int) -> ObservationStatistics | UnchangedObservations:
-    """Read the statistics of observations from a file that `VecNormalize.save` wrote.
+def read_normalization(file: Path, *, observation_size: int) -> ObservationStatistics | None:
+    """Read the statistics of observations from a file of `VecNormalize.save`; None if the training used none.
 
     The file is a pickle. Only its arrays and numbers are read; no code of it is run.
 
@@ -165,7 +149,7 @@ def read_normalization(file: Path, *, observation_size: int) -> ObservationStati
         raise PolicyError(f"{file}: expected a file of VecNormalize.save: {type(error).__name__}: {error}") from error
     values = vars(saved) if isinstance(saved, _Inert) else {}
     if values.get("norm_obs") is False:
-        return UnchangedObservations()
+        return None
     try:
         statistics = values["obs_rms"]
         found = ObservationStatistics(

@@ -7,10 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-
-from gauge_envs import load_experiment
-from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.single_shot import (
+from toss_errors import (
     bootstrap_interval,
     energies_j,
     impacts,
@@ -18,6 +15,9 @@ from gauge_envs.evaluation.single_shot import (
     shot_error,
     upper_face,
 )
+
+from gauge_envs import load_experiment
+from gauge_envs.errors import ShapeError
 from gauge_envs.references.single_shot import SingleShot, single_shots
 
 NAME = "CubeToss-acrylic"

@@ -1,0 +1,203 @@
+"""Episodes of many worlds in lockstep: they start together, and each step is one frame of all that run.
+
+There are two types with the same methods and the same numbers. `EpisodesOneByOne` takes one world after another, of any
+engine and experiment. `EpisodesAtOnce` of `envs.at_once` takes all worlds in arrays, where the engine advances them in
+one call and the experiment allows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.envs.episode import Episode, Observation, run_on_together
+from gauge_envs.errors import ActionError
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+FloatArray = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+Result = TypeVar("Result")
+AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
+"""Function of `VectorEnv` that adds the `info` of a world to those of all."""
+
+
+def run_frames(
+    frames: Mapping[int, Generator[None, None, Result]], advance: Callable[[Iterable[int]], None]
+) -> dict[int, Result]:
+    """Run a frame of each of several worlds, and return what the frames return.
+
+    Args:
+        frames: Frames by the number of their world; each yields where its world must advance by 1/180 s.
+        advance: Function that advances the worlds of some numbers.
+    """
+    running, results = dict(frames), {}
+    while running:
+        for number, frame in list(running.items()):
+            try:
+                next(frame)
+            except StopIteration as end:
+                results[number] = end.value
+                del running[number]
+        if running:
+            advance(running)
+    return results
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rollout:
+    """Result of one episode of all worlds.
+
+    Attributes:
+        scores: Arrays of `GaugeVectorEnv.score_arrays`, shape [world_count] each; NaN for a world that diverged.
+        diverged: Why the episode of a world diverged, by the number of the world; others are left out.
+        frames: Number of the last frame of each world's episode, shape [world_count].
+        device: Device that recorded, judged and scored the worlds, as `cuda:0`. None if the engine records nothing, or
+            the experiment is no passive one of rigid bodies: then the episode was stepped and scored on the host.
+    """
+
+    scores: Mapping[str, FloatArray]
+    diverged: Mapping[int, str]
+    frames: NDArray[np.intp]
+    device: str | None
+
+
+class EpisodesOneByOne:
+    """Episodes of one experiment on the worlds of an engine, which are driven, observed and judged one after another.
+
+    Worlds that are simulations of their own give the same bits as in an environment of one world.
+
+    Args:
+        episodes: The episode of each world.
+        worlds: The worlds.
+
+    Attributes:
+        episodes: The episode of each world.
+        worlds: The worlds.
+        ran: Numbers of the worlds whose episodes ran in the last step; all after `begin`.
+    """
+
+    def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
+        self.episodes = episodes
+        self.worlds = worlds
+        self.ran: Numbers = np.arange(len(episodes))
+        self._observations: list[Observation] = []
+
+    @property
+    def running(self) -> Numbers:
+        """Numbers of the worlds whose episodes are not over."""
+        return np.flatnonzero([not episode.is_over for episode in self.episodes])
+
+    def begin(self, seed: int) -> None:
+        """Return all worlds to their starts, and record frame 0."""
+        self.worlds.reset(seed)
+        for episode in self.episodes:
+            episode.begin()
+        self.ran = np.arange(len(self.episodes))
+        self._observations = [episode.observation() for episode in self.episodes]
+
+    def step(self, actions: Any) -> None:
+        """Run a frame of the episodes that are not over.
+
+        Args:
+            actions: One action for each world; those of worlds whose episodes are over are not read.
+        """
+        rates = self._rates(actions)
+        self.ran = np.array([*rates], dtype=np.intp)
+        self._advance(rates)
+        for number in rates:
+            self.episodes[number].end_frame()
+            self._observations[number] = self.episodes[number].observation()
+
+    def _rates(self, actions: Any) -> dict[int, FloatArray]:
+        """Return the residual rates of the running worlds."""
+        check_length(actions, len(self.episodes))
+        return {number: self.episodes[number].checked(actions[number]) for number in self.running.tolist()}
+
+    def _advance(self, rates: Mapping[int, FloatArray]) -> None:
+        """Drive, advance and observe a frame of the worlds of some numbers."""
+        worlds = self.worlds.worlds
+        if all(isinstance(world, Simulation) for world in worlds):
+            for number, one in rates.items():
+                self.episodes[number].advance(cast("Simulation", worlds[number]), one)
+        else:
+            frames = {number: self.episodes[number].simulated(one) for number, one in rates.items()}
+            run_frames(frames, lambda _: self.worlds.advance(SAMPLE_INTERVAL_S))
+
+    def play(self, seed: int) -> None:
+        """Run all episodes without actions to their ends, and past them as far as their scores need.
+
+        An episode that diverges ends there, with the reason in its `fault`; the others continue.
+        """
+        space = batch_space(self.episodes[0].action_space, len(self.episodes))
+        self.begin(seed)
+        while len(self.running):
+            self.step(np.zeros(space.shape or (), dtype=space.dtype))
+        self.run_on()
+
+    def run_on(self) -> None:
+        """Simulate on past the last frame, as `Episode.run_on` does for one world."""
+        run_on_together(
+            self.episodes, lambda numbers: self._advance({one: self.episodes[one].no_rates for one in numbers})
+        )
+
+    def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
+        """Run the episodes on the engine's device, from frame 0 to the end, or return None where that cannot be.
+
+        Args:
+            actions: Actions of each frame.
+            keep: Whether to copy the record to the host, after which the episodes are as if they had been stepped.
+                Otherwise they stay at frame 0 until the next ones begin.
+        """
+        return None
+
+    def observations(self) -> Observation:
+        """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
+        space = self.episodes[0].observation_space
+        empty: Any = create_empty_array(space, len(self.episodes))
+        return cast("Observation", concatenate(space, self._observations, empty))
+
+    def rewards(self) -> FloatArray:
+        """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
+        rewards = np.zeros(len(self.episodes))
+        rewards[self.ran] = [self.episodes[number].reward() for number in self.ran.tolist()]
+        return rewards
+
+    def infos(self, add: AddInfo) -> dict[str, Any]:
+        """Return the infos of the worlds that ran in the last step."""
+        infos: dict[str, Any] = {}
+        for number in self.ran.tolist():
+            infos = add(infos, self.episodes[number].info(), number)
+        return infos
+
+    def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return terminations and truncations, shape [world_count] each."""
+        diverged = np.array([episode.fault is not None for episode in self.episodes])
+        return diverged, ~diverged & [episode.is_complete for episode in self.episodes]
+
+    def trajectories(self) -> tuple[FloatArray, FloatArray]:
+        """Return times [s], shape [sample_count], and g(t) of all worlds, shape [world_count, sample_count, width].
+
+        Samples that a world did not reach are NaN.
+        """
+        found = [episode.trajectory().dense for episode in self.episodes]
+        times_s, longest = max(found, key=lambda one: len(one[0]))
+        samples = np.full((len(found), *longest.shape), np.nan)
+        for row, (_, values) in zip(samples, found, strict=True):
+            row[: len(values)] = values
+        return times_s, samples
+
+
+def check_length(actions: Any, count: int) -> None:
+    """Raise an error unless there is one action for each world."""
+    try:
+        found = len(actions)
+    except TypeError as error:
+        raise ActionError(f"actions {actions!r}: expected one action for each of {count} worlds") from error
+    if found != count:
+        raise ActionError(f"{found} actions for {count} worlds")
