@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     BodyHinge,
@@ -126,15 +127,12 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
     if body.motion is Motion.KINEMATIC:
         return rapier.RigidBody.kinematic_velocity_based().position(isometry(body.pose)), np.zeros(3)
     centre_m, inertia = body_mass_properties(body)
-    spin = np.array(body.angular_velocity_rad_per_s)
-    # Rapier's velocity is that of the centre of mass.
-    speed = body.linear_velocity_m_per_s + np.cross(spin, body.pose.rotation.apply(centre_m))
     builder = (
         rapier.RigidBody.dynamic()
         .position(isometry(body.pose))
         .additional_mass_properties(_rapier_mass(body.mass_kg, centre_m, inertia))
-        .linvel(tuple(speed))
-        .angvel(tuple(spin))
+        .linvel(tuple(centre_velocity(body, centre_m)))
+        .angvel(body.angular_velocity_rad_per_s)
         .gyroscopic_forces(True)
         .can_sleep(settings.sleep)
         .ccd_enabled(settings.ccd)
@@ -191,16 +189,12 @@ def _add_hinge(
     world: rapier.PhysicsWorld, hinge: Hinge, body: RigidBody, handle: rapier.RigidBodyHandle, settings: SettingsRapier
 ) -> None:
     """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
-    turned = Rotation.align_vectors([hinge.axis], [(1.0, 0.0, 0.0)])[0]
-    frame = Pose.from_rotation(hinge.anchor_m, turned)
+    frame = hinge_frame(hinge)
     anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
     back = body.pose.rotation.inv()
     arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
-    joint = (
-        rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-        .local_frame1(rapier.Isometry3.identity())
-        .local_frame2(rapier.Isometry3(tuple(arm), tuple((back * turned).as_quat())))
-        .build()
+    joint = _revolute(
+        rapier.Isometry3.identity(), rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
     )
     if settings.hinge_joint == "impulse":
         world.impulse_joints.insert(anchor, handle, joint)
@@ -220,13 +214,12 @@ def _add_body_hinge(
     world: rapier.PhysicsWorld, scene: Scene, hinge: BodyHinge, layouts: Mapping[str, BodyLayout]
 ) -> None:
     """Add a hinge between two bodies, as a constraint: a free multibody changes its momentum by 0.1 % in 0.5 s."""
-    turned = Rotation.align_vectors([hinge.axis], [(1.0, 0.0, 0.0)])[0]
-    frame = Pose.from_rotation(hinge.anchor_m, turned)
-    one, other = (isometry(frame.relative_to(scene.body(name).pose)) for name in (hinge.first, hinge.second))
-    joint = (
-        rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-        .local_frame1(one)
-        .local_frame2(other)
-        .build()
-    )
+    frame = hinge_frame(hinge)
+    joint = _revolute(*(isometry(frame.relative_to(scene.body(name).pose)) for name in (hinge.first, hinge.second)))
     world.impulse_joints.insert(layouts[hinge.first].handle, layouts[hinge.second].handle, joint)
+
+
+def _revolute(first: rapier.Isometry3, second: rapier.Isometry3) -> Any:
+    """Return a joint of two bodies that keeps two frames together, but for a rotation about x."""
+    joint = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
+    return joint.local_frame1(first).local_frame2(second).build()

@@ -11,13 +11,14 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
-from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Shape
+from gauge_envs.scene import ConvexUnion, Pose, Scene
 
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
@@ -36,17 +37,13 @@ class StateRapier:
     motions: dict[str, DrivenMotion]
 
 
-class _SceneWorld(World):
+class _SceneWorld(PlacedWorld):
     """One scene in a Rapier world, which may hold more of them."""
 
     def __init__(self, scene: Scene, layouts: dict[str, BodyLayout], settings: SettingsRapier) -> None:
         self.settings = settings.model_dump(mode="json")
         self._layouts = layouts
-        self._fixed = {
-            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
-            for body in scene.bodies
-            if body.motion is Motion.FIXED
-        }
+        self.placed = placed_states(scene)
         self._bodies: dict[str, rapier.RigidBody] = {}
         self._motions: dict[str, DrivenMotion] = {}
         self._velocities: dict[str, list[list[float]]] = {}
@@ -63,7 +60,7 @@ class _SceneWorld(World):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
-        self._motions[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self._motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._bodies[body].position = isometry(pose)
         self._set_velocity(body, velocity)
 
@@ -106,12 +103,9 @@ class _SceneWorld(World):
                 return f"Rapier found that the state of {name!r} is not finite, and disabled the body"
         return None
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities in single precision, shape [len(names), 13]; see `World.body_states`."""
-        states = np.empty((len(names), 13))
-        for row, name in zip(states, names, strict=True):
-            row[:] = self._fixed[name] if name in self._fixed else self._state(name)
-        return states
+    def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
+        """Return poses and velocities in single precision, rows of shape [13]."""
+        return [self._state(name) for name in names]
 
     def _state(self, name: str) -> NDArray[np.float64]:
         body = self._bodies[name]
@@ -135,13 +129,19 @@ def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> l
         Linear [m/s] and angular [rad/s] velocity, shape [step_count, 6].
     """
     times = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
-    travel = (motion.velocity + 0.5 * motion.acceleration * times) * times
+    travel = motion.travel(times)
     linear, angular = np.diff(travel[:, :3], axis=0), np.diff(travel[:, 3:], axis=0)
     if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
         turned = Rotation.from_rotvec(travel[:, 3:])
         angular = (turned[1:] * turned[:-1].inv()).as_rotvec()
     velocities: list[list[float]] = (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
     return velocities
+
+
+def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
+    world = rapier.PhysicsWorld.restore(snapshot)
+    world.set_num_threads(threads)
+    return world
 
 
 def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
@@ -191,8 +191,7 @@ class SimulationRapier(_SceneWorld, Simulation):
         self._continue_from(self._origin.values(state))
 
     def _continue_from(self, state: StateRapier) -> None:
-        self._world = rapier.PhysicsWorld.restore(state.world)
-        self._world.set_num_threads(self._threads)
+        self._world = _restored(state.world, self._threads)
         self.hold(self._world, state.motions)
 
     def close(self) -> None:
@@ -211,17 +210,10 @@ def _share_count(scene: Scene) -> int:
     contacts = colliding_contacts(scene)
     if not contacts:
         return LARGEST_SHARE
-    in_pieces = any(
-        _piece_count(scene.body(name).shape) > 1
-        for contact in contacts
-        for pair in scene.colliding_pairs(contact)
-        for name in pair
-    )
+    pairs = (pair for contact in contacts for pair in scene.colliding_pairs(contact))
+    shapes = (scene.body(name).shape for pair in pairs for name in pair)
+    in_pieces = any(isinstance(shape, ConvexUnion) and len(shape.pieces_m) > 1 for shape in shapes)
     return 1 if scene.joints or scene.body_hinges or in_pieces else LARGEST_CONTACT_COUNT // len(contacts)
-
-
-def _piece_count(shape: Shape) -> int:
-    return len(shape.pieces_m) if isinstance(shape, ConvexUnion) else 1
 
 
 class WorldsRapier(Worlds):
@@ -249,11 +241,9 @@ class WorldsRapier(Worlds):
         """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
         self._held = []
         for start, parts in self._shares:
-            world = rapier.PhysicsWorld.restore(start)
-            world.set_num_threads(self._threads)
-            self._held.append(world)
+            self._held.append(_restored(start, self._threads))
             for part in parts:
-                part.hold(world, {})
+                part.hold(self._held[-1], {})
 
     def advance(self, seconds: float) -> None:
         """Step the worlds."""
