@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Contact, ContactMode, Scene
 
 ImpactLaw = Literal["relaxation", "hunt_crossley"]

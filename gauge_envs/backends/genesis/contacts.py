@@ -14,7 +14,7 @@ from math import pi
 from scipy.optimize import brentq
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.impact_speed import SLOWEST_IMPACT_M_PER_S
+from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import Contact, ContactMode, Scene
 
 CONTACT_LIMIT = 30

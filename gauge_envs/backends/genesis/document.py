@@ -13,6 +13,7 @@ import numpy as np
 
 from gauge_envs.backends.genesis.contacts import MIN_FRICTION, Constants, Layer, layers_of_bodies
 from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.backends.shared.rigid import world_hinges
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.meshes import body_mass_properties
 
@@ -46,7 +47,7 @@ def document(
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
     layers = layers_of_bodies(scene, settings)
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     for index, body in enumerate(scene.bodies):
         parent, pose = world, body.pose
         if body.motion is not Motion.FIXED:
@@ -100,7 +101,7 @@ def _add_body(
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.
-        inertia = mass_kg * _reach_m(body) ** 2 * np.eye(3)
+        inertia = mass_kg * reach_m(body) ** 2 * np.eye(3)
     else:
         mass_kg = body.mass_kg
         centre_m, inertia = body_mass_properties(body)
@@ -115,7 +116,8 @@ def _add_body(
     return element
 
 
-def _reach_m(body: RigidBody) -> float:
+def reach_m(body: RigidBody) -> float:
+    """Return the largest distance of a corner of a body from its origin [m]."""
     return float(np.linalg.norm(body.shape.corners_m, axis=1).max())
 
 

@@ -12,12 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.contacts import layers_of_bodies
-from gauge_envs.backends.genesis.deformables import deformable_parts
 from gauge_envs.backends.genesis.document import body_label, document
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, SettingsMPM
 from gauge_envs.backends.genesis.parts import DeformablePart
+from gauge_envs.backends.genesis.pbd_settings import SettingsPBD
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.scene import Hinge, Motion, Scene
+from gauge_envs.backends.shared.rigid import world_hinges
+from gauge_envs.scene import Motion, Scene
 
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
@@ -117,7 +119,7 @@ def forget_models() -> None:
 def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], world_count: int) -> Model:
     lease = EngineLease(settings.precision)
     gs = engine()
-    parts = deformable_parts(scene, settings)
+    parts = _parts(scene, settings)
     with patient("building a scene"):
         options: dict[str, Any] = {}
         for part in parts:
@@ -145,6 +147,23 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         fresh=solver.__getstate__() if solver.is_active else None,
         world_count=world_count,
     )
+
+
+def _parts(scene: Scene, settings: SettingsGenesis) -> list[DeformablePart]:
+    """Return the parts of the deformable bodies of a scene; none for a rigid scene."""
+    if isinstance(settings, SettingsPBD):
+        from gauge_envs.backends.genesis.cloth import ClothPart
+
+        return [ClothPart(scene, settings)]
+    if isinstance(settings, SettingsFEM):
+        from gauge_envs.backends.genesis.foam import FEMPart
+
+        return [FEMPart(scene, settings)]
+    if isinstance(settings, SettingsMPM):
+        from gauge_envs.backends.genesis.foam import MPMPart
+
+        return [MPMPart(scene, settings)]
+    return []
 
 
 def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, parts: Sequence[DeformablePart]) -> Any:
@@ -203,7 +222,7 @@ def _pair_count(scene: Scene, settings: SettingsGenesis) -> int:
 
 
 def _places(scene: Scene, entity: Any) -> dict[str, Place]:
-    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
+    hinged = world_hinges(scene)
     places = {}
     for index, body in enumerate(scene.bodies):
         if body.motion is Motion.FIXED:
@@ -219,12 +238,12 @@ def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], 
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)
-    axes = {joint.body: np.asarray(joint.axis) for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     for name, place in model.places.items():
         body = scene.body(name)
         angular = np.asarray(body.angular_velocity_rad_per_s)
         if place.is_hinged:
-            velocities[place.freedoms] = angular @ axes[name]
+            velocities[place.freedoms] = angular @ np.asarray(hinges[name].axis)
             continue
         coordinates[place.coordinates : place.coordinates + 7] = [*body.pose.position_m, *body.pose.quaternion]
         # Genesis's angular velocity is in the body frame.

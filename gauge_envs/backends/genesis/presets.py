@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from gauge_envs.backends.genesis.contacts import is_frictionless
-from gauge_envs.backends.genesis.deformables import deformable_presets
-from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS
+from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS, soft_presets
+from gauge_envs.backends.genesis.pbd_settings import pbd_presets
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
 from gauge_envs.backends.settings import resolve_settings
-from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import ContactMode, Scene
+from gauge_envs.scene import Cloth, ContactMode, Scene, SoftBody
 
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
@@ -26,7 +26,11 @@ STACK_BODIES = 20
 
 def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene by name. Scenes with deformable bodies have presets of their solvers."""
-    return deformable_presets(scene) if scene.deformables else PRESETS
+    if any(isinstance(body, Cloth) for body in scene.deformables):
+        return pbd_presets(scene)
+    if any(isinstance(body, SoftBody) for body in scene.deformables):
+        return soft_presets(scene)
+    return {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)} if scene.deformables else PRESETS
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsGenesis:

@@ -14,8 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
 from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import RigidAttachment, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 

@@ -22,8 +22,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.newton.rigid import WORLD
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.lines import LINE_AXIS, attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import LINE_AXIS, RigidAttachment, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector

@@ -20,8 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from gauge_envs.backends.newton.pins import Pin, PinnedParticles
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.point_weights import linear_weights
-from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights
 from gauge_envs.scene import Motion, SoftBody
 
 GRIPPED_SIZE = 0.3

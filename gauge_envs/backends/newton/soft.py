@@ -22,8 +22,15 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.pins import Pin
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
-from gauge_envs.backends.shared.tetrahedra import TetrahedralMesh, grid_lines_m, grid_points_m, lame_constants
+from gauge_envs.backends.shared.soft_rows import (
+    TOLERANCE_M,
+    Block,
+    SoftRow,
+    TetrahedralMesh,
+    grid_lines_m,
+    grid_points_m,
+    lame_constants,
+)
 from gauge_envs.scene import Box, Motion, SoftBody
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties

@@ -15,12 +15,12 @@ from gauge_envs.backends.newton.settings import (
 )
 from gauge_envs.backends.newton.surface import unsupported_surface_contacts
 from gauge_envs.backends.shared.attachments import (
+    attached_ends,
     attachment_problems,
     attachments_by_body,
     bonded_soft_bodies,
     rigid_attachments,
 )
-from gauge_envs.backends.shared.lines import attached_ends
 from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether

@@ -12,8 +12,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.engine import pybullet
 from gauge_envs.backends.pybullet.rope import RopePart, chain_of
 from gauge_envs.backends.pybullet.world import BulletWorld
-from gauge_envs.backends.shared.attachments import rigid_attachments
-from gauge_envs.backends.shared.lines import attached_ends
+from gauge_envs.backends.shared.attachments import attached_ends, rigid_attachments
 from gauge_envs.scene import Motion, RigidBody, Rope, Scene
 
 NO_SHAPE = -1

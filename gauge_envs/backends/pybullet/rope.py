@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT
-from gauge_envs.backends.shared.lines import points_on_axis
+from gauge_envs.backends.shared.attachments import points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Rope
 from gauge_envs.scene.meshes import mass_properties

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from gauge_envs.backends.pybullet.contacts import surfaces
-from gauge_envs.backends.shared.attachments import attachment_problems, rigid_attachments
-from gauge_envs.backends.shared.lines import attached_ends
+from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Compound, Motion, Rod, Rope, Scene, SoftBody, Tether
 

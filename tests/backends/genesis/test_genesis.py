@@ -145,7 +145,7 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none() -> None:
 
 def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> None:
     simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
-    ours, step_s = simulation._model.solver._options, simulation.settings["timestep_s"]
+    ours, step_s = simulation._lent.model.solver._options, simulation.settings["timestep_s"]
     simulation.close()
     forget_models()
     gs = engine()
@@ -237,8 +237,8 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
     velocity, acceleration = np.array([0.1, 0, 0, 0, 0, 1.0]), np.array([2.0, 0, -1.0, 0, 0, 3.0])
     simulation.drive("plate", plate.pose, velocity, acceleration)
     simulation.advance(1 / 180)
-    place = simulation._model.places["plate"]
-    coordinates = simulation._model.solver.get_qpos().numpy()[0]
+    place = simulation._lent.model.places["plate"]
+    coordinates = simulation._lent.model.solver.get_qpos().numpy()[0]
     end = simulation.body_states(["plate"])[0]
     simulation.close()
     reached = coordinates[place.coordinates : place.coordinates + 7]
@@ -281,13 +281,13 @@ def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one() -> None:
     forget_models()
     first = GENESIS.build(moved, FAST)
     new = rollout(first)
-    built = first._model.scene
+    built = first._lent.model.scene
     first.close()
     other = GENESIS.build(scene, FAST)
     rollout(other)
     other.close()
     again = GENESIS.build(moved, FAST)
-    assert again._model.scene is built
+    assert again._lent.model.scene is built
     assert (rollout(again) == new).all()
     again.reset(0)
     assert (rollout(again) == new).all()
