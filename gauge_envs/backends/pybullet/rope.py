@@ -1,6 +1,7 @@
 """Ropes in PyBullet: chains of rigid segments on spherical joints, by Featherstone's algorithm.
 
-The joints hold exactly, so that a rope cannot stretch. A dynamic body to which an end is attached is part of the chain.
+The joints hold exactly, so that a rope cannot stretch. A dynamic body to which an end is attached is part of the chain,
+which is one multibody in reduced coordinates.
 """
 
 from __future__ import annotations
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT
-from gauge_envs.backends.shared.attachments import points_on_axis
+from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
+from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Cylinder, Rope
+from gauge_envs.scene import Cylinder, Motion, RigidBody, Rope, Scene
 from gauge_envs.scene.meshes import mass_properties
 
 SEGMENT_M = 0.0125
@@ -77,67 +79,102 @@ class RopePart:
 
 
 @dataclass(frozen=True)
-class Chain:
-    """Segments of a rope from one end to the other, as PyBullet's links.
+class RopeEnds:
+    """Bodies on the ends of a rope.
 
     Attributes:
-        count: Number of segments.
-        length: Length of a segment [units].
-        rotation: Rotation of all segments at the start; z points from the first to the last one.
-        start_m: End of the first segment at the start [m].
-        end_m: End of the last segment at the start [m].
-        mass_kg: Mass of a segment [kg].
-        moments: Moments of inertia of a segment [kg units^2].
-        from_low: Whether the first segment is that of the low end.
-        rest_m: Nodes at the start, from the low to the high end [m], shape [count + 1, 3].
+        from_low: Whether the chain starts at the low end.
+        root: Body with which the chain starts, or None if its first segment is free.
+        tip: Dynamic body with which the chain ends, or None.
     """
 
-    count: int
-    length: float
-    rotation: Rotation
-    start_m: NDArray[np.float64]
-    end_m: NDArray[np.float64]
-    mass_kg: float
-    moments: list[float]
     from_low: bool
-    rest_m: NDArray[np.float64]
-
-    def part(self, name: str, body: int, first_link: int) -> RopePart:
-        """Return the rope, given the link of its first segment."""
-        links = tuple(range(first_link, first_link + self.count))
-        half = 0.5 * self.length
-        return RopePart(
-            name, body, links if self.from_low else links[::-1], half if self.from_low else -half, self.rest_m
-        )
+    root: RigidBody | None
+    tip: RigidBody | None
 
 
-def chain_of(rope: Rope, *, cell_m: float | None, from_low: bool, scale: float) -> Chain:
-    """Return the segments of a rope.
+def rope_ends(scene: Scene, rope: Rope) -> RopeEnds:
+    """Return the bodies on the ends of a rope; the chain starts at a fixed body if there is one."""
+    held = {
+        side: scene.body(attachment.body)
+        for side, attachment in attached_ends(rope, rigid_attachments(scene, rope.name)).items()
+    }
+    low, high = held.get("low"), held.get("high")
+    if low is None or (high is not None and high.motion is Motion.FIXED):
+        return RopeEnds(from_low=high is None, root=high, tip=low)
+    return RopeEnds(from_low=True, root=low, tip=high)
+
+
+def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePart:
+    """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
 
     A segment has the moments of inertia of its cylinder across the rope about all axes. The spin of a thin cylinder
     about its own axis has no effect on a limp rope, and its small inertia would only make the chain less stable.
 
     Args:
+        world: The world.
         rope: The rope.
         cell_m: Desired length of a segment [m], or None for the default.
-        from_low: Whether the chain starts at the low end.
-        scale: Units per metre.
     """
+    ends = rope_ends(world.scene, rope)
     count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
     length_m = rope.length_m / count
     nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
-    ends = (nodes_m[0], nodes_m[-1]) if from_low else (nodes_m[-1], nodes_m[0])
-    direction = (ends[1] - ends[0]) / rope.length_m
-    mass_kg = rope.mass_kg / count
+    start_m, end_m = (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
+    # All segments have the same rotation at the start; z points from the first to the last one.
+    rotation = Rotation.align_vectors([(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]])[0]
+    length, mass_kg = world.scale * length_m, rope.mass_kg / count
     across = mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[1][0, 0]
-    return Chain(
-        count=count,
-        length=scale * length_m,
-        rotation=Rotation.align_vectors([direction], [[0.0, 0.0, 1.0]])[0],
-        start_m=ends[0],
-        end_m=ends[1],
-        mass_kg=mass_kg,
-        moments=[scale**2 * float(across)] * 3,
-        from_low=from_low,
-        rest_m=nodes_m,
-    )
+    moments = [world.scale**2 * float(across)] * 3
+    root = ends.root if ends.root is not None and ends.root.motion is Motion.DYNAMIC else None
+    if root is not None:
+        frame = world.frame(root)
+        base, base_moments = world.base_arguments(root, frame), frame.moments
+        turn = root.pose.rotation * frame.axes
+        arm = turn.inv().apply(start_m - root.pose.to_world(frame.centre_m))
+        place = (world.scale * arm, turn.inv() * rotation)
+    elif ends.root is not None:
+        base, base_moments = _base(world, start_m, rotation), []
+        place = (np.zeros(3), Rotation.identity())
+    else:
+        base, base_moments = _base(world, start_m + 0.5 / count * (end_m - start_m), rotation), moments
+        base["baseMass"] = mass_kg
+        place = (np.array([0.0, 0.0, 0.5 * length]), Rotation.identity())
+    first = -1 if ends.root is None else 0
+    links = []
+    for _ in range(count + first):
+        centre = np.array([0.0, 0.0, 0.5 * length])
+        spherical = pybullet.JOINT_SPHERICAL
+        links.append(Link(joint=spherical, place=place, mass_kg=mass_kg, moments=moments, centre=centre))
+        place = (np.array([0.0, 0.0, length]), Rotation.identity())
+    if ends.tip is not None:
+        frame = world.frame(ends.tip)
+        turn = ends.tip.pose.rotation * frame.axes
+        arm = turn.inv().apply(ends.tip.pose.to_world(frame.centre_m) - end_m)
+        links.append(
+            Link(
+                joint=pybullet.JOINT_SPHERICAL,
+                place=(place[0], rotation.inv() * turn),
+                mass_kg=ends.tip.mass_kg,
+                moments=frame.moments,
+                centre=world.scale * arm,
+                shape=world.shape(
+                    ends.tip.shape, turn.inv().apply(np.subtract(ends.tip.pose.position_m, end_m)), frame
+                ),
+            )
+        )
+    body = world.add_multibody(base, base_moments, links)
+    if root is not None:
+        world.add_handle(root, body, -1)
+    if ends.tip is not None:
+        world.add_handle(ends.tip, body, len(links) - 1)
+    segments = tuple(range(first, first + count))
+    if ends.from_low:
+        return RopePart(rope.name, body, segments, 0.5 * length, nodes_m)
+    return RopePart(rope.name, body, segments[::-1], -0.5 * length, nodes_m)
+
+
+def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
+    """Return the arguments of a base without mass and shape."""
+    position = (world.scale * place_m).tolist()
+    return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}

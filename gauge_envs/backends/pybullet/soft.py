@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.pybullet.engine import pybullet
 from gauge_envs.backends.pybullet.settings import SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import BulletWorld
 from gauge_envs.backends.shared.attachments import rigid_attachments
+from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.scene import Motion, Region, SoftBody
 from gauge_envs.scene.meshes import nodes_in, tetrahedra
 
@@ -20,24 +19,8 @@ GROUND = -1
 """Number of the body that holds anchors in the world."""
 
 
-@dataclass(frozen=True)
-class SoftPart:
-    """A soft body in PyBullet.
-
-    Attributes:
-        body: PyBullet's number of the body.
-    """
-
-    body: int
-
-    def nodes_m(self, world: BulletWorld) -> NDArray[np.float64]:
-        """Return the nodes [m], shape [node_count, 3]."""
-        flags = pybullet.MESH_DATA_SIMULATION_MESH
-        return np.array(world.call("getMeshData", self.body, -1, flags=flags)[1]) / world.scale
-
-
-def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> SoftPart:
-    """Add a soft body and attach its regions; rigid bodies exist already.
+def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> int:
+    """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
     Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
     lambda' = lambda + 5/6 mu.
@@ -50,8 +33,7 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
     """
     attachments = rigid_attachments(world.scene, body.name)
     nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
-    shear = body.young_modulus_pa / (2.0 * (1.0 + body.poisson_ratio))
-    bulk = 2.0 * shear * body.poisson_ratio / (1.0 - 2.0 * body.poisson_ratio)
+    shear, lame = lame_constants(body)
     number = world.call(
         "loadSoftBody",
         str(file),
@@ -62,7 +44,7 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
         useNeoHookean=1,
         # A pressure is a force over an area: its number falls with the unit of length.
         NeoHookeanMu=4.0 / 3.0 * shear / world.scale,
-        NeoHookeanLambda=(bulk + 5.0 / 6.0 * shear) / world.scale,
+        NeoHookeanLambda=(lame + 5.0 / 6.0 * shear) / world.scale,
         NeoHookeanDamping=0.0,
         useSelfCollision=0,
     )
@@ -71,7 +53,7 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
         held_by = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
         for node in nodes_in(nodes_m, attachment.region).tolist():
             world.call("createSoftBodyAnchor", number, node, held_by, -1)
-    return SoftPart(int(number))
+    return int(number)
 
 
 def _places_m(edge_m: float, axis: str, regions: Sequence[Region], cell_m: float) -> NDArray[np.float64]:

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 
 from gauge_envs.backends.pybullet.contacts import surfaces
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.bundled import declined_compounds
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Compound, Motion, Rod, Rope, Scene, SoftBody, Tether
+from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 INCOMPRESSIBLE = 0.45
 """Poisson's ratio from which a soft body is declined."""
@@ -20,9 +21,7 @@ UNSUPPORTED = {
 
 def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that this backend does not support."""
-    compound = next((body.name for body in scene.bodies if isinstance(body.shape, Compound)), None)
-    if compound is not None:
-        yield f"{compound!r} is a compound of solids, and this backend builds one solid or convex pieces for each body"
+    yield from declined_compounds(scene)
     for kind, reason in UNSUPPORTED.items():
         names = [body.name for body in scene.deformables if isinstance(body, kind)]
         if names:

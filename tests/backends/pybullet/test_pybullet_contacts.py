@@ -8,10 +8,11 @@ from importlib.util import find_spec
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.backends.pybullet import backend as backend_module
+from gauge_envs.backends.pybullet import BackendPyBullet
 from gauge_envs.backends.pybullet.contacts import impact_bodies, products, pushing_bodies, surfaces
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
 from gauge_envs.backends.pybullet.support import unsupported_features
+from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Pose, RigidBody, Scene, Sphere
 
@@ -169,8 +170,8 @@ def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: st
 def test_missing_engine_names_the_extra_and_the_python_with_wheels(
     monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr(backend_module, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
+    monkeypatch.setattr(bundled, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
     monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'") as found:
-        backend_module.BackendPyBullet()
+        BackendPyBullet()
     assert ("on Python 3.11" in str(found.value)) == (version == (3, 12))
