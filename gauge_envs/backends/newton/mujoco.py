@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
 from gauge_envs.backends.newton.kernels import bodies_to_joints
-from gauge_envs.backends.newton.pipeline import collision_pipeline
 from gauge_envs.backends.newton.rigid import RigidIndex, keep_apart
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
-from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
 from gauge_envs.scene import Scene
 
 CONTACT_POINTS_PER_PAIR = 8

@@ -14,6 +14,7 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.backends.newton.stepper import warp_transform
+from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import (
     BodyHinge,
     Box,
@@ -74,7 +75,7 @@ def add_bodies(
             edges takes speed, so a dynamic cylinder is never a prism. Particles collide with cylinders three times
             faster than with prisms.
     """
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     index = RigidIndex()
     joined: dict[str, int] = {}
     for tree in hinge_trees(scene.body_hinges):
@@ -117,62 +118,73 @@ def _add_tree(builder: newton.ModelBuilder, scene: Scene, hinges: Mapping[str, B
     for name in (root, *hinges):
         body = scene.body(name)
         places[name] = builder.add_link(**_link_arguments(body))
-        _set_velocity(builder, places[name], body, body_mass_properties(body)[0])
+        _set_velocity(builder, places[name], body)
         if name == root:
             joints.append(builder.add_joint_free(child=places[name], label=name))
             builder.joint_qd[-6:] = list(builder.body_qd[places[name]])
             continue
         hinge = hinges[name]
         parent = scene.body(other_end(hinge, name))
-        anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
-        joint = builder.add_joint_revolute(
-            places[parent.name],
-            places[name],
-            parent_xform=wp.transform_inverse(warp_transform(parent.pose)) * anchor,
-            child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
-            axis=wp.vec3(*hinge.axis),
-            armature=0.0,
-            friction=0.0,
-            label=name,
-        )
-        joints.append(joint)
+        to_parent = wp.transform_inverse(warp_transform(parent.pose))
+        joints.append(_add_revolute(builder, hinge, places[parent.name], to_parent, places[name], body))
         builder.joint_qd[-1] = start_rate_rad_per_s(hinge, body, parent)
     builder.add_articulation(joints, label=root)
     return places
 
 
 def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
-    centre, given = body_mass_properties(body)[0], _link_arguments(body)
+    given = _link_arguments(body)
     if hinge is None:
         index = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
         if not body.starts_at_rest:
-            _set_velocity(builder, index, body, centre)
+            _set_velocity(builder, index, body)
             builder.joint_qd[-6:] = list(builder.body_qd[index])
         return index
     link = builder.add_link(**given)
+    joint = _add_revolute(builder, hinge, WORLD, wp.transform_identity(), link, body)
+    builder.add_articulation([joint], label=body.name)
+    if not body.starts_at_rest:
+        _set_velocity(builder, link, body)
+        builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+    return link
+
+
+def _add_revolute(
+    builder: newton.ModelBuilder,
+    hinge: Hinge | BodyHinge,
+    parent: int,
+    to_parent: wp.transform,
+    child: int,
+    body: RigidBody,
+) -> int:
+    """Add a hinge without friction and inertia, and return its index.
+
+    Args:
+        builder: Model builder.
+        hinge: The hinge.
+        parent: Index of the parent.
+        to_parent: Transform from the world to the parent's frame.
+        child: Index of the child.
+        body: The child.
+    """
     anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
-    joint = builder.add_joint_revolute(
-        WORLD,
-        link,
-        parent_xform=anchor,
+    joint: int = builder.add_joint_revolute(
+        parent,
+        child,
+        parent_xform=to_parent * anchor,
         child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
         axis=wp.vec3(*hinge.axis),
         armature=0.0,
         friction=0.0,
         label=body.name,
     )
-    builder.add_articulation([joint], label=body.name)
-    if not body.starts_at_rest:
-        _set_velocity(builder, link, body, centre)
-        builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-    return link
+    return joint
 
 
-def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody, centre_m: NDArray[np.float64]) -> None:
+def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:
     """Write the start velocity of a body; Newton's linear velocity is that of the centre of mass."""
-    angular = np.array(body.angular_velocity_rad_per_s)
-    linear = body.linear_velocity_m_per_s + np.cross(angular, body.pose.rotation.apply(centre_m))
-    builder.body_qd[index] = wp.spatial_vector(*linear.tolist(), *angular.tolist())
+    velocity = [*centre_velocity(body, body_mass_properties(body)[0]).tolist(), *body.angular_velocity_rad_per_s]
+    builder.body_qd[index] = wp.spatial_vector(*velocity)
 
 
 def _add_shapes(
@@ -184,37 +196,27 @@ def _add_shapes(
     *,
     solids: Solids,
 ) -> list[int]:
+    parts: list[tuple[str, wp.transform, _Solid]]
+    if isinstance(body.shape, Compound):
+        parts = [
+            (f"{body.name}/{number}", frame * warp_transform(part.pose), part.shape)
+            for number, part in enumerate(body.shape.parts)
+        ]
+    else:
+        parts = [(body.name, frame, body.shape)]
     rolls = body.motion is Motion.DYNAMIC
-    if not isinstance(body.shape, Compound):
-        return _add_solid(builder, place, frame, body.name, body.shape, config, solids=solids, rolls=rolls)
     return [
         index
-        for number, part in enumerate(body.shape.parts)
+        for label, xform, shape in parts
         for index in _add_solid(
-            builder,
-            place,
-            frame * warp_transform(part.pose),
-            f"{body.name}/{number}",
-            part.shape,
-            config,
-            solids=solids,
-            rolls=rolls,
+            builder, label, shape, {"body": place, "xform": xform, "cfg": config}, solids=solids, rolls=rolls
         )
     ]
 
 
 def _add_solid(
-    builder: newton.ModelBuilder,
-    place: int,
-    frame: wp.transform,
-    label: str,
-    shape: _Solid,
-    config: newton.ModelBuilder.ShapeConfig,
-    *,
-    solids: Solids,
-    rolls: bool,
+    builder: newton.ModelBuilder, label: str, shape: _Solid, given: dict[str, Any], *, solids: Solids, rolls: bool
 ) -> list[int]:
-    given = {"body": place, "xform": frame, "cfg": config}
     if isinstance(shape, Plane):
         return [builder.add_shape_plane(width=0.0, length=0.0, label=label, **given)]
     pieces = _pieces_m(shape, solids, rolls=rolls)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from gauge_envs.backends.newton.contacts import unsupported_contacts
+from gauge_envs.backends.newton.contacts import unsupported_contacts, unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
     SettingsMPM,
@@ -13,30 +13,10 @@ from gauge_envs.backends.newton.settings import (
     SettingsVBD,
     settings_for,
 )
-from gauge_envs.backends.newton.surface import unsupported_surface_contacts
-from gauge_envs.backends.shared.attachments import (
-    attached_ends,
-    attachment_problems,
-    attachments_by_body,
-    bonded_soft_bodies,
-    rigid_attachments,
-)
-from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
-
-
-def check_support(scene: Scene, settings: SettingsNewton) -> None:
-    """Raise an error if a scene has features that given settings do not support.
-
-    `Backend.supports` answers for the scene's own preset. A user may choose another one.
-    """
-    missing = tuple(unsupported_features(scene, settings))
-    if missing:
-        raise UnsupportedSceneError(
-            f"Newton preset {settings.preset!r} does not support this scene: {'; '.join(missing)}. "
-            "Choose another preset"
-        )
 
 
 def check_preset(scene: Scene, settings: SettingsNewton) -> None:
@@ -121,8 +101,4 @@ def _unsupported_solids(scene: Scene) -> Iterator[str]:
     for attachment in scene.attachments:
         if attachment.region.axis == "z" and attachment.deformable in cloths:
             yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
-    for bodies in bonded_soft_bodies(scene):
-        try:
-            SoftRow.of(bodies, attachments_by_body(scene, bodies))
-        except UnsupportedSceneError as error:
-            yield str(error)
+    yield from soft_row_problems(scene)
