@@ -15,7 +15,8 @@ from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, ROPE_CELL_M, SettingsMuJoCo
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
-from gauge_envs.backends.shared.attachments import attachment_problems, attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.shared.attachments import attachment_problems, bonded_soft_bodies, rigid_attachments
+from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
 
@@ -26,27 +27,29 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     Returns:
         The part of each deformable body, by name; bonded soft bodies share a part.
     """
-    attachments = attachments_by_body(scene, scene.deformables)
     parts: dict[str, FlexPart] = {}
     for body in scene.deformables:
+        attachments = rigid_attachments(scene, body.name)
         if isinstance(body, Cloth):
-            bending = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad)
+            touches_itself = any(body.name in {*c.first} & {*c.second} for c in scene.contacts)
             parts[body.name] = add_cloth(
                 spec,
                 body,
-                attachments=attachments[body.name],
+                attachments=attachments,
                 cell_m=settings.cell_m or CLOTH_CELL_M,
-                bending_stiffness_n_m=bending,
-                contact_radius_m=settings.cloth_fold_radius_m if _touches_itself(scene, body.name) else None,
+                bending_stiffness_n_m=plate_bending_stiffness(
+                    hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad
+                ),
+                contact_radius_m=settings.cloth_fold_radius_m if touches_itself else None,
             )
         elif isinstance(body, Rope):
             cell_m = settings.cell_m or ROPE_CELL_M
-            parts[body.name] = add_rope(spec, body, attachments=attachments[body.name], cell_m=cell_m)
+            parts[body.name] = add_rope(spec, body, attachments=attachments, cell_m=cell_m)
         elif not isinstance(body, SoftBody):
-            parts[body.name] = add_rod(spec, body, attachments=attachments[body.name], cell_m=settings.cell_m)
-    for bodies in bonded_soft_bodies(scene):
-        part = add_soft(spec, bodies, attachments=attachments, cell_m=settings.cell_m)
-        parts |= {body.name: part for body in bodies}
+            parts[body.name] = add_rod(spec, body, attachments=attachments, cell_m=settings.cell_m)
+    for soft_row in soft_rows(scene):
+        part = add_soft(spec, soft_row, cell_m=settings.cell_m)
+        parts |= dict.fromkeys(soft_row.names, part)
     return parts
 
 
@@ -54,10 +57,6 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of the scene's deformable bodies that this backend does not support."""
     yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
     yield from _frictions_in_conflict(scene)
-
-
-def _touches_itself(scene: Scene, name: str) -> bool:
-    return any(name in contact.first and name in contact.second for contact in scene.contacts)
 
 
 def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:

@@ -15,7 +15,7 @@ The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. O
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -29,17 +29,15 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
 from gauge_envs.backends.mujoco.model import (
-    CONES,
-    INTEGRATORS,
-    SOLVERS,
     START_KEY,
     build_model,
-    hinges_by_body,
     parents_first,
     start_rates,
 )
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
+from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene
@@ -58,6 +56,9 @@ AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
+
+STATED_SETTINGS = ("timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance")
+"""Settings that a result of a file holds."""
 
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
@@ -120,47 +121,32 @@ def _refusal(content: bytes) -> str | None:
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
-    option = model.opt
-    if not option.timestep >= SHORTEST_STEP_S:
-        raise AssetError(
-            path, "option timestep", f"is {option.timestep:g} s: {SHORTEST_STEP_S:g} s or more is expected"
-        )
-    steps = DRIVE_INTERVAL_S / option.timestep
+    step_s = model.opt.timestep
+    if not step_s >= SHORTEST_STEP_S:
+        raise AssetError(path, "option timestep", f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected")
+    steps = DRIVE_INTERVAL_S / step_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         raise AssetError(
             path,
             "option timestep",
-            f"1/180 s is {steps:.6g} steps of {option.timestep:g} s, not a whole number: choose a step that divides it",
+            f"1/180 s is {steps:.6g} steps of {step_s:g} s, not a whole number: choose a step that divides it",
         )
-
-    def named(known: Mapping[str, Any], value: int) -> str:
-        return next((name for name, constant in known.items() if constant == value), str(value))
-
-    return {
-        "model_file": path.name,
-        "timestep_s": option.timestep,
-        "integrator": named(INTEGRATORS, option.integrator),
-        "cone": named(CONES, option.cone),
-        "solver": named(SOLVERS, option.solver),
-        "impratio": option.impratio,
-        "iterations": option.iterations,
-        "tolerance": option.tolerance,
-    }
+    known = option_settings(model)
+    return {"model_file": path.name} | {name: known[name] for name in STATED_SETTINGS}
 
 
 # --- custom numbers --------------------------------------------------------------------------------------------------
 
 
-def _numerics(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    for index in range(model.nnumeric):
-        start = model.numeric_adr[index]
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, index)
-        yield name, model.numeric_data[start : start + model.numeric_size[index]]
+def _numerics(model: mujoco.MjModel) -> dict[str, NDArray[np.float64]]:
+    """Return the custom numbers of a model, by name."""
+    numerics = [model.numeric(index) for index in range(model.nnumeric)]
+    return {numeric.name: numeric.data for numeric in numerics}
 
 
 def _complete(path: Path, model: mujoco.MjModel) -> None:
     """Apply the file's custom numbers to the compiled flex tables."""
-    numbers = dict(_numerics(model))
+    numbers = _numerics(model)
     for name, values in numbers.items():
         table, _, rest = name.partition("/")
         body, _, part = rest.rpartition("/")
@@ -429,7 +415,7 @@ def _driver(
     from gauge_envs.scene.driver_path import DriverPath
 
     name = f"{DRIVER_PREFIX}{driver.body}"
-    numbers = dict(_numerics(model)).get(name)
+    numbers = _numerics(model).get(name)
     if numbers is None:
         raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.mujoco.air import AirOnCloth, check_air_step
-from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
+from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, check_air_step
 from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
-from gauge_envs.backends.mujoco.model import START_KEY, hinges_by_body, rotated_back
+from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
+from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 

@@ -7,7 +7,7 @@ in torsion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import ceil
 
 import mujoco
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
@@ -51,30 +51,20 @@ class SoftPartMuJoCo(FlexPart):
     `nodes`, `block_nodes` and `track` read the free material only.
 
     Attributes:
-        name: Name of the first body of the soft row, and of the flex.
         names: Names of the bodies, in their order along the soft row.
-        flex: The flex in the editable model.
-        rest_m: World positions of a regular grid of points at the start, surface included [m], shape [node_count, 3].
     """
 
     def __init__(
-        self,
-        flex: mujoco.MjsFlex,
-        lattice: _Lattice,
-        soft_row: SoftRow,
-        points: Points,
-        layers: Sequence[int],
+        self, flex: mujoco.MjsFlex, lattice: _Lattice, soft_row: SoftRow, points: Points, layers: Sequence[int]
     ) -> None:
-        self.name = flex.name
-        self.names = tuple(block.body.name for block in soft_row.blocks)
-        self.flex = flex
+        # The nodes are a regular grid of points, surface included.
+        super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
+        self.names = soft_row.names
         self._lattice = lattice
         self._soft_row = soft_row
         self._layers = tuple(layers)
-        self.points = points
-        self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
-        self._nodes = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in soft_row.blocks}
+        self._nodes = soft_row.nodes_of(self.rest_m)
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the stiffness of each cell's material."""
@@ -167,9 +157,8 @@ class _Lattice:
 
 def add_soft(
     spec: mujoco.MjSpec,
-    bodies: Sequence[SoftBody],
+    soft_row: SoftRow,
     *,
-    attachments: Mapping[str, Sequence[RigidAttachment]],
     cell_m: float | None = None,
     cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
@@ -178,13 +167,11 @@ def add_soft(
 
     Args:
         spec: Editable model that contains the rigid bodies.
-        bodies: One body, or all bodies of a soft row in any order.
-        attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
+        soft_row: The soft row.
         cell_m: Largest edge of a cell [m], used without `cells`.
         cells: Cells along and across each body; without `cell_m`, `LONE_CELLS` or `BONDED_CELLS` by default.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
-    soft_row = SoftRow.of(bodies, attachments)
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
     each = _cells_of_a_block(blocks, axis, cell_m, cells)
     layers = _layers_of_blocks(blocks, axis, each[axis])
@@ -205,11 +192,7 @@ def add_soft(
     # `complete` writes the stiffness of each cell; these two values only make MuJoCo reserve the memory.
     flex.young, flex.poisson = blocks[0].body.young_modulus_pa, blocks[0].body.poisson_ratio
     flex.damping = damping_s
-    flex.contype, flex.conaffinity = 0, 0
-    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
-    flex.priority = 1
-    flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
+    make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
 
     densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
@@ -219,13 +202,10 @@ def add_soft(
     for side, attachment in soft_row.ends.items():
         held |= dict.fromkeys(sections[0 if side == "low" else -1].ravel().tolist(), attachment)
         _add_gripped_material(spec, flex, soft_row, side)
-    names = list(flex.nodebody)
-    flex.nodebody, places = attached_points(names, lattice.rest_m, held)
-    flex.node = places.ravel()
-    # Deleting a body that a flex uses deletes the flex, so its references change first.
-    for index in held:
-        spec.delete(spec.body(names[index]))
-    return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held), layers)
+    points = Points(list(flex.nodebody), lattice.rest_m, held)
+    flex.nodebody, flex.node = points.carriers()
+    points.delete_held(spec)
+    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers)
 
 
 def _cells_of_a_block(

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Support
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
