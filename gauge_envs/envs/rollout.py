@@ -12,8 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Worlds
-from gauge_envs.backends.recording import Recording
+from gauge_envs.backends.base import Recording, Worlds
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode
 from gauge_envs.evaluation.device_scores import device_array, score_recording

@@ -1,21 +1,61 @@
 """The rigid bodies of a scene as an MJCF document, the only input that gives a geom of Genesis all its constants.
 
-Free bodies stand far from each other in it, so that scenes that differ in start poses have the same document.
+Free bodies stand far from each other in it, so that scenes that differ in start poses have the same document. Genesis
+takes the larger friction of two geoms, and the mean of their constraint constants. A body has one geom for each set of
+constants in its contacts. Both geoms of a pair have the same constants, so both rules give these constants. Collision
+bits let each pair collide with its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from math import pi
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.optimize import brentq
 
-from gauge_envs.backends.genesis.contacts import MIN_FRICTION, Constants, Layer, layers_of_bodies
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.rigid import world_hinges
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.meshes import body_mass_properties
+
+CONTACT_LIMIT = 30
+"""Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
+
+MIN_FRICTION = 0.01
+"""Genesis raises the friction of each contact to this value."""
+
+MAX_FRICTION = 5.0
+"""Largest friction that Genesis's materials take."""
+
+IMPEDANCE_SHAPE = (0.5, 2.0)
+"""Midpoint and power of the impedance curve; they have no effect on a constant impedance."""
+
+PHASES = 16
+"""Number of moments within a step at which an impact may start, over which its restitution is averaged."""
+
+LONGEST = 10
+"""Half periods after which a body that is still in contact rests."""
+
+MAX_STEP_DAMPING = 0.9
+"""Largest share of its speed that an impact loses in a step. Genesis raises time constants that mean more than 1."""
 
 COUPLED_BIT = 1 << 30
 """Collision bit that a geom accepts and none offers."""
@@ -24,6 +64,147 @@ ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
 APART_M, HEIGHT_M = 10.0, 1000.0
 """Distance between free bodies in the document, and their height, where they touch nothing [m]."""
+
+
+# --- contacts ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants of a contact, as geoms hold them.
+
+    Attributes:
+        friction: Coulomb's coefficient.
+        solref: Time constant [s] and damping ratio.
+        solimp: Impedance: least, greatest, width [m], midpoint, power.
+    """
+
+    friction: float
+    solref: tuple[float, float]
+    solimp: tuple[float, ...]
+
+
+@dataclass
+class Layer:
+    """Collision bits of a geom: two geoms collide if one offers a bit that the other accepts."""
+
+    offers: int = 0
+    accepts: int = 0
+
+
+def layers_of_bodies(scene: Scene, settings: SettingsGenesis) -> dict[str, dict[Constants, Layer]]:
+    """Return the geoms that each body needs, by name, as its constants of contacts and their collision bits."""
+    bodies = {body.name for body in scene.bodies}
+    found: dict[str, dict[Constants, Layer]] = {}
+    for number, contact in enumerate(_rigid_contacts(scene)):
+        constants, bit = _constants(scene, contact, settings), 1 << number
+        for name in bodies & set(contact.first):
+            found.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
+        for name in bodies & set(contact.second):
+            found.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
+    return {body.name: found[body.name] for body in scene.bodies if body.name in found}
+
+
+def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
+    """Yield the contacts in which two rigid bodies may collide."""
+    bodies = {body.name for body in scene.bodies}
+    for contact in scene.contacts:
+        if any(bodies.issuperset(pair) for pair in scene.colliding_pairs(contact)):
+            yield contact
+
+
+def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
+    if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
+        speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
+        weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
+        damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
+        frequency = pi / (settings.impact_steps * settings.timestep_s)
+        impedance = settings.impact_impedance
+        return Constants(
+            contact.friction, (1.0 / (damping * frequency), damping), (impedance, impedance, 0.001, *IMPEDANCE_SHAPE)
+        )
+    return Constants(
+        contact.friction,
+        (settings.sustained_timeconst_s, settings.sustained_dampratio),
+        (*settings.sustained_impedance, *IMPEDANCE_SHAPE),
+    )
+
+
+@cache
+def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
+    """Return the damping ratio with which a damped spring that only pushes has a restitution.
+
+    A body in contact has the acceleration -2 z w v - w^2 x at the depth x and the speed v, gravity included, unless it
+    would have to be pulled. With the angular frequency w = pi / (steps h), half a period without damping lasts `steps`
+    steps.
+
+    Args:
+        restitution: Ratio of outgoing to incoming speed, at least 0.
+        steps: Steps of half a period.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
+    """
+    least, greatest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
+    if _mean_rebound(least, steps, weight) <= restitution:
+        return least
+    if _mean_rebound(greatest, steps, weight) >= restitution:
+        return greatest
+    return float(brentq(lambda ratio: _mean_rebound(ratio, steps, weight) - restitution, least, greatest, xtol=1e-10))
+
+
+def _mean_rebound(damping: float, steps: int, weight: float) -> float:
+    phases = [rebound(damping, steps, (index + 0.5) / PHASES, weight) for index in range(PHASES)]
+    return sum(phases) / PHASES
+
+
+def rebound(damping: float, steps: int, phase: float, weight: float) -> float:
+    """Return the restitution of the spring in steps.
+
+    Args:
+        damping: Damping ratio.
+        steps: Steps of half a period without damping.
+        phase: Depth at the first step in contact, over the way of the body in a step.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
+    """
+    frequency, speed, depth = pi / steps, 1.0, phase
+    for _ in range(LONGEST * steps):
+        # Without a pull, the body falls freely.
+        speed -= max(2.0 * damping * frequency * speed + frequency**2 * depth, -weight)
+        depth += speed
+        if depth <= 0.0:
+            return max(-speed, 0.0)
+    return 0.0
+
+
+def is_frictionless(scene: Scene) -> bool:
+    """Return whether rigid bodies touch, and no contact between them has friction."""
+    frictions = [contact.friction for contact in _rigid_contacts(scene)]
+    return bool(frictions) and not any(frictions)
+
+
+def unsupported_contacts(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
+    """Yield one sentence for each kind of contact between rigid bodies that Genesis cannot take."""
+    contacts = list(_rigid_contacts(scene))
+    is_smooth = is_frictionless(scene) and settings.friction_cone == "elliptic"
+    for contact in contacts:
+        if not (is_smooth or MIN_FRICTION <= contact.friction <= MAX_FRICTION):
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} touch with a friction of {contact.friction:.6g}: "
+                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. "
+                "This backend builds scenes in which no contact has friction, with the elliptic cone"
+            )
+            break
+    for contact in contacts:
+        if contact.mode is ContactMode.IMPACT and contact.restitution > 1.0:
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} rebound with a restitution of "
+                f"{contact.restitution:.6g}: the damped spring that stands for it reaches 1"
+            )
+            break
+    if len(contacts) > CONTACT_LIMIT:
+        yield f"the scene has {len(contacts)} contacts: Genesis's collision masks hold {CONTACT_LIMIT}; join groups"
+
+
+# --- bodies -----------------------------------------------------------------------------------------------------------
 
 
 def body_label(index: int) -> str:

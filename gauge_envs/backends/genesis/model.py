@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.genesis.contacts import layers_of_bodies
-from gauge_envs.backends.genesis.document import body_label, document
+from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.foam_settings import SettingsFEM, SettingsMPM
 from gauge_envs.backends.genesis.parts import DeformablePart

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from gauge_envs.backends.genesis.contacts import is_frictionless
+from gauge_envs.backends.genesis.document import is_frictionless
 from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS, soft_presets
 from gauge_envs.backends.genesis.pbd_settings import pbd_presets
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 
-from gauge_envs.backends.genesis.contacts import unsupported_contacts
+from gauge_envs.backends.genesis.document import unsupported_contacts
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.attachments import attachment_problems
 from gauge_envs.backends.shared.bundled import first_of

@@ -58,7 +58,7 @@ class ClothPartMuJoCo(FlexPart):
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
-        flex = model.flex(self.name).id
+        flex = self.flex.id
         membrane = _membrane(self.grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
         flex_table(model, "flex_stiffness", flex).reshape(-1, STIFFNESS_PER_TRIANGLE)[: len(membrane), :6] = membrane
 

@@ -9,12 +9,11 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Recording, Simulation, Worlds
 from gauge_envs.backends.newton.kernels import record_positions, record_states
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.recording import Recording
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
 from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces
-from gauge_envs.backends.pybullet.rope import add_rope
+from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.soft import add_soft_body
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
 from gauge_envs.backends.shared.rigid import centre_velocity
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether

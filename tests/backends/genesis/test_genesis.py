@@ -34,7 +34,7 @@ from gauge_envs.scene import (
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.genesis.contacts import CONTACT_LIMIT, damping_ratio
+from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
 from gauge_envs.backends.genesis.engine import EngineLease, engine
 from gauge_envs.backends.genesis.model import forget_models
 from gauge_envs.backends.genesis.presets import settings_for

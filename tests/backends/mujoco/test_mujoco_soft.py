@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Region, SoftBody
 
@@ -52,7 +53,7 @@ class Bench:
         more(spec)
         attachments = {bodies[0].name: [held("low", Motion.FIXED, depth_m, axis)]}
         attachments.setdefault(bodies[-1].name, []).append(held("high", high, depth_m, axis))
-        self.part: SoftPartMuJoCo = add_soft(spec, bodies, attachments=attachments, damping_s=damping_s, cells=cells)
+        self.part: SoftPartMuJoCo = add_soft(spec, SoftRow.of(bodies, attachments), damping_s=damping_s, cells=cells)
         self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
         self.model = spec.compile()
         self.part.complete(self.model)
@@ -236,7 +237,7 @@ def hanging(cubes: list[SoftBody], **options) -> Bench:
     spec.worldbody.add_body(name="low")
     bench = Bench.__new__(Bench)
     grip = {cubes[0].name: [held("low", Motion.FIXED)]}
-    bench.part = add_soft(spec, cubes[::-1], attachments=grip, **options)
+    bench.part = add_soft(spec, SoftRow.of(cubes[::-1], grip), **options)
     bench.model = spec.compile()
     bench.part.complete(bench.model)
     bench.data = mujoco.MjData(bench.model)
@@ -336,4 +337,4 @@ def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict
     for name in ("low", "high"):
         spec.worldbody.add_body(name=name)
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(spec, bodies, attachments=attachments)
+        add_soft(spec, SoftRow.of(bodies, attachments))

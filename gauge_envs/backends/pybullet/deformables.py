@@ -1,28 +1,34 @@
-"""Ropes in PyBullet: chains of rigid segments on spherical joints, by Featherstone's algorithm.
+"""Ropes and soft bodies in PyBullet.
 
-The joints hold exactly, so that a rope cannot stretch. A dynamic body to which an end is attached is part of the chain,
-which is one multibody in reduced coordinates.
+A rope is a chain of rigid segments on spherical joints, by Featherstone's algorithm. The joints hold exactly, so that a
+rope cannot stretch. A dynamic body to which an end is attached is part of the chain, which is one multibody in reduced
+coordinates. A soft body consists of linear tetrahedra with Bullet's Neo-Hookean energy, in its deformable world.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT
+from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
 from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
+from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Cylinder, Motion, RigidBody, Rope, Scene
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
+from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 
 SEGMENT_M = 0.0125
 """Default length of a segment [m]."""
+
+GROUND = -1
+"""Number of the body that holds anchors in the world."""
 
 Read = Callable[[int, int], tuple[Any, ...]]
 """Function of a body and a link that returns their position [units] and quaternion x y z w first."""
@@ -178,3 +184,69 @@ def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) 
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
     return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}
+
+
+# --- soft bodies ------------------------------------------------------------------------------------------------------
+
+
+def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> int:
+    """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
+
+    Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
+    lambda' = lambda + 5/6 mu.
+
+    Args:
+        world: The world.
+        body: The soft body.
+        file: File to write its mesh to, the only form in which PyBullet takes tetrahedra.
+        cell_m: Desired edge of the cells [m], or None for the default.
+    """
+    attachments = rigid_attachments(world.scene, body.name)
+    nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
+    shear, lame = lame_constants(body)
+    number = world.call(
+        "loadSoftBody",
+        str(file),
+        simFileName=str(file),
+        basePosition=(world.scale * np.asarray(body.pose.position_m)).tolist(),
+        baseOrientation=body.pose.rotation.as_quat().tolist(),
+        mass=body.mass_kg,
+        useNeoHookean=1,
+        # A pressure is a force over an area: its number falls with the unit of length.
+        NeoHookeanMu=4.0 / 3.0 * shear / world.scale,
+        NeoHookeanLambda=(lame + 5.0 / 6.0 * shear) / world.scale,
+        NeoHookeanDamping=0.0,
+        useSelfCollision=0,
+    )
+    for attachment in attachments:
+        # An anchor keeps the node where it now is in the frame of the body.
+        held_by = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
+        for node in nodes_in(nodes_m, attachment.region).tolist():
+            world.call("createSoftBodyAnchor", number, node, held_by, -1)
+    return int(number)
+
+
+def _places_m(edge_m: float, axis: str, regions: Sequence[Region], cell_m: float) -> NDArray[np.float64]:
+    """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
+    depth = {region.side: region.depth_m for region in regions if region.axis == axis}
+    low, high = -0.5 * edge_m + depth.get("low", 0.0), 0.5 * edge_m - depth.get("high", 0.0)
+    inner = np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
+    return np.unique(np.concatenate([[-0.5 * edge_m], inner, [0.5 * edge_m]]))
+
+
+def _write_mesh(
+    file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
+) -> NDArray[np.float64]:
+    """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
+    axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
+    nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = tetrahedra((len(axes[0]), len(axes[1]), len(axes[2])))
+    lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
+    lines.append(f"POINTS {len(nodes_m)} double")
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in (scale * nodes_m).tolist()]
+    lines.append(f"CELLS {len(cells)} {5 * len(cells)}")
+    lines += ["4 " + " ".join(map(str, cell)) for cell in cells.tolist()]
+    lines.append(f"CELL_TYPES {len(cells)}")
+    lines += ["10"] * len(cells)
+    file.write_text("\n".join(lines) + "\n")
+    return nodes_m
