@@ -97,10 +97,9 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     try:
         content = read_regular(path, MOST_FILE_BYTES)
         text = content.decode("utf-8")
-    except OSError as error:
-        raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise AssetError(path, "", f"cannot be read: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise AssetError(path, "", f"cannot be read: {reason or error}") from error
     refusal = _refusal(content)
     if refusal is not None:
         raise AssetError(path, "", f"{refusal}: simplify the model")
@@ -152,20 +151,21 @@ def _complete(path: Path, model: mujoco.MjModel) -> None:
         body, _, part = rest.rpartition("/")
         if part not in ("kinds", "weight") or table not in ("flex_stiffness", "flex_bending"):
             continue
-        rows = _table(path, model, table, body)
+        flex, place = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body), f"{table}/{body}"
+        if flex < 0:
+            raise AssetError(path, place, "the file has no flex of this name: correct the name of the numeric")
+        rows = flex_table(model, table, flex)
         if part == "weight":
             weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
             weighed *= values[:, None]
             continue
-        kind = numbers.get(f"{table}/{body}/kind")
+        kind = numbers.get(f"{place}/kind")
         if kind is None:
-            raise AssetError(
-                path, name, f"custom numeric '{table}/{body}/kind', the index of each row, is missing: add it"
-            )
-        width = rows.size // _divided(path, f"{table}/{body}/kind", rows.size, len(kind))
+            raise AssetError(path, name, f"custom numeric '{place}/kind', the index of each row, is missing: add it")
+        width = rows.size // _divided(path, f"{place}/kind", rows.size, len(kind))
         kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
         if kind.min() < 0 or kind.max() >= len(kinds):
-            raise AssetError(path, f"{table}/{body}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
+            raise AssetError(path, f"{place}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
         rows[:] = kinds[kind.astype(int)].ravel()
 
 
@@ -174,14 +174,6 @@ def _divided(path: Path, name: str, size: int, count: int) -> int:
     if count < 1 or size % count:
         raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers: write all rows")
     return count
-
-
-def _table(path: Path, model: mujoco.MjModel, table: str, body: str) -> NDArray[np.float64]:
-    """Return a writable view of the part of a compiled table that belongs to the flex of a deformable body."""
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body)
-    if index < 0:
-        raise AssetError(path, f"{table}/{body}", "the file has no flex of this name: correct the name of the numeric")
-    return flex_table(model, table, index)
 
 
 # --- scene of a file -------------------------------------------------------------------------------------------------
@@ -240,14 +232,10 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             parent = other_end(hinge, body.name)
             if model.body(model.body(body.name).parentid[0]).name != parent:
                 raise AssetError(path, body.name, f"it hangs on {parent!r}: make it a child of that body")
-        if body.motion is Motion.KINEMATIC:
-            _check_driven(path, model, body)
-
-
-def _check_driven(path: Path, model: mujoco.MjModel, body: RigidBody) -> None:
-    index = model.body(body.name).id
-    if not np.all(model.body_inertia[index] == model.body_mass[index]):
-        raise AssetError(path, body.name, "its mass and its moments of inertia must be the same number: it is driven")
+        found = model.body(body.name)
+        if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
+            reason = "its mass and its moments of inertia must be the same number: it is driven"
+            raise AssetError(path, body.name, reason)
 
 
 def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
@@ -294,8 +282,10 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
             parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
             expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
             own = rates[first : first + len(expected)]
-            if parent is not None or not is_same(own, expected):
-                started = _same_or_moving(started, _with_rates(model, started, own, parent))
+            moving = _with_rates(model, started, own, parent)
+            is_still = parent is None and is_same(own, expected)
+            if not is_still and not is_same(_velocities(moving), _velocities(started)):
+                started = moving
             own[:] = 0.0
         found[body.name] = started
     yield from (found[body.name] for body in scene.bodies)
@@ -322,10 +312,8 @@ def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array(model.key_qvel[key])
 
 
-def _same_or_moving(expected: RigidBody, moving: RigidBody) -> RigidBody:
-    """Return the expected body if both have the same velocities up to rounding, otherwise the other one."""
-    velocities = [[one.linear_velocity_m_per_s, one.angular_velocity_rad_per_s] for one in (expected, moving)]
-    return expected if is_same(velocities[1], velocities[0]) else moving
+def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
+    return [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
 
 
 def _with_rates(
