@@ -408,11 +408,7 @@ class Backend(ABC):
 
 
 def worlds_of(
-    engine: Backend,
-    scenes: Sequence[Scene],
-    settings: Mapping[str, Any] | None = None,
-    *,
-    restart_alone: bool = False,
+    engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None, *, restart_alone: bool = False
 ) -> Worlds:
     """Build several instances of a scene that may differ in starts and constants.
 

@@ -291,10 +291,7 @@ def proximity_properties(
     if settings.contact_model == "point" and isinstance(body.shape, Box | ConvexUnion):
         stiffness /= POINTS_PER_FACE
     geometry.AddContactMaterial(
-        properties,
-        dissipation=constants.dissipation_s_per_m,
-        point_stiffness=stiffness,
-        friction=friction,
+        properties, dissipation=constants.dissipation_s_per_m, point_stiffness=stiffness, friction=friction
     )
     # Relaxation times of the two bodies of a pair add up.
     properties.AddProperty("material", "relaxation_time", 0.5 * constants.relaxation_s)

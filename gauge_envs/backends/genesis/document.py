@@ -12,6 +12,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from math import pi
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -28,10 +29,10 @@ from gauge_envs.scene import (
     Cylinder,
     Hinge,
     Motion,
-    Plane,
     Pose,
     RigidBody,
     Scene,
+    Shape,
     Sphere,
 )
 from gauge_envs.scene.meshes import body_mass_properties
@@ -114,20 +115,14 @@ def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
 
 
 def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
+    solref, impedance = (settings.sustained_timeconst_s, settings.sustained_dampratio), settings.sustained_impedance
     if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
         speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
         weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
-        impedance = settings.impact_impedance
-        return Constants(
-            contact.friction, (1.0 / (damping * frequency), damping), (impedance, impedance, 0.001, *IMPEDANCE_SHAPE)
-        )
-    return Constants(
-        contact.friction,
-        (settings.sustained_timeconst_s, settings.sustained_dampratio),
-        (*settings.sustained_impedance, *IMPEDANCE_SHAPE),
-    )
+        solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
+    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE))
 
 
 @cache
@@ -224,9 +219,8 @@ def document(
         margin_m: Thickness by which the geoms of these bodies exceed them [m].
     """
     root = ElementTree.Element("mujoco")
-    ElementTree.SubElement(root, "compiler", angle="radian", autolimits="false")
-    asset = ElementTree.SubElement(root, "asset")
-    world = ElementTree.SubElement(root, "worldbody")
+    _add(root, "compiler", angle="radian", autolimits="false")
+    asset, world = _add(root, "asset"), _add(root, "worldbody")
     layers = layers_of_bodies(scene, settings)
     hinges = world_hinges(scene)
     for index, body in enumerate(scene.bodies):
@@ -256,29 +250,29 @@ def _enlarged(shape: Box | Sphere | Cylinder, margin_m: float) -> Box | Sphere |
     return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
 
 
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+    """Add an element, whose numbers have all their digits, and return it."""
+
+    def text(value: Any) -> str:
+        is_text = isinstance(value, str | int)
+        return str(value) if is_text else " ".join(repr(float(number)) for number in np.ravel(value))
+
+    return ElementTree.SubElement(parent, tag, {name: text(value) for name, value in attributes.items()})
 
 
 def _add_body(
     world: ElementTree.Element, index: int, body: RigidBody, hinge: Hinge | None, settings: SettingsGenesis
 ) -> ElementTree.Element:
-    pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M)) if hinge is None else body.pose
-    element = ElementTree.SubElement(
-        world, "body", name=body_label(index), pos=_text(pose.position_m), quat=_text(pose.quaternion)
-    )
+    pose, label = body.pose, body_label(index)
     if hinge is None:
-        ElementTree.SubElement(element, "freejoint", name=body_label(index))
+        pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M))
+    element = _add(world, "body", name=label, pos=pose.position_m, quat=pose.quaternion)
+    if hinge is None:
+        _add(element, "freejoint", name=label)
     else:
-        ElementTree.SubElement(
-            element,
-            "joint",
-            name=body_label(index),
-            type="hinge",
-            pos=_text(pose.to_body(np.asarray(hinge.anchor_m))),
-            axis=_text(pose.rotation.inv().apply(hinge.axis)),
-            armature=repr(settings.hinge_armature_kg_m2),
-        )
+        anchor, axis = pose.to_body(np.asarray(hinge.anchor_m)), pose.rotation.inv().apply(hinge.axis)
+        armature = settings.hinge_armature_kg_m2
+        _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, armature=armature)
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.
@@ -287,13 +281,7 @@ def _add_body(
         mass_kg = body.mass_kg
         centre_m, inertia = body_mass_properties(body)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    ElementTree.SubElement(
-        element,
-        "inertial",
-        pos=_text(centre_m),
-        mass=repr(float(mass_kg)),
-        fullinertia=_text(inertia[place] for place in order),
-    )
+    _add(element, "inertial", pos=centre_m, mass=mass_kg, fullinertia=[inertia[place] for place in order])
     return element
 
 
@@ -310,39 +298,35 @@ def _add_geoms(
     pose: Pose,
     copies: Iterable[tuple[Constants, Layer]],
 ) -> None:
-    shapes = _shapes(body)
-    for number, attributes in enumerate(shapes):
-        if attributes["type"] == "mesh":
-            label = f"{body_label(index)}/{number}"
-            ElementTree.SubElement(asset, "mesh", name=label, vertex=attributes.pop("vertex"))
-            attributes["mesh"] = label
+    shapes = [_primitive(body.shape)]
+    if isinstance(body.shape, ConvexUnion):
+        labels = [f"{body_label(index)}/{number}" for number in range(len(body.shape.pieces_m))]
+        shapes = [{"type": "mesh", "mesh": label} for label in labels]
+        for label, piece in zip(labels, body.shape.pieces_m, strict=True):
+            _add(asset, "mesh", name=label, vertex=piece)
     for constants, layer in copies:
-        for attributes in shapes:
-            ElementTree.SubElement(
+        for shape in shapes:
+            _add(
                 parent,
                 "geom",
-                attributes,
-                pos=_text(pose.position_m),
-                quat=_text(pose.quaternion),
-                contype=str(layer.offers),
-                conaffinity=str(layer.accepts),
-                friction=_text((constants.friction, 0.0, 0.0)),
-                solref=_text(constants.solref),
-                solimp=_text(constants.solimp),
+                **shape,
+                pos=pose.position_m,
+                quat=pose.quaternion,
+                contype=layer.offers,
+                conaffinity=layer.accepts,
+                friction=(constants.friction, 0.0, 0.0),
+                solref=constants.solref,
+                solimp=constants.solimp,
                 # Geoms of this group are not rendered.
                 group="3",
             )
 
 
-def _shapes(body: RigidBody) -> list[dict[str, str]]:
-    shape = body.shape
+def _primitive(shape: Shape) -> dict[str, Any]:
     if isinstance(shape, Box):
-        return [{"type": "box", "size": _text(0.5 * edge for edge in shape.size_m)}]
+        return {"type": "box", "size": [0.5 * edge for edge in shape.size_m]}
     if isinstance(shape, Sphere):
-        return [{"type": "sphere", "size": _text([shape.radius_m])}]
+        return {"type": "sphere", "size": shape.radius_m}
     if isinstance(shape, Cylinder):
-        return [{"type": "cylinder", "size": _text([shape.radius_m, 0.5 * shape.length_m])}]
-    if isinstance(shape, Plane):
-        return [{"type": "plane", "size": "0 0 1"}]
-    assert isinstance(shape, ConvexUnion)
-    return [{"type": "mesh", "vertex": _text(np.asarray(piece).ravel())} for piece in shape.pieces_m]
+        return {"type": "cylinder", "size": [shape.radius_m, 0.5 * shape.length_m]}
+    return {"type": "plane", "size": "0 0 1"}

@@ -209,11 +209,7 @@ class PBDKernels:
 
     @qd.kernel
     def rub(
-        self,
-        geoms_state: qd.template(),
-        geoms_info: qd.template(),
-        links_state: qd.template(),
-        sdf_info: qd.template(),
+        self, geoms_state: qd.template(), geoms_info: qd.template(), links_state: qd.template(), sdf_info: qd.template()
     ):
         """Apply Coulomb's friction to particles that were moved out of rigid bodies, as far as they were moved."""
         for p in range(self.particle_count):

@@ -39,11 +39,7 @@ class LinePartMuJoCo(FlexPart):
     """
 
     def __init__(
-        self,
-        flex: mujoco.MjsFlex,
-        rest_m: NDArray[np.float64],
-        points: Points,
-        geoms: Sequence[mujoco.MjsGeom] = (),
+        self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points, geoms: Sequence[mujoco.MjsGeom] = ()
     ) -> None:
         super().__init__(flex, rest_m, points)
         self.geoms = list(geoms)

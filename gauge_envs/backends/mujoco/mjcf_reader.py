@@ -28,12 +28,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import (
-    START_KEY,
-    build_model,
-    parents_first,
-    start_rates,
-)
+from gauge_envs.backends.mujoco.model import START_KEY, build_model, parents_first, start_rates
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -392,13 +387,7 @@ def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> N
     return rows
 
 
-def _driver(
-    path: Path,
-    model: mujoco.MjModel,
-    scene: Scene,
-    driver: Driver,
-    simulation: SimulationMuJoCo,
-) -> Driver:
+def _driver(path: Path, model: mujoco.MjModel, scene: Scene, driver: Driver, simulation: SimulationMuJoCo) -> Driver:
     """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
     from gauge_envs.scene.driver_path import DriverPath
 

@@ -171,13 +171,7 @@ class StepperMPM(Stepper):
     """
 
     def __init__(
-        self,
-        model: newton.Model,
-        *,
-        driven: Sequence[int],
-        pins: Sequence[Pin],
-        voxel_m: float,
-        settings: SettingsMPM,
+        self, model: newton.Model, *, driven: Sequence[int], pins: Sequence[Pin], voxel_m: float, settings: SettingsMPM
     ) -> None:
         config = SolverImplicitMPM.Config(
             voxel_size=voxel_m,

@@ -93,11 +93,7 @@ class RigidIndex:
 
 
 def add_bodies(
-    builder: newton.ModelBuilder,
-    scene: Scene,
-    *,
-    config: newton.ModelBuilder.ShapeConfig,
-    solids: Solids = "exact",
+    builder: newton.ModelBuilder, scene: Scene, *, config: newton.ModelBuilder.ShapeConfig, solids: Solids = "exact"
 ) -> RigidIndex:
     """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
 

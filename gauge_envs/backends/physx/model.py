@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
@@ -168,7 +168,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     materials = {
         c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
     }
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     parts = {}
     for body in scene.bodies:
         hinge = hinges.get(body.name)

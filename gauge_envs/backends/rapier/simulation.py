@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 
 import numpy as np
@@ -24,19 +23,6 @@ LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
 
 
-@dataclass(frozen=True)
-class StateRapier:
-    """A state of a simulation.
-
-    Attributes:
-        world: Snapshot of the Rapier world.
-        motions: Motions of driven bodies in the next interval, by name.
-    """
-
-    world: bytes
-    motions: dict[str, DrivenMotion]
-
-
 class _SceneWorld(PlacedWorld):
     """One scene in a Rapier world, which may hold more of them."""
 
@@ -45,46 +31,26 @@ class _SceneWorld(PlacedWorld):
         self._layouts = layouts
         self.placed = placed_states(scene)
         self._bodies: dict[str, rapier.RigidBody] = {}
-        self._motions: dict[str, DrivenMotion] = {}
-        self._velocities: dict[str, list[list[float]]] = {}
+        self.motions: dict[str, DrivenMotion] = {}
 
     def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
         bodies = world.rigid_bodies
         self._bodies = {name: bodies[layout.handle] for name, layout in self._layouts.items()}
-        self._motions = dict(motions)
+        self.motions = dict(motions)
 
     def release(self) -> None:
         """Hold no body any more."""
-        self._bodies, self._motions = {}, {}
+        self._bodies, self.motions = {}, {}
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
-        self._motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
+        self.motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._bodies[body].position = isometry(pose)
-        self._set_velocity(body, velocity)
+        self.set_velocity(body, velocity)
 
-    @property
-    def is_driven(self) -> bool:
-        """Whether a body is driven in the current interval."""
-        return bool(self._motions)
-
-    def start_interval(self, seconds: float, step_count: int) -> None:
-        """Compute the velocities of driven bodies in the steps of an interval [s]."""
-        self._velocities = {name: _mean_velocities(one, seconds, step_count) for name, one in self._motions.items()}
-
-    def prepare_step(self, index: int) -> None:
-        """Give driven bodies the mean velocity of a step, by which Rapier moves them to its end."""
-        for name, velocities in self._velocities.items():
-            self._set_velocity(name, velocities[index])
-
-    def end_interval(self, seconds: float) -> None:
-        """Give driven bodies the velocity at the end of the interval."""
-        for name, motion in self._motions.items():
-            self._set_velocity(name, motion.velocity_at(seconds))
-        self._motions = {}
-
-    def _set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+    def set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+        """Give a driven body a velocity, by which Rapier moves it in the next step."""
         held = self._bodies[body]
         held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
@@ -145,16 +111,20 @@ def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
 
 
 def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
-    step_count = round(seconds / step_s)
-    for part in parts:
-        part.start_interval(seconds, step_count)
-    driven = [part for part in parts if part.is_driven]
-    for index in range(step_count):
-        for part in driven:
-            part.prepare_step(index)
+    """Step a world; driven bodies have the mean velocity of each step, and that of the end of the interval after it."""
+    count = round(seconds / step_s)
+    driven = [
+        (part, name, motion, _mean_velocities(motion, seconds, count))
+        for part in parts
+        for name, motion in part.motions.items()
+    ]
+    for index in range(count):
+        for part, name, _, velocities in driven:
+            part.set_velocity(name, velocities[index])
         world.step()
-    for part in parts:
-        part.end_interval(seconds)
+    for part, name, motion, _ in driven:
+        part.set_velocity(name, motion.velocity_at(seconds))
+        part.motions = {}
 
 
 class SimulationRapier(_SceneWorld, Simulation):
@@ -171,12 +141,12 @@ class SimulationRapier(_SceneWorld, Simulation):
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
         self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)
-        self._start = StateRapier(world.snapshot(), {})
-        self._continue_from(self._start)
+        self._start = world.snapshot()
+        self._continue_from(self._start, {})
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
-        self._continue_from(self._start)
+        self._continue_from(self._start, {})
 
     def advance(self, seconds: float) -> None:
         """Step the world."""
@@ -184,15 +154,15 @@ class SimulationRapier(_SceneWorld, Simulation):
 
     def state(self) -> Snapshot:
         """Return a snapshot of the world and the motions of driven bodies, with their origin."""
-        return self._origin.state(StateRapier(self._world.snapshot(), dict(self._motions)))
+        return self._origin.state((self._world.snapshot(), dict(self.motions)))
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
-        self._continue_from(self._origin.values(state))
+        self._continue_from(*self._origin.values(state))
 
-    def _continue_from(self, state: StateRapier) -> None:
-        self._world = _restored(state.world, self._threads)
-        self.hold(self._world, state.motions)
+    def _continue_from(self, world: bytes, motions: dict[str, DrivenMotion]) -> None:
+        self._world = _restored(world, self._threads)
+        self.hold(self._world, motions)
 
     def close(self) -> None:
         """Free the world."""

@@ -263,10 +263,7 @@ class TetrahedralMesh:
         flipped = volumes < 0.0
         all_tetrahedra[flipped] = all_tetrahedra[flipped][:, [1, 0, 2, 3]]
         return cls(
-            points_m=all_points,
-            tetrahedra=all_tetrahedra,
-            volumes_m3=np.abs(volumes),
-            blocks=np.concatenate(blocks),
+            points_m=all_points, tetrahedra=all_tetrahedra, volumes_m3=np.abs(volumes), blocks=np.concatenate(blocks)
         )
 
     def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> NDArray[np.float64]:
