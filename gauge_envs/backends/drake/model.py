@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -63,6 +63,10 @@ POINTS_PER_FACE = 5
 
 UNMOVED_KG = 1e9
 """Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
+
+
+Groups = list[tuple[list[Contact], dict[str, list[GeometryId]]]]
+"""Contacts with equal constants, and the geometries of each body in them by name, for each group."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,58 +158,44 @@ def _rotational_inertia(moments: NDArray[np.float64]) -> RotationalInertia:
     )
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Geometries of the contacts with equal constants, which share them.
-
-    Attributes:
-        contacts: The contacts.
-        geometries: Geometries of each body in the contacts, by name.
-    """
-
-    contacts: list[Contact] = field(default_factory=list)
-    geometries: dict[str, list[GeometryId]] = field(default_factory=dict)
-
-
-def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake) -> list[_Group]:
+def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake) -> Groups:
     """Add the shapes of all bodies, once for each group of contacts, so that every pair has its own constants."""
-    groups: dict[ContactConstants, _Group] = defaultdict(_Group)
+    contacts: dict[ContactConstants, list[Contact]] = defaultdict(list)
     for contact in scene.contacts:
-        groups[contact_constants(scene, contact, settings)].contacts.append(contact)
-    for index, (constants, group) in enumerate(groups.items()):
-        names = (name for contact in group.contacts for name in (*contact.first, *contact.second))
-        for name in dict.fromkeys(names):
+        contacts[contact_constants(scene, contact, settings)].append(contact)
+    groups: Groups = []
+    for index, (constants, members) in enumerate(contacts.items()):
+        geometries: dict[str, list[GeometryId]] = {}
+        for name in dict.fromkeys(name for contact in members for name in (*contact.first, *contact.second)):
             body = scene.body(name)
             frame = bodies.get(name, plant.world_body())
-            offset = rigid_transform(body.pose) if body.motion is Motion.FIXED else RigidTransform()
-            parts = collision_parts(body.shape)
+            place = rigid_transform(body.pose) if body.motion is Motion.FIXED else RigidTransform()
+            parts = [(place @ RigidTransform(), shape) for shape in _shapes(body.shape)]
             if settings.contact_model == "point" and body.motion is not Motion.FIXED:
-                parts += corner_parts(body.shape)
-            group.geometries[name] = [
-                plant.RegisterCollisionGeometry(
-                    frame,
-                    offset @ part.pose,
-                    part.shape,
-                    f"{name}/{index}/{number}",
-                    proximity_properties(body, part, constants, settings),
-                )
-                for number, part in enumerate(parts)
+                # Tiny spheres at the vertices of a polyhedron are further contact points.
+                corners = np.unique(body.shape.corners_m, axis=0) if isinstance(body.shape, Box | ConvexUnion) else ()
+                parts += [(place @ RigidTransform(one), geometry.Sphere(CORNER_RADIUS_M)) for one in corners]
+            properties = _proximity_properties(body, constants, settings)
+            geometries[name] = [
+                plant.RegisterCollisionGeometry(frame, pose, shape, f"{name}/{index}/{number}", properties)
+                for number, (pose, shape) in enumerate(parts)
             ]
-    return list(groups.values())
+        groups.append((members, geometries))
+    return groups
 
 
-def _filter(scene_graph: Any, scene: Scene, groups: list[_Group]) -> None:
+def _filter(scene_graph: Any, scene: Scene, groups: Groups) -> None:
     """Let the pairs of each contact collide and no others."""
     manager = scene_graph.collision_filter_manager()
-    everything = [one for group in groups for ids in group.geometries.values() for one in ids]
+    everything = [one for _, geometries in groups for ids in geometries.values() for one in ids]
     manager.Apply(CollisionFilterDeclaration().ExcludeWithin(GeometrySet(everything)))
-    for group in groups:
+    for contacts, geometries in groups:
         partners: dict[str, list[GeometryId]] = defaultdict(list)
-        for contact in group.contacts:
+        for contact in contacts:
             for first, second in scene.colliding_pairs(contact):
-                partners[first].extend(group.geometries[second])
+                partners[first].extend(geometries[second])
         for first, others in partners.items():
-            ours = GeometrySet(group.geometries[first])
+            ours = GeometrySet(geometries[first])
             manager.Apply(CollisionFilterDeclaration().AllowBetween(ours, GeometrySet(others)))
 
 
@@ -235,52 +225,25 @@ def _start(
 # --- collision geometry -----------------------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Part:
-    """One Drake shape of a body.
-
-    Attributes:
-        pose: Pose in the body frame.
-        shape: Drake's shape.
-        is_curved: Whether the shape touches others in one point; such shapes collide by point contact.
-    """
-
-    pose: RigidTransform
-    shape: geometry.Shape
-    is_curved: bool = False
-
-
-def collision_parts(shape: Shape) -> list[Part]:
-    """Return a shape as Drake's shapes; a concave solid becomes one part for each convex piece."""
-    here = RigidTransform()
+def _shapes(shape: Shape) -> list[geometry.Shape]:
+    """Return a shape as Drake's shapes; a concave solid becomes one for each convex piece."""
     if isinstance(shape, Box):
-        return [Part(pose=here, shape=geometry.Box(*shape.size_m))]
+        return [geometry.Box(*shape.size_m)]
     if isinstance(shape, Sphere):
-        return [Part(pose=here, shape=geometry.Sphere(shape.radius_m), is_curved=True)]
+        return [geometry.Sphere(shape.radius_m)]
     if isinstance(shape, Cylinder):
-        return [Part(pose=here, shape=geometry.Cylinder(shape.radius_m, shape.length_m))]
+        return [geometry.Cylinder(shape.radius_m, shape.length_m)]
     if isinstance(shape, Plane):
-        return [Part(pose=here, shape=geometry.HalfSpace())]
-    assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
-    parts = []
-    for number, piece in enumerate(shape.pieces_m):
-        points = np.asarray(piece)
-        parts.append(Part(pose=here, shape=geometry.Convex(points=points.T, label=f"piece-{number}")))
-    return parts
+        return [geometry.HalfSpace()]
+    assert isinstance(shape, ConvexUnion), "compounds are declined by BackendDrake.unsupported"
+    pieces = (np.asarray(piece).T for piece in shape.pieces_m)
+    return [geometry.Convex(points=points, label=f"piece-{number}") for number, points in enumerate(pieces)]
 
 
-def corner_parts(shape: Shape) -> list[Part]:
-    """Return tiny spheres at the vertices of a polyhedron, or nothing for other shapes."""
-    if not isinstance(shape, Box | ConvexUnion):
-        return []
-    corners = np.unique(shape.corners_m, axis=0)
-    return [Part(pose=RigidTransform(p), shape=geometry.Sphere(CORNER_RADIUS_M), is_curved=True) for p in corners]
-
-
-def proximity_properties(
-    body: RigidBody, part: Part, constants: ContactConstants, settings: SettingsDrake
+def _proximity_properties(
+    body: RigidBody, constants: ContactConstants, settings: SettingsDrake
 ) -> geometry.ProximityProperties:
-    """Return the contact properties of one part of a body in one contact of the scene."""
+    """Return the contact properties of a body in one contact of the scene."""
     properties = geometry.ProximityProperties()
     friction = CoulombFriction(constants.friction, constants.friction)
     if settings.drake_material:
@@ -295,7 +258,8 @@ def proximity_properties(
     )
     # Relaxation times of the two bodies of a pair add up.
     properties.AddProperty("material", "relaxation_time", 0.5 * constants.relaxation_s)
-    if settings.contact_model == "hydroelastic" and not part.is_curved:
+    # Spheres touch others in one point, so they collide by point contact.
+    if settings.contact_model == "hydroelastic" and not isinstance(body.shape, Sphere):
         # Drake meshes boxes and convex solids exactly, so the edge length only counts for cylinders.
         edge_m = 2.0 * np.pi * body.shape.radius_m / CYLINDER_SIDES if isinstance(body.shape, Cylinder) else 1.0
         if body.motion is Motion.DYNAMIC:

@@ -10,9 +10,8 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Simulation, Worlds
-from gauge_envs.backends.genesis.presets import settings_for
+from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.genesis.support import unsupported_features
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
 from gauge_envs.scene import Scene
 

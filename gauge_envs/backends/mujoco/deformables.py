@@ -6,15 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
 from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, ROPE_CELL_M, SettingsMuJoCo
-from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
+from gauge_envs.backends.mujoco.soft import add_soft
 from gauge_envs.backends.shared.attachments import attachment_problems, bonded_soft_bodies, rigid_attachments
 from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
@@ -57,12 +55,6 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each feature of the scene's deformable bodies that this backend does not support."""
     yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
     yield from _frictions_in_conflict(scene)
-
-
-def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
-    """Return the current nodes of one deformable body [m], shape [node_count, 3]."""
-    nodes = part.nodes()
-    return nodes[part.block_nodes(name)] if isinstance(part, SoftPartMuJoCo) else nodes
 
 
 def add_flex_contact(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -99,7 +100,10 @@ class FlexPart:
         flex: The flex in the editable model; `add_flex_contact` sets its contact bits and friction.
         rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
         points: The points that carry the flex.
+        node_indices: Indices of each body's nodes among those of a soft row, by name; empty for a single body.
     """
+
+    node_indices: Mapping[str, NDArray[np.intp]] = MappingProxyType({})
 
     def __init__(self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points) -> None:
         self.name, self.flex = flex.name, flex

@@ -45,14 +45,7 @@ class LinePartMuJoCo(FlexPart):
         self.geoms = list(geoms)
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points in or on the line; each moves with its cross-section, without twist.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-        """
+        """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
         span = self.rest_m[-1] - self.rest_m[0]
         length, count = float(np.linalg.norm(span)), len(self.rest_m) - 1
         axis = span / length

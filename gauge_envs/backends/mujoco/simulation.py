@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, check_air_step
-from gauge_envs.backends.mujoco.deformables import nodes_of
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
@@ -140,7 +139,8 @@ class SimulationMuJoCo(Simulation):
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
-        return nodes_of(self._parts[name], name)
+        part = self._parts[name]
+        return part.nodes()[part.node_indices[name]] if name in part.node_indices else part.nodes()
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""

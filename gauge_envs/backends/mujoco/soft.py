@@ -48,7 +48,7 @@ class SoftPartMuJoCo(FlexPart):
     """One soft body, or one soft row, of a MuJoCo model.
 
     Material in a grip moves rigidly and is not simulated: the elements span the free material and have its mass.
-    `nodes`, `block_nodes` and `track` read the free material only.
+    `nodes` and `track` read the free material only.
 
     Attributes:
         names: Names of the bodies, in their order along the soft row.
@@ -64,7 +64,7 @@ class SoftPartMuJoCo(FlexPart):
         self._soft_row = soft_row
         self._layers = tuple(layers)
         self._grid = lattice.weights(self.rest_m)
-        self._nodes = soft_row.nodes_of(self.rest_m)
+        self.node_indices = soft_row.nodes_of(self.rest_m)
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the stiffness of each cell's material."""
@@ -83,19 +83,8 @@ class SoftPartMuJoCo(FlexPart):
         """Return the current world positions of the grid of points [m], shape [node_count, 3]."""
         return self._grid @ self.points.positions()
 
-    def block_nodes(self, name: str) -> NDArray[np.intp]:
-        """Return indices into `nodes` of a body's nodes, shape [block_node_count]; bonded faces belong to both."""
-        return self._nodes[name]
-
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points, which interpolates with the shape functions of the elements.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-        """
+        """Return a reader of material points by the shape functions of the elements; see `World.track`."""
         weights = self._lattice.weights(self._soft_row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: weights @ self.points.positions()
 
@@ -160,7 +149,6 @@ def add_soft(
     soft_row: SoftRow,
     *,
     cell_m: float | None = None,
-    cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
     """Add a soft body or a soft row without contacts.
@@ -168,12 +156,11 @@ def add_soft(
     Args:
         spec: Editable model that contains the rigid bodies.
         soft_row: The soft row.
-        cell_m: Largest edge of a cell [m], used without `cells`.
-        cells: Cells along and across each body; without `cell_m`, `LONE_CELLS` or `BONDED_CELLS` by default.
+        cell_m: Largest edge of a cell [m]; None gives each body `LONE_CELLS` or `BONDED_CELLS` along and across.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
-    each = _cells_of_a_block(blocks, axis, cell_m, cells)
+    each = _cells_of_a_block(blocks, axis, cell_m)
     layers = _layers_of_blocks(blocks, axis, each[axis])
     lattice = _Lattice(low_m, high_m, tuple(sum(layers) if i == axis else n for i, n in enumerate(each)), axis)
 
@@ -208,12 +195,10 @@ def add_soft(
     return SoftPartMuJoCo(flex, lattice, soft_row, points, layers)
 
 
-def _cells_of_a_block(
-    blocks: Sequence[Block], axis: int, cell_m: float | None, cells: tuple[int, int] | None
-) -> tuple[int, ...]:
+def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) -> tuple[int, ...]:
     """Return the number of cells of each block along x, y and z."""
-    if cells is not None or cell_m is None:
-        along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
+    if cell_m is None:
+        along, across = LONE_CELLS if len(blocks) == 1 else BONDED_CELLS
         return tuple(along if i == axis else across for i in range(3))
     # Blocks at the ends of a row lose material to the grips; the longest one decides.
     edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)

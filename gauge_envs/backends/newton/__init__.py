@@ -5,7 +5,7 @@ The first build imports the engine, which takes seconds.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from types import MappingProxyType
 from typing import Any
@@ -29,14 +29,11 @@ class BackendNewton(BundledBackend):
     modules = ("newton", "warp", "mujoco_warp")
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
+    unsupported = staticmethod(unsupported_features)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
     joins_bodies = True
     worlds_mix_constants = True
     worlds_restart_alone = True
-
-    def unsupported(self, scene: Scene) -> Iterator[str]:
-        """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
-        return unsupported_features(scene)
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of the settings class of the preset's solver."""

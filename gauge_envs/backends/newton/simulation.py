@@ -189,7 +189,7 @@ class WorldsNewton(Worlds):
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies in all worlds, with one copy from the device."""
-        if not names or not self._bodies.keys() >= set(names):
+        if not self._all_move(names):
             return super().body_states(names)
         states = self._stepper.body_states(self._indices(names)).reshape(len(self.worlds), len(names), 13)
         states[:, :, :3] += self._origins_m
@@ -197,7 +197,7 @@ class WorldsNewton(Worlds):
 
     def body_positions(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return positions of bodies in all worlds, with one copy from the device."""
-        if not names or not self._bodies.keys() >= set(names):
+        if not self._all_move(names):
             return super().body_positions(names)
         positions = self._stepper.body_positions(self._indices(names)).reshape(len(self.worlds), len(names), 3)
         return positions + self._origins_m
@@ -209,6 +209,9 @@ class WorldsNewton(Worlds):
             origins_m = self._origins_m[:, 0]
             self._recorder = Recorder(self._stepper, bodies, origins_m, frame_count=frame_count, samples=samples)
         return self._recorder.run(interval_s)
+
+    def _all_move(self, names: Sequence[str]) -> bool:
+        return bool(names) and self._bodies.keys() >= set(names)
 
     def _indices(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Return the indices of bodies in the model, all of the first world first."""

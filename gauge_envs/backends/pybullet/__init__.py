@@ -6,7 +6,7 @@ The first build imports the engine.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any
 
@@ -34,6 +34,7 @@ class BackendPyBullet(BundledBackend):
     modules = ("pybullet",)
     packages = ("pybullet",)
     settings_for = staticmethod(settings_for)
+    unsupported = staticmethod(unsupported_features)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
     joins_bodies = True
 
@@ -44,10 +45,6 @@ class BackendPyBullet(BundledBackend):
         return ModuleNotFoundError(
             "PyBullet on Python 3.11 (for later versions it has no wheels; 'pip install pybullet' then compiles it)"
         )
-
-    def unsupported(self, scene: Scene) -> Iterator[str]:
-        """Yield one sentence for each feature of a scene that this backend does not support."""
-        return unsupported_features(scene)
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
         """Build a scene; settings are the fields of `SettingsPyBullet`."""

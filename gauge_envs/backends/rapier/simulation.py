@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
-from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, Layout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
@@ -26,9 +26,9 @@ LARGEST_SHARE = 64
 class _SceneWorld(PlacedWorld):
     """One scene in a Rapier world, which may hold more of them."""
 
-    def __init__(self, scene: Scene, layouts: dict[str, BodyLayout], settings: SettingsRapier) -> None:
+    def __init__(self, scene: Scene, layout: Layout, settings: SettingsRapier) -> None:
         self.settings = settings.model_dump(mode="json")
-        self._layouts = layouts
+        self._layout = layout
         self.placed = placed_states(scene)
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
@@ -36,7 +36,7 @@ class _SceneWorld(PlacedWorld):
     def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
         bodies = world.rigid_bodies
-        self._bodies = {name: bodies[layout.handle] for name, layout in self._layouts.items()}
+        self._bodies = {name: bodies[handle] for name, (handle, _) in self._layout.items()}
         self.motions = dict(motions)
 
     def release(self) -> None:
@@ -78,7 +78,7 @@ class _SceneWorld(PlacedWorld):
         place, turned, speed, spin = body.translation, body.rotation, body.linvel, body.angvel
         x, y, z, w = turned.quaternion
         state = np.array([*place.to_tuple(), w, x, y, z, *speed.to_tuple(), *spin.to_tuple()])
-        centre_m = self._layouts[name].centre_m
+        _, centre_m = self._layout[name]
         if centre_m.any():
             # Rapier's velocity is that of the centre of mass.
             arm = turned.transform_vector(tuple(centre_m)).to_tuple()
@@ -136,8 +136,8 @@ class SimulationRapier(_SceneWorld, Simulation):
     """
 
     def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
-        world, (layouts,) = build_world([scene], settings)
-        super().__init__(scene, layouts, settings)
+        world, (layout,) = build_world([scene], settings)
+        super().__init__(scene, layout, settings)
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
         self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)

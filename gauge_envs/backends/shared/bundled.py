@@ -44,7 +44,7 @@ class BundledBackend(Backend):
         return {package: version(package) for package in self.packages}
 
     @abstractmethod
-    def unsupported(self, scene: Scene) -> Iterable[str]:
+    def unsupported(self, scene: Scene, /) -> Iterable[str]:
         """Yield one sentence for each feature of a scene that this backend does not support, without the engine."""
 
     def supports(self, scene: Scene) -> Support:

@@ -26,7 +26,7 @@ from gauge_envs.backends.genesis.pbd_settings import (
     pbd_presets,
     spring_stiffnesses,
 )
-from gauge_envs.backends.genesis.support import unsupported_deformables
+from gauge_envs.backends.genesis.presets import unsupported_deformables
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.scene_parts import clamped, sheet
