@@ -11,8 +11,7 @@ exceeds 4 / 3.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from gauge_envs.backends.genesis.pbd_settings import (
     inverse_masses,
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
+from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import ParameterError
@@ -87,7 +87,9 @@ class _Sheet:
         path = folder / f"{self.cloth.name}.obj"
         trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False).export(path, digits=17)
         is_grid = settings.mesh == "grid"
-        with _mesh_kept() if is_grid else nullcontext():
+        from genesis.engine.mesh import Mesh
+
+        with replaced(Mesh, remesh=(lambda *_, **__: None) if is_grid else Mesh.remesh):
             self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
         if not is_grid:
             self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
@@ -135,19 +137,6 @@ class _Sheet:
                 "step: choose a smaller timestep_s or a larger cell_m"
             )
         return compliances
-
-
-@contextmanager
-def _mesh_kept() -> Iterator[None]:
-    """Keep Genesis from making a new mesh of the mesh that it is given."""
-    from genesis.engine.mesh import Mesh
-
-    remesh = Mesh.remesh
-    Mesh.remesh = lambda self, *_, **__: None
-    try:
-        yield
-    finally:
-        Mesh.remesh = remesh
 
 
 class ClothPart(DeformablePart):

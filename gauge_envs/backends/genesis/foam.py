@@ -10,8 +10,7 @@ from __future__ import annotations
 
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from math import ceil
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,7 @@ from gauge_envs.backends.genesis.foam_settings import (
     sound_time_s,
 )
 from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
+from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
@@ -155,7 +155,12 @@ class _FEMRow(_Row):
         block = self.soft_row.blocks[0]
         path = folder / f"{block.body.name}.obj"
         trimesh.Trimesh(self.mesh.points_m, self.mesh.surface(), process=False).export(path, digits=17)
-        with _mesh_given(self.mesh):
+        from genesis.utils import element
+
+        # Genesis takes the elements of the mesh instead of making its own.
+        made = (self.mesh.points_m.copy(), self.mesh.tetrahedra.copy())
+        given = {"mesh_to_elements": lambda *_, **__: made, "split_all_surface_tets": lambda *mesh: mesh}
+        with replaced(element, **given):
             return scene.add_entity(
                 material=gs.materials.FEM.Elastic(
                     E=block.body.young_modulus_pa,
@@ -165,21 +170,6 @@ class _FEMRow(_Row):
                 ),
                 morph=gs.morphs.Mesh(file=str(path)),
             )
-
-
-@contextmanager
-def _mesh_given(mesh: TetrahedralMesh) -> Iterator[None]:
-    """Let Genesis take the elements of a mesh instead of making its own."""
-    from genesis.utils import element
-
-    made, split = element.mesh_to_elements, element.split_all_surface_tets
-    # Genesis orders the nodes of an element the other way round.
-    element.mesh_to_elements = lambda *_, **__: (mesh.points_m.copy(), mesh.tetrahedra.copy())
-    element.split_all_surface_tets = lambda points, elements: (points, elements)
-    try:
-        yield
-    finally:
-        element.mesh_to_elements, element.split_all_surface_tets = made, split
 
 
 class FEMPart(SoftPart):

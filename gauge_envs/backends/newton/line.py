@@ -158,10 +158,7 @@ def add_line(
     fixed = {
         0 if side == "low" else segments - 1 for side, attachment in ends.items() if bodies[attachment.body] == WORLD
     }
-    links = [
-        _add_segment(builder, line, 0.5 * (nodes_m[i] + nodes_m[i + 1]), rotation, length_m, on_world=i in fixed)
-        for i in range(segments)
-    ]
+    links = _add_segments(builder, line, nodes_m, rotation, length_m, fixed)
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
     for one, other in combinations(range(segments), 2):
         if not touches_itself or (other - one - 1) * length_m < CLEAR_RADII * line.radius_m:
@@ -256,27 +253,24 @@ def _held(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArr
     return _Anchor(body=index, place_m=vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
 
 
-def _add_segment(
+def _add_segments(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
-    centre_m: NDArray[np.float64],
+    nodes_m: NDArray[np.float64],
     rotation: Rotation,
     length_m: float,
-    *,
-    on_world: bool,
-) -> int:
+    fixed: set[int],
+) -> list[int]:
+    """Add a body between each two nodes; those at a fixed end have a rod joint to the world."""
     mass = line.mass_kg * length_m / line.length_m
     _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
-
-    # `add_body` also adds a free joint to the world, which a segment with a rod joint to the world must not have.
-    add = builder.add_link if on_world else builder.add_body
-    return add(
-        xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)),
-        mass=mass,
-        inertia=wp.mat33(inertia),
-        lock_inertia=True,
-        label=line.name,
-    )
+    given = {"mass": mass, "inertia": wp.mat33(inertia), "lock_inertia": True, "label": line.name}
+    links = []
+    for index, centre_m in enumerate(0.5 * (nodes_m[:-1] + nodes_m[1:])):
+        # `add_body` also adds a free joint to the world, which must not be beside a rod joint to the world.
+        add = builder.add_link if index in fixed else builder.add_body
+        links.append(add(xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)), **given))
+    return links
 
 
 def _add_capsules(
@@ -288,18 +282,12 @@ def _add_capsules(
     ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
     """Add the capsules of the segments; the round end of a free end lies within the line."""
-    shapes = []
+    shapes, config = [], newton.ModelBuilder.ShapeConfig(density=0.0)
     for index, link in enumerate(links):
         low = line.radius_m if index == 0 and "low" not in ends else 0.0
         high = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
-        shapes.append(
-            builder.add_shape_capsule(
-                link,
-                xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity()),
-                radius=line.radius_m,
-                half_height=max(0.5 * (length_m - low - high), 0.0),
-                cfg=newton.ModelBuilder.ShapeConfig(density=0.0),
-                label=line.name,
-            )
-        )
+        frame = wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity())
+        half_m = max(0.5 * (length_m - low - high), 0.0)
+        given = {"radius": line.radius_m, "half_height": half_m, "cfg": config, "label": line.name}
+        shapes.append(builder.add_shape_capsule(link, xform=frame, **given))
     return tuple(shapes)

@@ -10,7 +10,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Recording, Simulation, Worlds
-from gauge_envs.backends.newton.kernels import record_positions, record_states
+from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
@@ -86,7 +86,7 @@ class SimulationNewton(_WorldNewton, Simulation):
 class Recorder:
     """Record of the bodies of all worlds.
 
-    The host starts the recorded steps and two kernels, and waits for none of them.
+    The host starts the recorded steps and a kernel after each sample, and waits for none of them.
 
     Args:
         stepper: Stepper of the model.
@@ -134,28 +134,15 @@ class Recorder:
 
     def _record(self, sample: int) -> None:
         state = self._stepper.now
+        frame, rest = divmod(sample, self._samples)
+        bodies = (self._index, self._origins, self._centres, state.body_q, state.body_qd)
         wp.launch(
-            record_positions,
+            record,
             dim=self._bodies.shape,
-            inputs=[sample, self._index, self._origins, state.body_q],
-            outputs=[self._positions],
+            inputs=[sample, -1 if rest else frame, *bodies],
+            outputs=[self._positions, self._states],
             device=self._device,
         )
-        if sample % self._samples == 0:
-            wp.launch(
-                record_states,
-                dim=self._bodies.shape,
-                inputs=[
-                    sample // self._samples,
-                    self._index,
-                    self._origins,
-                    self._centres,
-                    state.body_q,
-                    state.body_qd,
-                ],
-                outputs=[self._states],
-                device=self._device,
-            )
 
 
 class WorldsNewton(Worlds):

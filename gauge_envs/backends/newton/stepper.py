@@ -7,7 +7,7 @@ recorded once as a graph, on the CPU or a GPU, and replayed. That is 20 to 100 t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from typing import Any
 
@@ -19,18 +19,17 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.kernels import prescribe
+from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
 WARM_UP_STEPS = 2
 """Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
 
-_own: dict[str, Callable[..., Any]] = {
-    name: factory for name, factory in vars(narrow_phase).items() if name.startswith("create_narrow_phase_")
+_shared = {
+    name: cache(factory) for name, factory in vars(narrow_phase).items() if name.startswith("create_narrow_phase_")
 }
-"""Newton's factories of kernels, which depend on their arguments alone."""
-
-_shared = {name: cache(factory) for name, factory in _own.items()}
+"""Newton's factories of kernels, which depend on their arguments alone, with one kernel for all pipelines."""
 
 Snapshot = list[NDArray[Any]]
 
@@ -51,11 +50,8 @@ def collision_pipeline(model: newton.Model, **options: Any) -> newton.CollisionP
         model: The finalized model.
         **options: Arguments of the pipeline.
     """
-    vars(narrow_phase).update(_shared)
-    try:
+    with replaced(narrow_phase, **_shared):
         return newton.CollisionPipeline(model, **options)
-    finally:
-        vars(narrow_phase).update(_own)
 
 
 class Stepper(ABC):

@@ -166,34 +166,34 @@ class BulletWorld:
             "collisionFramePosition": (self.scale * offset_m).tolist(),
             "collisionFrameOrientation": frame.axes.inv().as_quat().tolist(),
         }
+        return int(self.call("createCollisionShape", **place | self._shape_arguments(shape)))
+
+    def _shape_arguments(self, shape: Shape) -> dict[str, Any]:
         scale = self.scale
         flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self.settings.polyhedral_features else 0
+        if isinstance(shape, Sphere):
+            return {"shapeType": pybullet.GEOM_SPHERE, "radius": scale * shape.radius_m}
+        if isinstance(shape, Cylinder):
+            size = {"radius": scale * shape.radius_m, "height": scale * shape.length_m}
+            return {"shapeType": pybullet.GEOM_CYLINDER, **size}
+        if isinstance(shape, Plane) and self.settings.planes == "plane":
+            return {"shapeType": pybullet.GEOM_PLANE, "planeNormal": [0.0, 0.0, 1.0]}
+        if isinstance(shape, Plane):
+            # A box below the plane.
+            half = [scale * PLANE_REACH_M] * 3
+            place = {"collisionFramePosition": [0.0, 0.0, -half[2]]}
+            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags, **place}
         if isinstance(shape, Box):
             half = [0.5 * scale * edge for edge in shape.size_m]
-            return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=half, flags=flags, **place))
-        if isinstance(shape, Sphere):
-            return int(self.call("createCollisionShape", pybullet.GEOM_SPHERE, radius=scale * shape.radius_m, **place))
-        if isinstance(shape, Plane):
-            return self._plane(flags, place)
-        if isinstance(shape, Cylinder):
-            radius, length = scale * shape.radius_m, scale * shape.length_m
-            return int(self.call("createCollisionShape", pybullet.GEOM_CYLINDER, radius=radius, height=length, **place))
+            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags}
         assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
         pieces = [(scale * np.asarray(piece)) for piece in shape.pieces_m]
-        if len(pieces) == 1:
-            vertices = pieces[0].tolist()
-            return int(self.call("createCollisionShape", pybullet.GEOM_MESH, vertices=vertices, flags=flags, **place))
-        path = self.folder / f"{len(list(self.folder.iterdir()))}.obj"
-        path.write_text("\n".join(_object_lines(pieces)) + "\n")
-        return int(self.call("createCollisionShape", pybullet.GEOM_MESH, fileName=str(path), flags=flags, **place))
-
-    def _plane(self, flags: int, place: dict[str, Any]) -> int:
-        """Return Bullet's plane, or a box below the plane that reaches `PLANE_REACH_M` to each side."""
-        if self.settings.planes == "plane":
-            return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
-        half = self.scale * PLANE_REACH_M
-        place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
-        return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
+        mesh: dict[str, Any] = {"vertices": pieces[0].tolist()}
+        if len(pieces) > 1:
+            path = self.folder / f"{len(list(self.folder.iterdir()))}.obj"
+            path.write_text("\n".join(_object_lines(pieces)) + "\n")
+            mesh = {"fileName": str(path)}
+        return {"shapeType": pybullet.GEOM_MESH, "flags": flags, **mesh}
 
     def frame(self, body: RigidBody) -> Frame:
         """Return the mass properties of a body."""
