@@ -82,7 +82,7 @@ class _WorldGenesis(PlacedWorld):
 
     def _prescribe(self, name: str) -> None:
         motion, solver, settings = self.driven[name], self._lent.model.solver, self._lent.settings
-        place = self._lent.model.places[name]
+        link = self._lent.model.links[name]
         # Genesis moves a body by its new velocity times the step: half a step earlier, the mean is exact.
         twist = motion.velocity - 0.5 * motion.acceleration * settings.timestep_s
         to_body = motion.start.rotation.inv()
@@ -90,8 +90,8 @@ class _WorldGenesis(PlacedWorld):
         force = mass * (motion.acceleration[:3] + np.array([0.0, 0.0, self._scene.gravity_m_per_s2]))
         # The inertia is that of a sphere, so the torque has the direction of the acceleration.
         torque = mass * reach_m(self._scene.body(name)) ** 2 * to_body.apply(motion.acceleration[3:])
-        coordinates = range(place.coordinates, place.coordinates + 7)
-        freedoms = range(place.freedoms, place.freedoms + 6)
+        coordinates = range(link.q_start, link.q_start + 7)
+        freedoms = range(link.dof_start, link.dof_start + 6)
         world = [self._index]
         solver.set_qpos(
             np.array([[*motion.start.position_m, *motion.start.quaternion]]), coordinates, world, skip_forward=True
@@ -105,13 +105,13 @@ class _WorldGenesis(PlacedWorld):
 
     def apply_forces(self) -> None:
         """Apply wrenches and the pulls of strings during the next step; Genesis forgets them after it."""
-        solver, places, world = self._lent.model.solver, self._lent.model.places, [self._index]
+        solver, links, world = self._lent.model.solver, self._lent.model.links, [self._index]
         frequency = self._lent.settings.tether_rate / self._lent.settings.timestep_s
         for name, wrench in self.wrenches.items():
             solver.apply_links_external_wrench(
                 wrench[None, None, :3],
                 wrench[None, None, 3:],
-                [places[name].link],
+                [links[name].idx],
                 world,
                 ref=engine().link_ref_frame.link_COM,
             )
@@ -119,11 +119,11 @@ class _WorldGenesis(PlacedWorld):
             state, mass_kg = self.body_states([tether.body])[0], self._scene.body(tether.body).mass_kg
             force = tether_pull(tether, state, mass_kg, frequency)
             if force is not None:
-                solver.apply_links_external_wrench(force[None, None, :], None, [places[tether.body].link], world)
+                solver.apply_links_external_wrench(force[None, None, :], None, [links[tether.body].idx], world)
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
-        solver, links = self._lent.model.solver, [self._lent.model.places[name].link for name in names]
+        solver, links = self._lent.model.solver, [self._lent.model.links[name].idx for name in names]
         read = (solver.get_links_pos, solver.get_links_quat, solver.get_links_vel, solver.get_links_ang)
         columns = [one(links, [self._index]).numpy()[0] for one in read]
         states: NDArray[np.float64] = np.concatenate(columns, axis=-1).astype(np.float64)
@@ -136,13 +136,13 @@ def _reset(lent: _Lent, worlds: Sequence[_WorldGenesis]) -> None:
     model = lent.model
     if model.fresh is not None:
         model.solver.__setstate__(model.fresh)
-        if model.places:
+        if model.links:
             model.solver.set_qpos(np.array([world.start[0] for world in worlds]))
             model.solver.set_dofs_velocity(np.array([world.start[1] for world in worlds]))
     for world in worlds:
         world.begin()
-    for part in model.parts:
-        part.reset()
+    if model.part is not None:
+        model.part.reset()
 
 
 def _advance(lent: _Lent, worlds: Sequence[_WorldGenesis], seconds: float) -> None:
@@ -151,8 +151,8 @@ def _advance(lent: _Lent, worlds: Sequence[_WorldGenesis], seconds: float) -> No
     for step in range(round(seconds / step_s)):
         for world in worlds:
             world.apply_forces()
-        for part in model.parts:
-            part.prescribe(worlds[0].driven, step * step_s, step_s)
+        if model.part is not None:
+            model.part.prescribe(worlds[0].driven, step * step_s, step_s)
         try:
             model.scene.sim.step()
         except engine().GenesisException as error:
@@ -175,7 +175,10 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         self.reset(0)
 
     def _part(self, name: str) -> DeformablePart:
-        return next(part for part in self._lent.model.parts if name in part.names)
+        part = self._lent.model.part
+        if part is None or name not in part.names:
+            raise KeyError(name)
+        return part
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Genesis draws no random numbers here, so the seed has no effect."""
@@ -187,8 +190,8 @@ class SimulationGenesis(_WorldGenesis, Simulation):
 
     def fault(self) -> str | None:
         """Return why Genesis gave up the state, or None."""
-        reasons = (part.fault() for part in self._lent.model.parts)
-        return next((reason for reason in reasons if reason is not None), None)
+        part = self._lent.model.part
+        return None if part is None else part.fault()
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a deformable body's nodes [m], shape [node_count, 3]."""
@@ -203,7 +206,7 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         model = self._lent.model
         rigid = None if model.fresh is None else model.solver.__getstate__()
         own = (self.driven, self.placed, self.wrenches)
-        return self._origin.state((*copy.deepcopy((rigid, own)), [part.state() for part in model.parts]))
+        return self._origin.state((*copy.deepcopy((rigid, own)), model.part.state() if model.part else None))
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
@@ -213,8 +216,8 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         self.driven, self.placed, self.wrenches = own
         if rigid is not None:
             model.solver.__setstate__(rigid)
-        for part, arrays in zip(model.parts, values[2], strict=True):
-            part.restore(arrays)
+        if model.part is not None:
+            model.part.restore(values[2])
 
     def close(self) -> None:
         """Free the scene, or keep it for the next simulation of the same bodies."""

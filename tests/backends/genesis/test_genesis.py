@@ -237,11 +237,11 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
     velocity, acceleration = np.array([0.1, 0, 0, 0, 0, 1.0]), np.array([2.0, 0, -1.0, 0, 0, 3.0])
     simulation.drive("plate", plate.pose, velocity, acceleration)
     simulation.advance(1 / 180)
-    place = simulation._lent.model.places["plate"]
+    place = simulation._lent.model.links["plate"]
     coordinates = simulation._lent.model.solver.get_qpos().numpy()[0]
     end = simulation.body_states(["plate"])[0]
     simulation.close()
-    reached = coordinates[place.coordinates : place.coordinates + 7]
+    reached = coordinates[place.q_start : place.q_start + 7]
     assert reached[:3] == pytest.approx(end[:3], abs=1e-9)
     # Genesis turns a body that nothing touches by the mean of the old and the new rate, which lags by half a step.
     lag = Rotation.from_quat(reached[3:], scalar_first=True).inv() * Rotation.from_quat(end[3:7], scalar_first=True)

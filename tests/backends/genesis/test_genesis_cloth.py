@@ -204,9 +204,9 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
     for contacts in ((contact,), ()):
         scene = Scene(bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2)
         simulation = backend("genesis").build(scene)
-        positions, velocities = simulation._lent.model.parts[0].state()
+        positions, velocities = simulation._lent.model.part.state()
         velocities[len(positions) // 2 :, 2] = -0.2
-        simulation._lent.model.parts[0].restore((positions, velocities))
+        simulation._lent.model.part.restore((positions, velocities))
         for _ in range(18):
             simulation.advance(1 / 180)
         gaps.append((simulation.nodes("upper") - simulation.nodes("lower"))[:, 2])
