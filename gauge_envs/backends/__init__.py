@@ -11,7 +11,7 @@ from gauge_envs.backends.registry import (
     support_of,
     versions_of,
 )
-from gauge_envs.backends.shared.replay import ReplayedSimulation
+from gauge_envs.backends.shared.states import ReplayedSimulation
 
 __all__ = [
     "Backend",

@@ -17,7 +17,7 @@ from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
 from gauge_envs.backends.shared.rigid import hinges_by_body
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 BAD_STATES = {

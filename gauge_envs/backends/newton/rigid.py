@@ -27,7 +27,7 @@ from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstan
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
-from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
+from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
     BodyHinge,
     Box,
@@ -105,20 +105,28 @@ def add_bodies(
             edges takes speed, so a dynamic cylinder is never a prism. Particles collide with cylinders three times
             faster than with prisms.
     """
-    hinges = world_hinges(scene)
+    hinges = hinges_by_body(scene)
     index = RigidIndex()
     joined: dict[str, int] = {}
     for tree in hinge_trees(scene.body_hinges):
-        joined |= _add_tree(builder, scene, parent_hinges(tree))
+        below = parent_hinges(tree)
+        root = next(other_end(hinge, name) for name, hinge in below.items())
+        joined |= _add_articulation(builder, scene, (root, *below), hinges)
     for body in scene.bodies:
+        name, frame = body.name, wp.transform_identity()
         if body.motion is Motion.FIXED:
             place, frame = WORLD, warp_transform(body.pose)
-        elif body.name in joined:
-            place, frame = joined[body.name], wp.transform_identity()
+        elif name in joined:
+            place = joined[name]
+        elif name in hinges:
+            place = _add_articulation(builder, scene, (name,), hinges)[name]
         else:
-            place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
-        index.bodies[body.name] = place
-        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config, solids=solids)
+            place = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body))
+            if not body.starts_at_rest:
+                _set_velocity(builder, place, body)
+                builder.joint_qd[-6:] = list(builder.body_qd[place])
+        index.bodies[name] = place
+        index.shapes[name] = _add_shapes(builder, place, frame, body, config, solids=solids)
     return index
 
 
@@ -135,80 +143,47 @@ def _link_arguments(body: RigidBody) -> dict[str, Any]:
     }
 
 
-def _add_tree(builder: newton.ModelBuilder, scene: Scene, hinges: Mapping[str, BodyHinge]) -> dict[str, int]:
-    """Add bodies that hinges join as one articulation with a free root; return their numbers by name.
+def _add_articulation(
+    builder: newton.ModelBuilder, scene: Scene, names: Sequence[str], hinges: Mapping[str, Hinge | BodyHinge]
+) -> dict[str, int]:
+    """Add bodies on hinges as one articulation, in which a body without a hinge is free; return their indices by name.
 
     Args:
         builder: Model builder.
         scene: The scene.
-        hinges: The hinge through which each body but the root hangs on another one, parents first.
+        names: Names of the bodies, parents first.
+        hinges: Hinges of the scene, by name of the body that hangs on them.
     """
-    root = next(other_end(hinge, name) for name, hinge in hinges.items())
     places, joints = {}, []
-    for name in (root, *hinges):
-        body = scene.body(name)
+    for name in names:
+        body, hinge = scene.body(name), hinges.get(name)
         places[name] = builder.add_link(**_link_arguments(body))
         _set_velocity(builder, places[name], body)
-        if name == root:
+        if hinge is None:
             joints.append(builder.add_joint_free(child=places[name], label=name))
             builder.joint_qd[-6:] = list(builder.body_qd[places[name]])
             continue
-        hinge = hinges[name]
-        parent = scene.body(other_end(hinge, name))
-        to_parent = wp.transform_inverse(warp_transform(parent.pose))
-        joints.append(_add_revolute(builder, hinge, places[parent.name], to_parent, places[name], body))
-        builder.joint_qd[-1] = start_rate_rad_per_s(hinge, body, parent)
-    builder.add_articulation(joints, label=root)
+        anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
+        parent, in_parent = WORLD, anchor
+        rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+        if isinstance(hinge, BodyHinge):
+            other = scene.body(other_end(hinge, name))
+            parent, in_parent = places[other.name], wp.transform_inverse(warp_transform(other.pose)) * anchor
+            rate = start_rate_rad_per_s(hinge, body, other)
+        joint = builder.add_joint_revolute(
+            parent,
+            places[name],
+            parent_xform=in_parent,
+            child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
+            axis=wp.vec3(*hinge.axis),
+            armature=0.0,
+            friction=0.0,
+            label=name,
+        )
+        joints.append(joint)
+        builder.joint_qd[-1] = rate
+    builder.add_articulation(joints, label=names[0])
     return places
-
-
-def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
-    given = _link_arguments(body)
-    if hinge is None:
-        index = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
-        if not body.starts_at_rest:
-            _set_velocity(builder, index, body)
-            builder.joint_qd[-6:] = list(builder.body_qd[index])
-        return index
-    link = builder.add_link(**given)
-    joint = _add_revolute(builder, hinge, WORLD, wp.transform_identity(), link, body)
-    builder.add_articulation([joint], label=body.name)
-    if not body.starts_at_rest:
-        _set_velocity(builder, link, body)
-        builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-    return link
-
-
-def _add_revolute(
-    builder: newton.ModelBuilder,
-    hinge: Hinge | BodyHinge,
-    parent: int,
-    to_parent: wp.transform,
-    child: int,
-    body: RigidBody,
-) -> int:
-    """Add a hinge without friction and inertia, and return its index.
-
-    Args:
-        builder: Model builder.
-        hinge: The hinge.
-        parent: Index of the parent.
-        to_parent: Transform from the world to the parent's frame.
-        child: Index of the child.
-        body: The child.
-    """
-    anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
-    joint: int = builder.add_joint_revolute(
-        parent,
-        child,
-        parent_xform=to_parent * anchor,
-        child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
-        axis=wp.vec3(*hinge.axis),
-        armature=0.0,
-        friction=0.0,
-        label=body.name,
-    )
-    return joint
 
 
 def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:

@@ -15,7 +15,7 @@ from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 

@@ -14,7 +14,7 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, first_of
-from gauge_envs.backends.shared.replay import ReplayedSimulation
+from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
 __all__ = ["BackendPhysX"]

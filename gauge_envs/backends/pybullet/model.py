@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces
@@ -70,7 +69,7 @@ class WorldPyBullet(BulletWorld):
             if body.name in self.handles:
                 continue
             if isinstance(joint, Hinge):
-                self._hinged(body, joint)
+                self._joined({body.name: joint})
             elif isinstance(joint, Tether):
                 self._tethered(body, joint)
             else:
@@ -128,77 +127,56 @@ class WorldPyBullet(BulletWorld):
         if body.motion is Motion.DYNAMIC:
             self._start_base(handle.body, body, frame)
 
-    def _hinged(self, body: RigidBody, joint: Hinge) -> None:
-        """Add a body as the link of a revolute joint. The link's frame lies at the anchor, along the principal axes."""
-        frame = self.frame(body)
-        turn = body.pose.rotation * frame.axes
-        link = self._revolute(body, joint, frame, turn, np.asarray(joint.anchor_m), (np.zeros(3), turn))
-        base = {"baseMass": 0.0, "basePosition": (self.scale * np.asarray(joint.anchor_m)).tolist()}
-        handle = self.add_handle(body, self.add_multibody(base, [], [link]), 0)
-        rate = float(np.asarray(body.angular_velocity_rad_per_s) @ joint.axis)
-        self.call("resetJointState", handle.body, 0, targetValue=0.0, targetVelocity=rate)
+    def _joined(self, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
+        """Add bodies on hinges as one multibody, whose base is the root, or the anchor of a body on a hinge of its own.
 
-    def _revolute(
-        self,
-        body: RigidBody,
-        hinge: Hinge | BodyHinge,
-        frame: Frame,
-        turn: Rotation,
-        origin_m: NDArray[np.float64],
-        place: tuple[NDArray[np.float64], Rotation],
-        parent: int = 0,
-    ) -> Link:
-        """Return the link of a body on a hinge.
+        The frame of the base is at its centre of mass, that of a link at its hinge, both along the principal axes.
 
         Args:
-            body: The body.
-            hinge: The hinge.
-            frame: Mass properties of the body.
-            turn: Rotation of the link in the world.
-            origin_m: Origin of the link in the world [m].
-            place: Position [units] and rotation of the link in the frame of its parent.
-            parent: Number of the parent.
+            hinges: The hinge through which each body hangs on the root or on another one, parents first.
         """
-        back = turn.inv()
-        return Link(
-            joint=pybullet.JOINT_REVOLUTE,
-            place=place,
-            parent=parent,
-            mass_kg=body.mass_kg,
-            moments=frame.moments,
-            centre=self.scale * back.apply(body.pose.to_world(frame.centre_m) - origin_m),
-            shape=self.shape(body.shape, back.apply(np.subtract(body.pose.position_m, origin_m)), frame),
-            axis=back.apply(hinge.axis).tolist(),
-        )
-
-    def _joined(self, hinges: Mapping[str, BodyHinge]) -> None:
-        """Add bodies that hinges join as one multibody, whose base is the root.
-
-        Args:
-            hinges: The hinge through which each body but the root hangs on another one, parents first.
-        """
-        root = self.scene.body(next(other_end(hinge, name) for name, hinge in hinges.items()))
-        frames = {name: self.frame(self.scene.body(name)) for name in (root.name, *hinges)}
-        turns = {name: self.scene.body(name).pose.rotation * frame.axes for name, frame in frames.items()}
-        # The frame of the base is at its centre of mass, that of a link at its hinge.
+        name, hinge = next(iter(hinges.items()))
+        root = self.scene.body(other_end(hinge, name)) if isinstance(hinge, BodyHinge) else None
+        members = [self.scene.body(name) for name in ([root.name] if root else []) + list(hinges)]
+        frames = {body.name: self.frame(body) for body in members}
+        turns = {body.name: body.pose.rotation * frames[body.name].axes for body in members}
         origins = {name: np.asarray(hinge.anchor_m) for name, hinge in hinges.items()}
-        origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
-        names = list(frames)
+        base: dict[str, Any] = {"baseMass": 0.0, "basePosition": (self.scale * origins[name]).tolist()}
+        base_moments: list[float] = []
+        if root is not None:
+            base, base_moments = self.base_arguments(root, frames[root.name]), frames[root.name].moments
+            origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
         links = []
         for name, hinge in hinges.items():
-            parent, body = other_end(hinge, name), self.scene.body(name)
-            to_parent = turns[parent].inv()
-            place = (self.scale * to_parent.apply(origins[name] - origins[parent]), to_parent * turns[name])
-            given = (frames[name], turns[name], origins[name], place, names.index(parent))
-            links.append(self._revolute(body, hinge, *given))
-        base = self.base_arguments(root, frames[root.name])
-        number = self.add_multibody(base, frames[root.name].moments, links)
-        for link, name in enumerate(names, start=-1):
-            self.add_handle(self.scene.body(name), number, link)
-        self._start_base(number, root, frames[root.name])
-        for link, (name, hinge) in enumerate(hinges.items()):
-            rate = start_rate_rad_per_s(hinge, self.scene.body(name), self.scene.body(other_end(hinge, name)))
-            self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
+            body, back, place, parent = self.scene.body(name), turns[name].inv(), (np.zeros(3), turns[name]), 0
+            if isinstance(hinge, BodyHinge):
+                other = other_end(hinge, name)
+                to_parent, parent = turns[other].inv(), list(frames).index(other)
+                place = (self.scale * to_parent.apply(origins[name] - origins[other]), to_parent * turns[name])
+            arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
+            offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
+            link = Link(
+                joint=pybullet.JOINT_REVOLUTE,
+                place=place,
+                parent=parent,
+                mass_kg=body.mass_kg,
+                moments=frames[name].moments,
+                centre=self.scale * arm_m,
+                shape=self.shape(body.shape, offset_m, frames[name]),
+                axis=back.apply(hinge.axis).tolist(),
+            )
+            links.append(link)
+        number = self.add_multibody(base, base_moments, links)
+        for link_number, body in enumerate(members, start=0 if root is None else -1):
+            self.add_handle(body, number, link_number)
+        if root is not None:
+            self._start_base(number, root, frames[root.name])
+        for link_number, (name, hinge) in enumerate(hinges.items()):
+            body = self.scene.body(name)
+            rate = float(np.asarray(body.angular_velocity_rad_per_s) @ hinge.axis)
+            if isinstance(hinge, BodyHinge):
+                rate = start_rate_rad_per_s(hinge, body, self.scene.body(other_end(hinge, name)))
+            self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""

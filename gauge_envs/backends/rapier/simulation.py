@@ -16,7 +16,7 @@ from gauge_envs.backends.rapier.model import MASS_UNIT_KG, Layout, build_world, 
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import ConvexUnion, Pose, Scene
 
 LARGEST_SHARE = 64

@@ -20,7 +20,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.backends.shared.snapshot import Snapshot
+from gauge_envs.backends.shared.states import Snapshot
 from gauge_envs.errors import BackendError, MissingExtraError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.tools.sanity.contact_capacity import CapacityLimits, most_needed_data

@@ -8,10 +8,10 @@ from importlib.util import find_spec
 import pytest
 
 from gauge_envs import load_experiment
+from gauge_envs.backends import backend
 from gauge_envs.backends.pybullet import BackendPyBullet
 from gauge_envs.backends.pybullet.contacts import impact_bodies, products, pushing_bodies, surfaces
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
-from gauge_envs.backends.pybullet.support import unsupported_features
 from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Pose, RigidBody, Scene, Sphere
@@ -49,7 +49,7 @@ def test_wall_is_representable() -> None:
     assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
     assert values["brick-7"] * values["brick-8"] < 1.1e-6
     assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
-    assert list(unsupported_features(scene)) == []
+    assert list(backend("pybullet").unsupported(scene)) == []
 
 
 def pair_contact(first: str, second: str, friction: float) -> Contact:
@@ -86,7 +86,7 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
 
 
 def test_rope_in_contact_is_declined() -> None:
-    missing = list(unsupported_features(load_experiment("RopeWinding-rubber").scene))
+    missing = list(backend("pybullet").unsupported(load_experiment("RopeWinding-rubber").scene))
     assert missing == ["'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"]
 
 
@@ -163,7 +163,7 @@ def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> Non
     ],
 )
 def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: str) -> None:
-    assert any(reason in one for one in unsupported_features(load_experiment(name).scene))
+    assert any(reason in one for one in backend("pybullet").unsupported(load_experiment(name).scene))
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])
