@@ -111,8 +111,10 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     bodies = {}
     for body in scene.bodies:
         if body.motion is Motion.DYNAMIC:
-            centre, moments = body_mass_properties(body)
-            inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, _rotational_inertia(moments))
+            centre, tensor = body_mass_properties(body)
+            (xx, xy, xz), (_, yy, yz), (_, _, zz) = tensor
+            moments = RotationalInertia(Ixx=xx, Iyy=yy, Izz=zz, Ixy=xy, Ixz=xz, Iyz=yz)
+            inertia = SpatialInertia.MakeFromCentralInertia(body.mass_kg, centre, moments)
             bodies[body.name] = plant.AddRigidBody(body.name, free, inertia)
         elif body.motion is Motion.KINEMATIC:
             reach_m = np.linalg.norm(body.shape.corners_m, axis=1).max()
@@ -149,12 +151,6 @@ def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hing
         frames.append(plant.AddFrame(FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)))
     plant.AddJoint(
         RevoluteJoint(name=name, frame_on_parent=frames[0], frame_on_child=frames[1], axis=[0, 0, 1], damping=0.0)
-    )
-
-
-def _rotational_inertia(moments: NDArray[np.float64]) -> RotationalInertia:
-    return RotationalInertia(
-        Ixx=moments[0, 0], Iyy=moments[1, 1], Izz=moments[2, 2], Ixy=moments[0, 1], Ixz=moments[0, 2], Iyz=moments[1, 2]
     )
 
 

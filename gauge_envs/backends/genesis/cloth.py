@@ -176,11 +176,6 @@ class ClothPart(DeformablePart):
             "coupler_options": gs.options.LegacyCouplerOptions(rigid_pbd=bool(self.touches())),
         }
 
-    def _touch_each_other(self) -> bool:
-        """Return whether the scene's contacts have cloth with cloth."""
-        names = set(self.names)
-        return any(names & {*contact.first} and names & {*contact.second} for contact in self._scene.contacts)
-
     def add(self, scene: Any) -> None:
         """Add the entities."""
         super().add(scene)
@@ -206,7 +201,9 @@ class ClothPart(DeformablePart):
             _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
         if settings.body_friction and self.touches():
             self._add_friction(scene)
-        if settings.self_contact == "scene" and not self._touch_each_other():
+        cloths = set(self.names)
+        touch = any(cloths & {*contact.first} and cloths & {*contact.second} for contact in self._scene.contacts)
+        if settings.self_contact == "scene" and not touch:
             # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:

@@ -166,7 +166,9 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, part: Defor
 
 def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     gs = engine()
-    collides = bool(layers_of_bodies(scene, settings)) or bool(scene.deformables)
+    layers = layers_of_bodies(scene, settings)
+    collides = bool(layers) or bool(scene.deformables)
+    pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
@@ -185,15 +187,8 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,
         use_gjk_collision=settings.gjk,
-        max_collision_pairs=_pair_count(scene, settings),
+        max_collision_pairs=max(PAIR_LIMIT, min(comb(pieces, 2), NEIGHBOURS * pieces)),
     )
-
-
-def _pair_count(scene: Scene, settings: SettingsGenesis) -> int:
-    """Return how many pairs of pieces may touch at a time."""
-    pieces = {body.name: len(getattr(body.shape, "pieces_m", (None,))) for body in scene.bodies}
-    count = sum(pieces[name] for name in layers_of_bodies(scene, settings))
-    return max(PAIR_LIMIT, min(comb(count, 2), NEIGHBOURS * count))
 
 
 def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -18,6 +18,9 @@ from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
 
+Geoms = Mapping[str, Sequence[mujoco.MjsGeom]]
+"""Geoms of each rigid body in the editable model, by name."""
+
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
     """Add all deformable bodies to an editable model that contains the rigid bodies.
@@ -58,13 +61,7 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
 
 
 def add_flex_contact(
-    scene: Scene,
-    contact: Contact,
-    parts: Mapping[str, FlexPart],
-    geoms: Mapping[str, Sequence[mujoco.MjsGeom]],
-    settings: SettingsMuJoCo,
-    *,
-    bit: int,
+    scene: Scene, contact: Contact, parts: Mapping[str, FlexPart], geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
 ) -> None:
     """Let the deformable bodies of a contact collide through MuJoCo's broad phase.
 

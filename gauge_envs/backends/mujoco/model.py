@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.contacts import contact_constants
-from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
+from gauge_envs.backends.mujoco.deformables import Geoms, add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
@@ -303,12 +303,7 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
 
 
 def _add_contact(
-    spec: mujoco.MjSpec,
-    scene: Scene,
-    contact: Contact,
-    geoms: dict[str, list[mujoco.MjsGeom]],
-    settings: SettingsMuJoCo,
-    bit: int,
+    spec: mujoco.MjSpec, scene: Scene, contact: Contact, geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
 ) -> None:
     constants = contact_constants(contact, settings)
     pairs = list(scene.colliding_pairs(contact))

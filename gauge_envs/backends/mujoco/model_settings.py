@@ -78,7 +78,10 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
         _override(model, constants)
     constants[:, COLUMNS["friction"]] = np.maximum(constants[:, COLUMNS["friction"]], MIN_FRICTION)
     geoms = np.vstack([implicit, explicit])
-    return ContactPairs(geoms=geoms, kinds=_kinds(model, geoms), constants=constants)
+    moves = can_move(model)[geoms]
+    on_ground = (np.isin(model.geom_type, GROUND_TYPES)[geoms] & ~moves).any(axis=1)
+    kinds = np.where(moves.all(axis=1), PairKind.MOVING, np.where(on_ground, PairKind.GROUND, PairKind.STATIC))
+    return ContactPairs(geoms=geoms, kinds=kinds.astype(np.intp), constants=constants)
 
 
 def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -169,16 +172,6 @@ def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
         ("margin", option.o_margin),
     ):
         constants[:, COLUMNS[name]] = value
-
-
-def _kinds(model: mujoco.MjModel, geoms: NDArray[np.intp]) -> NDArray[np.intp]:
-    moves = can_move(model)[geoms]
-    ground = np.isin(model.geom_type, GROUND_TYPES)[geoms]
-    on_ground = (ground & ~moves).any(axis=1)
-    kinds: NDArray[np.intp] = np.where(
-        moves.all(axis=1), PairKind.MOVING, np.where(on_ground, PairKind.GROUND, PairKind.STATIC)
-    ).astype(np.intp)
-    return kinds
 
 
 # --- settings ---------------------------------------------------------------------------------------------------------

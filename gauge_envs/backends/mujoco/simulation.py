@@ -82,7 +82,14 @@ class SimulationMuJoCo(Simulation):
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         if body not in self._driven:
-            self._driven[body] = _driven_views(self.model, self.data, body)
+            # Views of MuJoCo's arrays with the pose, velocity, force and mass of the body.
+            (position, freedom), index = _free_joint_addresses(self.model, body), self.model.body(body).id
+            self._driven[body] = (
+                self.data.qpos[position : position + 7],
+                self.data.qvel[freedom : freedom + 6],
+                self.data.xfrc_applied[index],
+                self.model.body_mass[index : index + 1],
+            )
         place, speed, force, mass_kg = self._driven[body]
         place[:3] = pose.position_m
         place[3:] = pose.quaternion
@@ -187,14 +194,6 @@ def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tup
 def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
     joint = model.joint(name)
     return int(joint.qposadr[0]), int(joint.dofadr[0])
-
-
-def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
-    """Return views of MuJoCo's arrays with the pose, velocity, force and mass of a free body."""
-    position, speed = _free_joint_addresses(model, name)
-    index = model.body(name).id
-    place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
-    return place, velocity, data.xfrc_applied[index], model.body_mass[index : index + 1]
 
 
 class _OneFreeBody:

@@ -13,7 +13,7 @@ import numpy as np
 
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import Cloth, Contact, ContactMode, Motion, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import Cloth, Contact, ContactMode, Rod, Rope, Scene, SoftBody
 
 FRICTION_AS_NORMAL = -1.0
 """Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
@@ -74,15 +74,11 @@ def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -
     return ShapeConstants(contact.friction, solref, settings.impact_solimp, gain)
 
 
-def _reduced_mass_kg(scene: Scene, first: str, second: str) -> float:
-    inverse = [1.0 / scene.body(name).mass_kg for name in (first, second) if scene.body(name).motion is Motion.DYNAMIC]
-    return 1.0 / sum(inverse)
-
-
 def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset[str], ShapeConstants]:
     """Return the constants of each colliding pair of bodies."""
+    inverse_masses = {body.name: 1.0 / body.mass_kg for body in scene.dynamic_bodies}
     return {
-        frozenset(pair): _constants(contact, _reduced_mass_kg(scene, *pair), settings)
+        frozenset(pair): _constants(contact, 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair), settings)
         for contact in scene.contacts
         for pair in scene.colliding_pairs(contact)
     }

@@ -222,28 +222,6 @@ def add_soft(
     ]
     mesh = TetrahedralMesh.of(soft_row, stiff, cell_m)
     start = builder.particle_count
-    pins = _add_particles(builder, soft_row, mesh, indices, settings.soft_contact_radius_m)
-    materials = [lame_constants(block.body) for block in soft_row.blocks]
-    for corners, block in zip((start + mesh.tetrahedra).tolist(), mesh.blocks.tolist(), strict=True):
-        mu, lame = materials[block]
-        # Newton's viscous stress is 4 k_damp times the rate of Green's strain.
-        builder.add_tetrahedron(*corners, k_mu=mu, k_lambda=lame, k_damp=0.5 * mu * settings.soft_damping_s)
-    for corners in (start + mesh.surface()).tolist():
-        # A membrane without stiffness, for contacts only.
-        builder.add_triangle(*corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0)
-    solids = [_Solid(block, _add_rigid(builder, block, soft_row.axis, start, mesh.points_m), cell_m) for block in stiff]
-    return SoftPartNewton(soft_row, mesh, start=start, pins=pins, solids=solids)
-
-
-def _add_particles(
-    builder: newton.ModelBuilder,
-    soft_row: SoftRow,
-    mesh: TetrahedralMesh,
-    indices: Mapping[str, int],
-    contact_radius_m: float,
-) -> list[Pin]:
-    """Add the nodes of a mesh and return pins for those that kinematic bodies hold."""
-    start = builder.particle_count
     masses = mesh.masses_kg([block.density_kg_per_m3 for block in soft_row.blocks])
     flags = np.full(len(masses), int(newton.ParticleFlags.ACTIVE))
     pins: list[Pin] = []
@@ -254,10 +232,19 @@ def _add_particles(
         pos=[wp.vec3(*point) for point in mesh.points_m],
         vel=[wp.vec3(0.0, 0.0, 0.0)] * len(masses),
         mass=masses.tolist(),
-        radius=[contact_radius_m] * len(masses),
+        radius=[settings.soft_contact_radius_m] * len(masses),
         flags=flags.tolist(),
     )
-    return pins
+    materials = [lame_constants(block.body) for block in soft_row.blocks]
+    for corners, block in zip((start + mesh.tetrahedra).tolist(), mesh.blocks.tolist(), strict=True):
+        mu, lame = materials[block]
+        # Newton's viscous stress is 4 k_damp times the rate of Green's strain.
+        builder.add_tetrahedron(*corners, k_mu=mu, k_lambda=lame, k_damp=0.5 * mu * settings.soft_damping_s)
+    for corners in (start + mesh.surface()).tolist():
+        # A membrane without stiffness, for contacts only.
+        builder.add_triangle(*corners, tri_ke=0.0, tri_ka=0.0, tri_kd=0.0, tri_drag=0.0, tri_lift=0.0)
+    solids = [_Solid(block, _add_rigid(builder, block, soft_row.axis, start, mesh.points_m), cell_m) for block in stiff]
+    return SoftPartNewton(soft_row, mesh, start=start, pins=pins, solids=solids)
 
 
 def _add_rigid(builder: newton.ModelBuilder, block: Block, axis: int, start: int, points_m: NDArray[np.float64]) -> int:

@@ -126,7 +126,7 @@ def add_bodies(
                 _set_velocity(builder, place, body)
                 builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
-        index.shapes[name] = _add_shapes(builder, place, frame, body, config, solids=solids)
+        index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, frame, solids)
     return index
 
 
@@ -193,14 +193,9 @@ def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> 
 
 
 def _add_shapes(
-    builder: newton.ModelBuilder,
-    place: int,
-    frame: wp.transform,
-    body: RigidBody,
-    config: newton.ModelBuilder.ShapeConfig,
-    *,
-    solids: Solids,
+    builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], frame: wp.transform, solids: Solids
 ) -> list[int]:
+    """Add the shapes of a body, with given arguments and a frame, and return their indices."""
     parts: list[tuple[str, wp.transform, _Solid]]
     if isinstance(body.shape, Compound):
         parts = [
@@ -210,13 +205,10 @@ def _add_shapes(
     else:
         parts = [(body.name, frame, body.shape)]
     rolls = body.motion is Motion.DYNAMIC
-    return [
-        index
-        for label, xform, shape in parts
-        for index in _add_solid(
-            builder, label, shape, {"body": place, "xform": xform, "cfg": config}, solids=solids, rolls=rolls
-        )
-    ]
+    added: list[int] = []
+    for label, place, shape in parts:
+        added += _add_solid(builder, label, shape, given | {"xform": place}, solids=solids, rolls=rolls)
+    return added
 
 
 def _add_solid(

@@ -180,7 +180,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         centre_m, inertia = body_mass_properties(body)
         parts[body.name] = Part(component, centre_m)
         if body.motion is not Motion.FIXED:
-            _set_mass(component, body, centre_m, inertia)
+            _set_mass(component, body.mass_kg, centre_m, inertia)
             _set_limits(component, settings)
         _add(world, component, _turned(body.pose) if isinstance(body.shape, Plane) else body.pose)
         if isinstance(component, physx.PhysxArticulationLinkComponent):
@@ -310,10 +310,7 @@ def _cylinder(shape: Cylinder, material: physx.PhysxMaterial) -> Iterator[physx.
 
 
 def _set_mass(
-    component: physx.PhysxRigidBodyComponent,
-    body: RigidBody,
-    centre_m: NDArray[np.float64],
-    inertia_kg_m2: NDArray[np.float64],
+    component: physx.PhysxRigidBodyComponent, mass_kg: float, centre_m: ArrayLike, inertia_kg_m2: NDArray[np.float64]
 ) -> None:
     """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
     moments, axes = np.linalg.eigh(inertia_kg_m2)
@@ -322,7 +319,7 @@ def _set_mass(
     elif np.linalg.det(axes) < 0.0:
         axes[:, 2] *= -1.0
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    component.mass = body.mass_kg
+    component.mass = mass_kg
     component.inertia = moments
     component.cmass_local_pose = pysapien.Pose(centre_m, [w, x, y, z])
 

@@ -14,9 +14,6 @@ from gauge_envs.backends.settings import SteppedSettings
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import Compound, Scene
 
-ChosenSettings = Callable[..., SteppedSettings]
-"""Function of a scene and a user's changes that returns the settings in force."""
-
 
 class BundledBackend(Backend):
     """A backend of this package.
@@ -29,7 +26,7 @@ class BundledBackend(Backend):
 
     modules: ClassVar[tuple[str, ...]] = ()
     packages: ClassVar[tuple[str, ...]]
-    settings_for: ChosenSettings
+    settings_for: Callable[..., SteppedSettings]
 
     def __init__(self) -> None:
         for module in self.modules:

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from scipy.optimize import brentq
 
-from gauge_envs.scene import RigidBody, Scene
+from gauge_envs.scene import Scene
 
 LARGEST_DAMPING_RATIO = 1e3
 """Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
@@ -47,13 +47,11 @@ def impact_speed_m_per_s(scene: Scene) -> float:
 
     It is the largest of the speeds after a fall from the start to the floor, and of the drivers' speeds.
     """
-    falls = [_fall_speed_m_per_s(scene, body) for body in scene.dynamic_bodies]
+    falls = []
+    for body in scene.dynamic_bodies:
+        lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
+        fall_m = max(lowest - scene.floor_height_m, 0.0)
+        speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
+        falls.append(float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m)))
     driven = [driver.speed_limit_m_per_s(scene.body(driver.body)) for driver in scene.drivers]
     return max([*falls, *driven, SLOWEST_IMPACT_M_PER_S])
-
-
-def _fall_speed_m_per_s(scene: Scene, body: RigidBody) -> float:
-    lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
-    fall_m = max(lowest - scene.floor_height_m, 0.0)
-    speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
-    return float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m))
