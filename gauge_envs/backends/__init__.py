@@ -1,7 +1,6 @@
 """Physics engines behind one interface, one folder per engine."""
 
-from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Simulation, Support, World, Worlds
-from gauge_envs.backends.recording import Recording
+from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Recording, Simulation, Support, World, Worlds
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
@@ -12,7 +11,7 @@ from gauge_envs.backends.registry import (
     support_of,
     versions_of,
 )
-from gauge_envs.backends.shared.replay import ReplayedSimulation
+from gauge_envs.backends.shared.states import ReplayedSimulation
 
 __all__ = [
     "Backend",

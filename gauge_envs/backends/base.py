@@ -26,7 +26,6 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.recording import Recording
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Pose, Scene
 
@@ -56,6 +55,26 @@ class ModelFile:
 
     scene: Scene
     changes: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """States of all worlds on the engine's device, as `Worlds.record` returns them.
+
+    The arrays follow the DLPack protocol (`__dlpack__`), are contiguous and hold 64-bit floats. They stay valid until
+    the next recording of the same worlds, which may reuse their memory.
+
+    Attributes:
+        device: Name of the device, as `cuda:0` or `cpu`.
+        positions_m: Positions of the body origins at the start and after each sample [m], shape
+            [sample_count, world_count, body_count, 3].
+        states: Poses and velocities at the start and after each frame, shape
+            [frame_count, world_count, body_count, 13]; see `World.body_states`.
+    """
+
+    device: str
+    positions_m: Any
+    states: Any
 
 
 class World(ABC):
@@ -269,20 +288,21 @@ class Worlds(ABC):
 class _SeparateWorlds(Worlds):
     """Simulations that run one after another, for engines without batched worlds."""
 
+    worlds: Sequence[Simulation]
+
     def __init__(self, simulations: Sequence[Simulation]) -> None:
         self.worlds = simulations
-        self._simulations = simulations
 
     def reset(self, seed: int) -> None:
-        for simulation in self._simulations:
+        for simulation in self.worlds:
             simulation.reset(seed)
 
     def advance(self, seconds: float) -> None:
-        for simulation in self._simulations:
+        for simulation in self.worlds:
             simulation.advance(seconds)
 
     def close(self) -> None:
-        for simulation in self._simulations:
+        for simulation in self.worlds:
             simulation.close()
 
 
@@ -388,11 +408,7 @@ class Backend(ABC):
 
 
 def worlds_of(
-    engine: Backend,
-    scenes: Sequence[Scene],
-    settings: Mapping[str, Any] | None = None,
-    *,
-    restart_alone: bool = False,
+    engine: Backend, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None, *, restart_alone: bool = False
 ) -> Worlds:
     """Build several instances of a scene that may differ in starts and constants.
 

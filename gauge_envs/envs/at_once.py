@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Simulation, World, Worlds, worlds_of
-from gauge_envs.backends.recording import Recording
+from gauge_envs.backends.base import Backend, Recording, Simulation, World, Worlds, worlds_of
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds

@@ -11,9 +11,8 @@ import numpy as np
 import pytest
 from test_at_once import Together, zeros
 
-from gauge_envs.backends.base import Worlds
+from gauge_envs.backends.base import Recording, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.recording import Recording
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ActionError, BackendError, EpisodeError

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
-from gauge_envs.backends.mujoco import backend as mujoco_backend
+from gauge_envs.backends.registry import backend as mujoco_backend
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode

@@ -1,13 +1,37 @@
-"""Contact constants in Drake's terms: stiffness and dissipation of each body in each contact."""
+"""Contact constants in Drake's terms, and those with which an impact has a given coefficient of restitution.
+
+Drake has no coefficient of restitution. A contact is a spring with a dissipation, integrated by an implicit scheme that
+dissipates too. `rebound` repeats that scheme for one contact normal, and `impact_constants` solves for the constants.
+
+Times are in steps and speeds in incoming speeds. The spring then has one constant, the rate: the natural frequency of
+the mass on the spring times the step.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
 
-from gauge_envs.backends.drake.impacts import ImpactLaw, impact_constants
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
 from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Contact, ContactMode, Scene
+
+ImpactLaw = Literal["relaxation", "hunt_crossley"]
+"""`relaxation`: linear spring and damper of the SAP approximation. `hunt_crossley`: damping in proportion to depth."""
+
+PHASES: NDArray[np.float64] = (np.arange(12, dtype=np.float64) + 0.5) / 12.0
+"""Depth at the first step that detects the contact, over the displacement of a step; the start decides it."""
+
+LARGEST_DISSIPATION = 1e6
+"""Largest relaxation time [steps] or dissipation times incoming speed; it stands for no rebound at all."""
+
+STEPS = 30.0
+"""Steps times the rate after which a contact counts as lasting; without dissipation it takes pi."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,3 +82,76 @@ def contact_constants(scene: Scene, contact: Contact, settings: SettingsDrake) -
         relaxation_s=dissipation * step_s,
         dissipation_s_per_m=dissipation / speed,
     )
+
+
+def rebound(law: ImpactLaw, rate: float, dissipation: float, weight: float = 0.0) -> NDArray[np.float64]:
+    """Return the ratio of outgoing to incoming speed at the surface for each phase, shape [phase_count].
+
+    Args:
+        law: Law of dissipation.
+        rate: Natural frequency of the contact times the step.
+        dissipation: Relaxation time in steps, or Hunt-Crossley dissipation times the incoming speed.
+        weight: Speed that gravity adds towards the surface in a step, over the incoming speed.
+    """
+    depth, speed = PHASES.copy(), np.full(len(PHASES), -1.0)
+    stiffness = rate**2
+    leaving: NDArray[np.bool_] = np.zeros(len(PHASES), dtype=bool)
+    for _ in range(int(STEPS / rate)):
+        free = speed - weight
+        if law == "relaxation":
+            after = (free + stiffness * depth) / (1.0 + stiffness * (1.0 + dissipation))
+            after = np.maximum(after, free)
+        else:
+            after = _hunt_crossley(depth, free, stiffness, dissipation)
+        speed = np.where(leaving, speed, after)
+        depth = np.where(leaving, depth, depth - speed)
+        leaving |= depth <= 0.0
+        if leaving.all():
+            break
+    return np.where(leaving, np.sqrt(speed**2 - 2.0 * weight * np.minimum(depth, 0.0)), 0.0)
+
+
+def _hunt_crossley(
+    depth: NDArray[np.float64], speed: NDArray[np.float64], stiffness: float, dissipation: float
+) -> NDArray[np.float64]:
+    """Return the speed v that solves v = v0 + k (x - v) (1 - d v) where both factors are positive, else v0."""
+    linear = 1.0 + stiffness * (1.0 + dissipation * depth)
+    constant = speed + stiffness * depth
+    # The smaller root of k d v^2 - (1 + k + k d x) v + v0 + k x = 0 makes both factors positive.
+    root = np.sqrt(np.maximum(linear**2 - 4.0 * stiffness * dissipation * constant, 0.0))
+    after = 2.0 * constant / (linear + root)
+    return np.where((depth > after) & (dissipation * after < 1.0), np.maximum(after, speed), speed)
+
+
+@lru_cache(maxsize=256)
+def impact_constants(law: ImpactLaw, restitution: float, rate: float, weight: float = 0.0) -> tuple[float, float]:
+    """Return the rate and the dissipation with which a contact has a coefficient of restitution, the mean of phases.
+
+    The rate is that given, unless the scheme alone dissipates more. Then it is reduced until a contact without
+    dissipation and gravity has the restitution, at most 0.999.
+
+    Args:
+        law: Law of dissipation.
+        restitution: Coefficient of restitution, 0 to 1.
+        rate: Highest rate.
+        weight: Speed that gravity adds towards the surface in a step, over the incoming speed.
+
+    Returns:
+        Rate, and relaxation time in steps or Hunt-Crossley dissipation times the incoming speed.
+    """
+
+    def excess(dissipation: float) -> float:
+        return float(rebound(law, rate, dissipation, weight).mean()) - restitution
+
+    if excess(0.0) < 0.0:
+        reached = min(restitution, 0.999)
+        lowest = 2e-4
+        if float(rebound(law, rate, 0.0).mean()) < reached:
+            rate = float(brentq(lambda slow: float(rebound(law, slow, 0.0).mean()) - reached, lowest, rate, xtol=1e-9))
+        return rate, 0.0
+    largest = 1.0
+    while excess(largest) > 0.0:
+        largest *= 4.0
+        if largest > LARGEST_DISSIPATION:
+            return rate, LARGEST_DISSIPATION
+    return rate, float(brentq(excess, 0.0, largest, xtol=1e-9))

@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import Field
 
 from gauge_envs.backends.settings import SteppedSettings, resolve_settings
-from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Box, ContactMode, ConvexUnion, Cylinder, Motion, Plane, Scene, Sphere
 
 

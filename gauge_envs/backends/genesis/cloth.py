@@ -11,8 +11,7 @@ exceeds 4 / 3.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -20,13 +19,20 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.backends.genesis.coupling import couple_only_marked_geoms, coupled_geoms, driven_places, touching_bodies
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.parts import DeformablePart, Motions
-from gauge_envs.backends.genesis.pbd_settings import CLOTH_CELL_M, SettingsPBD, cloth_cell_m
-from gauge_envs.backends.genesis.pbd_springs import grid_springs, grid_stiffnesses, inverse_masses
+from gauge_envs.backends.genesis.parts import DeformablePart, contiguous, coupled_geoms
+from gauge_envs.backends.genesis.pbd_settings import (
+    CLOTH_CELL_M,
+    SettingsPBD,
+    cloth_cell_m,
+    grid_springs,
+    grid_stiffnesses,
+    inverse_masses,
+)
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
+from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
+from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
 from gauge_envs.scene.fabrics import Fabric, genesis_pbd
@@ -46,16 +52,17 @@ class _Sheet:
         grid: Its regular mesh.
         rest_m: World positions of the particles at the start [m], shape [particle_count, 3].
         entity: Its entity in the Genesis scene.
+        attachments: Its attached regions.
         held: Attachment of each held particle, by index.
     """
 
     def __init__(self, cloth: Cloth, attachments: Sequence[RigidAttachment], settings: SettingsPBD, cell_m: float):
         self.cloth = cloth
         self.grid = ClothGrid(cloth, cell_m)
-        self.rest_m = cloth.pose.to_world(np.column_stack([self.grid.plane_m, np.zeros(len(self.grid.plane_m))]))
+        self.rest_m = self.grid.rest_m
         self.entity: Any = None
         self.held: dict[int, RigidAttachment] = {}
-        self._attachments = attachments
+        self.attachments = attachments
         self._settings = settings
 
     @property
@@ -77,27 +84,29 @@ class _Sheet:
             bending_relaxation=settings.bending_relaxation,
             air_resistance=settings.air_resistance,
         )
-        mesh = trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False)
         path = folder / f"{self.cloth.name}.obj"
-        mesh.export(path, digits=17)
-        if settings.mesh == "remeshed":
+        trimesh.Trimesh(self.rest_m, self.grid.triangles, process=False).export(path, digits=17)
+        is_grid = settings.mesh == "grid"
+        from genesis.engine.mesh import Mesh
+
+        with replaced(Mesh, remesh=(lambda *_, **__: None) if is_grid else Mesh.remesh):
             self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
+        if not is_grid:
             self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
             self.held = self._held_by_place()
             return
-        with _mesh_kept():
-            self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
         springs = grid_springs(self.grid)
+        ends = self.grid.plane_m[springs]
         self.entity._edges = springs.astype(gs.np_int)
-        self.entity._edges_len_rest = self._lengths_m(springs).astype(gs.np_float)
+        self.entity._edges_len_rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).astype(gs.np_float)
         self.entity._particles = self.rest_m.astype(gs.np_float)
-        self.held = held_vertices(self.grid, self.cloth, self._attachments)
+        self.held = held_vertices(self.grid, self.cloth, self.attachments)
 
     def _held_by_place(self) -> dict[int, RigidAttachment]:
         """Return the attachment of each particle of a mesh of any shape that lies in an attached region."""
         held: dict[int, RigidAttachment] = {}
         local = self.cloth.pose.to_body(self.rest_m)
-        for attachment in reversed(self._attachments):
+        for attachment in reversed(self.attachments):
             axis = "xy".index(attachment.region.axis)
             size = self.cloth.size_m[axis]
             low = local[:, axis] + 0.5 * size
@@ -105,10 +114,6 @@ class _Sheet:
             inside = np.flatnonzero(inward <= attachment.region.depth_m + 1e-4 * size)
             held |= dict.fromkeys(inside.tolist(), attachment)
         return held
-
-    def _lengths_m(self, springs: NDArray[np.intp]) -> NDArray[np.float64]:
-        ends = self.grid.plane_m[springs]
-        return np.asarray(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1))
 
     def masses_kg(self) -> NDArray[np.float64]:
         """Return the masses of the particles [kg]: the area around each on a grid, equal ones otherwise."""
@@ -134,19 +139,6 @@ class _Sheet:
         return compliances
 
 
-@contextmanager
-def _mesh_kept() -> Iterator[None]:
-    """Keep Genesis from making a new mesh of the mesh that it is given."""
-    from genesis.engine.mesh import Mesh
-
-    remesh = Mesh.remesh
-    Mesh.remesh = lambda self, *_, **__: None
-    try:
-        yield
-    finally:
-        Mesh.remesh = remesh
-
-
 class ClothPart(DeformablePart):
     """All cloths of a scene.
 
@@ -157,18 +149,13 @@ class ClothPart(DeformablePart):
 
     def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-        self.names = tuple(cloth.name for cloth in cloths)
-        self._scene = scene
+        super().__init__(scene, settings, [cloth.name for cloth in cloths])
         self._settings = settings
-        cell_m = settings.cell_m or (cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M)
+        self._cell_m = settings.cell_m or (cloth_cell_m(scene) if settings.mesh == "grid" else CLOTH_CELL_M)
         self._size_m = settings.particle_size_m or max(cloth.thickness_m for cloth in cloths)
-        sheets = [_Sheet(cloth, rigid_attachments(scene, cloth.name), settings, cell_m) for cloth in cloths]
-        self._sheets = dict(zip(self.names, sheets, strict=True))
-        self._cell_m = cell_m
-        self._kernels: Any = None
-        self._start: tuple[NDArray[Any], NDArray[Any]] = (np.zeros((0, 3)), np.zeros((0, 3)))
-        self._pins: dict[str, tuple[NDArray[np.int32], NDArray[np.float64]]] = {}
-        self._planned: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {}
+        self._sheets = {
+            cloth.name: _Sheet(cloth, rigid_attachments(scene, cloth.name), settings, self._cell_m) for cloth in cloths
+        }
 
     def scene_options(self) -> dict[str, Any]:
         """Return the options of the PBD solver and of the coupling."""
@@ -189,25 +176,16 @@ class ClothPart(DeformablePart):
             "coupler_options": gs.options.LegacyCouplerOptions(rigid_pbd=bool(self.touches())),
         }
 
-    def touches(self) -> Mapping[str, float]:
-        """Return the friction of the rigid bodies that collide with cloth, by name."""
-        return touching_bodies(self._scene, self.names)
-
-    def _touch_each_other(self) -> bool:
-        """Return whether the scene's contacts have cloth with cloth."""
-        names = set(self.names)
-        return any(names & {*contact.first} and names & {*contact.second} for contact in self._scene.contacts)
-
     def add(self, scene: Any) -> None:
         """Add the entities."""
-        couple_only_marked_geoms(scene)
+        super().add(scene)
         with tempfile.TemporaryDirectory() as folder:
             for sheet in self._sheets.values():
                 sheet.add(scene, Path(folder))
 
     def finish(self, scene: Any) -> None:
         """Set masses, compliances and held particles, and place the kernels around those of the solver."""
-        from gauge_envs.backends.genesis.pbd_kernels import PBDKernels
+        from gauge_envs.backends.genesis.kernels import PBDKernels
 
         gs, settings = engine(), self._settings
         solver = scene.sim.pbd_solver
@@ -223,21 +201,26 @@ class ClothPart(DeformablePart):
             _call_before(solver, "_kernel_solve_bending", kernels.exact_hinges)
         if settings.body_friction and self.touches():
             self._add_friction(scene)
-        if settings.self_contact == "scene" and not self._touch_each_other():
+        cloths = set(self.names)
+        touch = any(cloths & {*contact.first} and cloths & {*contact.second} for contact in self._scene.contacts)
+        if settings.self_contact == "scene" and not touch:
             # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:
             if sheet.held:
                 sheet.entity.fix_particles(np.array(list(sheet.held)))
-        self._find_pins()
-        self._start = self._read()
+            for attachment in sheet.attachments:
+                rows = np.array([index for index, by in sheet.held.items() if by is attachment], dtype=np.intp)
+                if attachment.motion is Motion.KINEMATIC:
+                    self.pin(attachment, sheet.particles.start + rows, sheet.rest_m[rows])
+        self._start = self.state()
 
     def _add_friction(self, scene: Any) -> None:
         """Apply friction after the kernel that moves particles out of rigid bodies."""
-        kernels, coupler, touches = self._kernels, scene.sim.coupler, self.touches()
+        kernels, coupler = self._kernels, scene.sim.coupler
         friction = np.zeros(scene.sim.rigid_solver.n_geoms)
-        for name, geoms in coupled_geoms(scene, self._scene, touches).items():
-            friction[geoms] = touches[name]
+        for geom, value in coupled_geoms(scene, self._scene, self.touches()):
+            friction[geom.idx] = value
         kernels.set_friction(friction)
         collide = coupler.kernel_pbd_rigid_collide
 
@@ -248,57 +231,16 @@ class ClothPart(DeformablePart):
 
         coupler.kernel_pbd_rigid_collide = collide_and_rub
 
-    def _find_pins(self) -> None:
-        particles: dict[str, list[int]] = {}
-        places: dict[str, list[NDArray[np.float64]]] = {}
-        for sheet in self._sheets.values():
-            for index, attachment in sheet.held.items():
-                if attachment.motion is Motion.KINEMATIC:
-                    particles.setdefault(attachment.body, []).append(sheet.particles.start + index)
-                    places.setdefault(attachment.body, []).append(attachment.pose.to_body(sheet.rest_m[index]))
-        self._pins = {
-            body: (np.array(rows, dtype=np.int32), np.array(places[body])) for body, rows in particles.items()
-        }
-
-    def reset(self) -> None:
-        """Return the particles to their start."""
-        self._kernels.write(*self._start)
-        self._planned = {}
-
-    def prescribe(self, motions: Motions, time_s: float, step_s: float) -> None:
-        """Give held particles the velocity that takes them along with their body in the step."""
-        gs = engine()
-        if time_s == 0.0:
-            self._planned = {}
-            count = round(self._settings.drive_interval_s / step_s)
-            for body, (particles, places) in self._pins.items():
-                path = driven_places(motions[body], places, step_s * np.arange(count + 1))
-                self._kernels.place(particles, np.ascontiguousarray(path[0], dtype=gs.np_float))
-                velocities = np.ascontiguousarray(np.diff(path, axis=0) / step_s, dtype=gs.np_float)
-                self._planned[body] = (particles, velocities)
-        step = round(time_s / step_s)
-        for particles, velocities in self._planned.values():
-            self._kernels.carry(particles, velocities[step])
+    def plan(
+        self, rows: NDArray[np.int32], motion: DrivenMotion, path_m: NDArray[Any], times_s: NDArray[Any]
+    ) -> tuple[NDArray[Any], ...]:
+        """Place the particles, and return the velocities that take them along with their body in each step."""
+        self._kernels.place(rows, contiguous(path_m[0]))
+        return (np.diff(path_m, axis=0) / self._settings.timestep_s,)
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the positions of a cloth's particles [m], shape [particle_count, 3]."""
-        positions: NDArray[np.float64] = self._read()[0][self._sheets[name].particles].astype(np.float64)
-        return positions
-
-    def _read(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        shape = (self._kernels.particle_count, 3)
-        positions, velocities = (np.empty(shape, dtype=engine().np_float) for _ in range(2))
-        self._kernels.read(positions, velocities)
-        return positions, velocities
-
-    def state(self) -> tuple[NDArray[Any], NDArray[Any]]:
-        """Return positions [m] and velocities [m/s] of all particles, both of shape [particle_count, 3]."""
-        return self._read()
-
-    def restore(self, state: tuple[NDArray[Any], NDArray[Any]]) -> None:
-        """Restore positions and velocities; the next interval prescribes the held particles anew."""
-        self._kernels.write(*state)
-        self._planned = {}
+        return self._positions(self._sheets[name].particles)
 
 
 def _call_before(owner: Any, method: str, function: Any) -> None:

@@ -1,20 +1,61 @@
 """The rigid bodies of a scene as an MJCF document, the only input that gives a geom of Genesis all its constants.
 
-Free bodies stand far from each other in it, so that scenes that differ in start poses have the same document.
+Free bodies stand far from each other in it, so that scenes that differ in start poses have the same document. Genesis
+takes the larger friction of two geoms, and the mean of their constraint constants. A body has one geom for each set of
+constants in its contacts. Both geoms of a pair have the same constants, so both rules give these constants. Collision
+bits let each pair collide with its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from math import pi
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 
-from gauge_envs.backends.genesis.contacts import MIN_FRICTION, Constants, Layer, layers_of_bodies
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.backends.shared.rigid import world_hinges
+from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
+from gauge_envs.scene import (
+    Box,
+    Contact,
+    ContactMode,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Motion,
+    Pose,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+)
 from gauge_envs.scene.meshes import body_mass_properties
+
+CONTACT_LIMIT = 30
+"""Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
+
+MIN_FRICTION = 0.01
+"""Genesis raises the friction of each contact to this value."""
+
+MAX_FRICTION = 5.0
+"""Largest friction that Genesis's materials take."""
+
+IMPEDANCE_SHAPE = (0.5, 2.0)
+"""Midpoint and power of the impedance curve; they have no effect on a constant impedance."""
+
+PHASES = 16
+"""Number of moments within a step at which an impact may start, over which its restitution is averaged."""
+
+LONGEST = 10
+"""Half periods after which a body that is still in contact rests."""
+
+MAX_STEP_DAMPING = 0.9
+"""Largest share of its speed that an impact loses in a step. Genesis raises time constants that mean more than 1."""
 
 COUPLED_BIT = 1 << 30
 """Collision bit that a geom accepts and none offers."""
@@ -23,6 +64,144 @@ ORIGIN = Pose(position_m=(0.0, 0.0, 0.0))
 
 APART_M, HEIGHT_M = 10.0, 1000.0
 """Distance between free bodies in the document, and their height, where they touch nothing [m]."""
+
+
+# --- contacts ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Constants:
+    """Constants of a contact, as geoms hold them.
+
+    Attributes:
+        friction: Coulomb's coefficient.
+        solref: Time constant [s] and damping ratio.
+        solimp: Impedance: least, greatest, width [m], midpoint, power.
+    """
+
+    friction: float
+    solref: tuple[float, float]
+    solimp: tuple[float, ...]
+
+
+@dataclass
+class Layer:
+    """Collision bits of a geom: two geoms collide if one offers a bit that the other accepts."""
+
+    offers: int = 0
+    accepts: int = 0
+
+
+def layers_of_bodies(scene: Scene, settings: SettingsGenesis) -> dict[str, dict[Constants, Layer]]:
+    """Return the geoms that each body needs, by name, as its constants of contacts and their collision bits."""
+    bodies = {body.name for body in scene.bodies}
+    found: dict[str, dict[Constants, Layer]] = {}
+    for number, contact in enumerate(_rigid_contacts(scene)):
+        constants, bit = _constants(scene, contact, settings), 1 << number
+        for name in bodies & set(contact.first):
+            found.setdefault(name, {}).setdefault(constants, Layer()).offers |= bit
+        for name in bodies & set(contact.second):
+            found.setdefault(name, {}).setdefault(constants, Layer()).accepts |= bit
+    return {body.name: found[body.name] for body in scene.bodies if body.name in found}
+
+
+def _rigid_contacts(scene: Scene) -> Iterator[Contact]:
+    """Yield the contacts in which two rigid bodies may collide."""
+    bodies = {body.name for body in scene.bodies}
+    for contact in scene.contacts:
+        if any(bodies.issuperset(pair) for pair in scene.colliding_pairs(contact)):
+            yield contact
+
+
+def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Constants:
+    solref, impedance = (settings.sustained_timeconst_s, settings.sustained_dampratio), settings.sustained_impedance
+    if contact.mode is ContactMode.IMPACT and settings.impact_steps is not None:
+        speed = settings.impact_speed_m_per_s or SLOWEST_IMPACT_M_PER_S
+        weight = scene.gravity_m_per_s2 * settings.timestep_s / speed
+        damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
+        frequency = pi / (settings.impact_steps * settings.timestep_s)
+        solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
+    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE))
+
+
+@cache
+def damping_ratio(restitution: float, steps: int, weight: float = 0.0) -> float:
+    """Return the damping ratio with which a damped spring that only pushes has a restitution.
+
+    A body in contact has the acceleration -2 z w v - w^2 x at the depth x and the speed v, gravity included, unless it
+    would have to be pulled. With the angular frequency w = pi / (steps h), half a period without damping lasts `steps`
+    steps.
+
+    Args:
+        restitution: Ratio of outgoing to incoming speed, at least 0.
+        steps: Steps of half a period.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
+    """
+    least, greatest = 1e-6, MAX_STEP_DAMPING * steps / (2.0 * pi)
+    if _mean_rebound(least, steps, weight) <= restitution:
+        return least
+    if _mean_rebound(greatest, steps, weight) >= restitution:
+        return greatest
+    # `gauge list` asks also where Genesis is absent, and the import takes a tenth of a second.
+    from scipy.optimize import brentq
+
+    return float(brentq(lambda ratio: _mean_rebound(ratio, steps, weight) - restitution, least, greatest, xtol=1e-10))
+
+
+def _mean_rebound(damping: float, steps: int, weight: float) -> float:
+    phases = [rebound(damping, steps, (index + 0.5) / PHASES, weight) for index in range(PHASES)]
+    return sum(phases) / PHASES
+
+
+def rebound(damping: float, steps: int, phase: float, weight: float) -> float:
+    """Return the restitution of the spring in steps.
+
+    Args:
+        damping: Damping ratio.
+        steps: Steps of half a period without damping.
+        phase: Depth at the first step in contact, over the way of the body in a step.
+        weight: Speed that gravity adds in a step, over the speed of the impact.
+    """
+    frequency, speed, depth = pi / steps, 1.0, phase
+    for _ in range(LONGEST * steps):
+        # Without a pull, the body falls freely.
+        speed -= max(2.0 * damping * frequency * speed + frequency**2 * depth, -weight)
+        depth += speed
+        if depth <= 0.0:
+            return max(-speed, 0.0)
+    return 0.0
+
+
+def is_frictionless(scene: Scene) -> bool:
+    """Return whether rigid bodies touch, and no contact between them has friction."""
+    frictions = [contact.friction for contact in _rigid_contacts(scene)]
+    return bool(frictions) and not any(frictions)
+
+
+def unsupported_contacts(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
+    """Yield one sentence for each kind of contact between rigid bodies that Genesis cannot take."""
+    contacts = list(_rigid_contacts(scene))
+    is_smooth = is_frictionless(scene) and settings.friction_cone == "elliptic"
+    for contact in contacts:
+        if not (is_smooth or MIN_FRICTION <= contact.friction <= MAX_FRICTION):
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} touch with a friction of {contact.friction:.6g}: "
+                f"Genesis raises the friction of each contact to {MIN_FRICTION}, and takes at most {MAX_FRICTION:g}. "
+                "This backend builds scenes in which no contact has friction, with the elliptic cone"
+            )
+            break
+    for contact in contacts:
+        if contact.mode is ContactMode.IMPACT and contact.restitution > 1.0:
+            yield (
+                f"{contact.first[0]!r} and {contact.second[0]!r} rebound with a restitution of "
+                f"{contact.restitution:.6g}: the damped spring that stands for it reaches 1"
+            )
+            break
+    if len(contacts) > CONTACT_LIMIT:
+        yield f"the scene has {len(contacts)} contacts: Genesis's collision masks hold {CONTACT_LIMIT}; join groups"
+
+
+# --- bodies -----------------------------------------------------------------------------------------------------------
 
 
 def body_label(index: int) -> str:
@@ -42,11 +221,10 @@ def document(
         margin_m: Thickness by which the geoms of these bodies exceed them [m].
     """
     root = ElementTree.Element("mujoco")
-    ElementTree.SubElement(root, "compiler", angle="radian", autolimits="false")
-    asset = ElementTree.SubElement(root, "asset")
-    world = ElementTree.SubElement(root, "worldbody")
+    _add(root, "compiler", angle="radian", autolimits="false")
+    asset, world = _add(root, "asset"), _add(root, "worldbody")
     layers = layers_of_bodies(scene, settings)
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     for index, body in enumerate(scene.bodies):
         parent, pose = world, body.pose
         if body.motion is not Motion.FIXED:
@@ -74,48 +252,43 @@ def _enlarged(shape: Box | Sphere | Cylinder, margin_m: float) -> Box | Sphere |
     return Cylinder(radius_m=shape.radius_m + margin_m, length_m=shape.length_m + 2.0 * margin_m)
 
 
-def _text(values: Iterable[float]) -> str:
-    return " ".join(repr(float(value)) for value in values)
+def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTree.Element:
+    """Add an element, whose numbers have all their digits, and return it."""
+
+    def text(value: Any) -> str:
+        is_text = isinstance(value, str | int)
+        return str(value) if is_text else " ".join(repr(float(number)) for number in np.ravel(value))
+
+    return ElementTree.SubElement(parent, tag, {name: text(value) for name, value in attributes.items()})
 
 
 def _add_body(
     world: ElementTree.Element, index: int, body: RigidBody, hinge: Hinge | None, settings: SettingsGenesis
 ) -> ElementTree.Element:
-    pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M)) if hinge is None else body.pose
-    element = ElementTree.SubElement(
-        world, "body", name=body_label(index), pos=_text(pose.position_m), quat=_text(pose.quaternion)
-    )
+    pose, label = body.pose, body_label(index)
     if hinge is None:
-        ElementTree.SubElement(element, "freejoint", name=body_label(index))
+        pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M))
+    element = _add(world, "body", name=label, pos=pose.position_m, quat=pose.quaternion)
+    if hinge is None:
+        _add(element, "freejoint", name=label)
     else:
-        ElementTree.SubElement(
-            element,
-            "joint",
-            name=body_label(index),
-            type="hinge",
-            pos=_text(pose.to_body(np.asarray(hinge.anchor_m))),
-            axis=_text(pose.rotation.inv().apply(hinge.axis)),
-            armature=repr(settings.hinge_armature_kg_m2),
-        )
+        anchor, axis = pose.to_body(np.asarray(hinge.anchor_m)), pose.rotation.inv().apply(hinge.axis)
+        armature = settings.hinge_armature_kg_m2
+        _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, armature=armature)
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.
-        inertia = mass_kg * _reach_m(body) ** 2 * np.eye(3)
+        inertia = mass_kg * reach_m(body) ** 2 * np.eye(3)
     else:
         mass_kg = body.mass_kg
         centre_m, inertia = body_mass_properties(body)
     order = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-    ElementTree.SubElement(
-        element,
-        "inertial",
-        pos=_text(centre_m),
-        mass=repr(float(mass_kg)),
-        fullinertia=_text(inertia[place] for place in order),
-    )
+    _add(element, "inertial", pos=centre_m, mass=mass_kg, fullinertia=[inertia[place] for place in order])
     return element
 
 
-def _reach_m(body: RigidBody) -> float:
+def reach_m(body: RigidBody) -> float:
+    """Return the largest distance of a corner of a body from its origin [m]."""
     return float(np.linalg.norm(body.shape.corners_m, axis=1).max())
 
 
@@ -127,39 +300,35 @@ def _add_geoms(
     pose: Pose,
     copies: Iterable[tuple[Constants, Layer]],
 ) -> None:
-    shapes = _shapes(body)
-    for number, attributes in enumerate(shapes):
-        if attributes["type"] == "mesh":
-            label = f"{body_label(index)}/{number}"
-            ElementTree.SubElement(asset, "mesh", name=label, vertex=attributes.pop("vertex"))
-            attributes["mesh"] = label
+    shapes = [_primitive(body.shape)]
+    if isinstance(body.shape, ConvexUnion):
+        labels = [f"{body_label(index)}/{number}" for number in range(len(body.shape.pieces_m))]
+        shapes = [{"type": "mesh", "mesh": label} for label in labels]
+        for label, piece in zip(labels, body.shape.pieces_m, strict=True):
+            _add(asset, "mesh", name=label, vertex=piece)
     for constants, layer in copies:
-        for attributes in shapes:
-            ElementTree.SubElement(
+        for shape in shapes:
+            _add(
                 parent,
                 "geom",
-                attributes,
-                pos=_text(pose.position_m),
-                quat=_text(pose.quaternion),
-                contype=str(layer.offers),
-                conaffinity=str(layer.accepts),
-                friction=_text((constants.friction, 0.0, 0.0)),
-                solref=_text(constants.solref),
-                solimp=_text(constants.solimp),
+                **shape,
+                pos=pose.position_m,
+                quat=pose.quaternion,
+                contype=layer.offers,
+                conaffinity=layer.accepts,
+                friction=(constants.friction, 0.0, 0.0),
+                solref=constants.solref,
+                solimp=constants.solimp,
                 # Geoms of this group are not rendered.
                 group="3",
             )
 
 
-def _shapes(body: RigidBody) -> list[dict[str, str]]:
-    shape = body.shape
+def _primitive(shape: Shape) -> dict[str, Any]:
     if isinstance(shape, Box):
-        return [{"type": "box", "size": _text(0.5 * edge for edge in shape.size_m)}]
+        return {"type": "box", "size": [0.5 * edge for edge in shape.size_m]}
     if isinstance(shape, Sphere):
-        return [{"type": "sphere", "size": _text([shape.radius_m])}]
+        return {"type": "sphere", "size": shape.radius_m}
     if isinstance(shape, Cylinder):
-        return [{"type": "cylinder", "size": _text([shape.radius_m, 0.5 * shape.length_m])}]
-    if isinstance(shape, Plane):
-        return [{"type": "plane", "size": "0 0 1"}]
-    assert isinstance(shape, ConvexUnion)
-    return [{"type": "mesh", "vertex": _text(np.asarray(piece).ravel())} for piece in shape.pieces_m]
+        return {"type": "cylinder", "size": [shape.radius_m, 0.5 * shape.length_m]}
+    return {"type": "plane", "size": "0 0 1"}

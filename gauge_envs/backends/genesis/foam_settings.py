@@ -10,7 +10,7 @@ from pydantic import Field
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.cells import CellSize
-from gauge_envs.backends.shared.tetrahedra import lame_constants
+from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.scene import Scene, SoftBody
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import comb
 from typing import Any
@@ -11,13 +10,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.genesis.contacts import layers_of_bodies
-from gauge_envs.backends.genesis.deformables import deformable_parts
-from gauge_envs.backends.genesis.document import body_label, document
+from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
+from gauge_envs.backends.genesis.foam_settings import SettingsFEM, SettingsMPM
 from gauge_envs.backends.genesis.parts import DeformablePart
+from gauge_envs.backends.genesis.pbd_settings import SettingsPBD
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.scene import Hinge, Motion, Scene
+from gauge_envs.backends.shared.rigid import world_hinges
+from gauge_envs.scene import Motion, Scene
 
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
@@ -29,23 +29,6 @@ NEIGHBOURS = 8
 """Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where a moving body stands in the rigid solver's arrays.
-
-    Attributes:
-        link: Index of its link.
-        coordinates: Its first coordinate.
-        freedoms: Its first degree of freedom.
-        is_hinged: Whether it has a hinge's one coordinate, and not a free body's seven.
-    """
-
-    link: int
-    coordinates: int
-    freedoms: int
-    is_hinged: bool
-
-
 @dataclass(eq=False)
 class Model:
     """A built Genesis scene.
@@ -55,27 +38,24 @@ class Model:
         lease: Claim on the engine.
         scene: The `gs.Scene`.
         solver: Its rigid solver.
-        places: Places of the moving bodies, by name.
-        parts: Parts of the deformable bodies.
+        links: Genesis's links of the moving bodies, by name.
+        part: The deformable bodies; None in a rigid scene.
         fresh: State of the rigid solver after the build; None without rigid bodies.
-        world_count: Number of environments.
     """
 
     key: tuple[Any, ...]
     lease: EngineLease
     scene: Any
     solver: Any
-    places: dict[str, Place]
-    parts: list[DeformablePart]
+    links: dict[str, Any]
+    part: DeformablePart | None
     fresh: Any
-    world_count: int
 
     def destroy(self) -> None:
         """Free the Genesis scene."""
         if self.scene is not None:
             self.scene.destroy()
-            self.scene = self.solver = self.fresh = None
-            self.parts = []
+            self.scene = self.solver = self.fresh = self.part = None
             self.lease.release()
 
 
@@ -101,7 +81,7 @@ def borrow_model(scene: Scene, settings: SettingsGenesis, world_count: int = 1) 
 def return_model(model: Model) -> None:
     """Keep a model for the next simulation of such a scene, and free the one that was kept before."""
     forget_models()
-    if model.parts:
+    if model.part is not None:
         model.destroy()
     elif model.scene is not None:
         _IDLE.append(model)
@@ -117,22 +97,19 @@ def forget_models() -> None:
 def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], world_count: int) -> Model:
     lease = EngineLease(settings.precision)
     gs = engine()
-    parts = deformable_parts(scene, settings)
+    part = _part(scene, settings)
     with patient("building a scene"):
-        options: dict[str, Any] = {}
-        for part in parts:
-            options |= part.scene_options()
         built = gs.Scene(
             show_viewer=False,
             sim_options=gs.options.SimOptions(dt=settings.timestep_s, gravity=(0.0, 0.0, -scene.gravity_m_per_s2)),
             rigid_options=_rigid_options(scene, settings),
-            **options,
+            **part.scene_options() if part else {},
         )
-        entity = _add_bodies(built, scene, settings, parts)
-        for part in parts:
+        entity = _add_bodies(built, scene, settings, part)
+        if part is not None:
             part.add(built)
         built.build(n_envs=world_count)
-        for part in parts:
+        if part is not None:
             part.finish(built)
     solver = built.sim.rigid_solver
     return Model(
@@ -140,21 +117,38 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         lease=lease,
         scene=built,
         solver=solver,
-        places=_places(scene, entity),
-        parts=parts,
+        links={
+            body.name: entity.get_link(body_label(index))
+            for index, body in enumerate(scene.bodies)
+            if body.motion is not Motion.FIXED
+        },
+        part=part,
         fresh=solver.__getstate__() if solver.is_active else None,
-        world_count=world_count,
     )
 
 
-def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, parts: Sequence[DeformablePart]) -> Any:
-    gs = engine()
-    coupled: dict[str, float] = {}
-    for part in parts:
-        coupled |= part.touches()
-    margin_m = max((part.touch_margin_m() for part in parts), default=0.0)
+def _part(scene: Scene, settings: SettingsGenesis) -> DeformablePart | None:
+    """Return the deformable bodies of a scene; None for a rigid scene."""
+    if isinstance(settings, SettingsPBD):
+        from gauge_envs.backends.genesis.cloth import ClothPart
+
+        return ClothPart(scene, settings)
+    if isinstance(settings, SettingsFEM):
+        from gauge_envs.backends.genesis.foam import FEMPart
+
+        return FEMPart(scene, settings)
+    if isinstance(settings, SettingsMPM):
+        from gauge_envs.backends.genesis.foam import MPMPart
+
+        return MPMPart(scene, settings)
+    return None
+
+
+def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, part: DeformablePart | None) -> Any:
     if not scene.bodies:
         return None
+    gs = engine()
+    coupled, margin_m = (part.touches(), part.touch_margin_m()) if part else ({}, 0.0)
     return built.add_entity(
         gs.morphs.MJCF(
             file=document(scene, settings, coupled, margin_m),
@@ -172,7 +166,9 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, parts: Sequ
 
 def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     gs = engine()
-    collides = bool(layers_of_bodies(scene, settings)) or bool(scene.deformables)
+    layers = layers_of_bodies(scene, settings)
+    collides = bool(layers) or bool(scene.deformables)
+    pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
@@ -191,45 +187,23 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,
         use_gjk_collision=settings.gjk,
-        max_collision_pairs=_pair_count(scene, settings),
+        max_collision_pairs=max(PAIR_LIMIT, min(comb(pieces, 2), NEIGHBOURS * pieces)),
     )
-
-
-def _pair_count(scene: Scene, settings: SettingsGenesis) -> int:
-    """Return how many pairs of pieces may touch at a time."""
-    pieces = {body.name: len(getattr(body.shape, "pieces_m", (None,))) for body in scene.bodies}
-    count = sum(pieces[name] for name in layers_of_bodies(scene, settings))
-    return max(PAIR_LIMIT, min(comb(count, 2), NEIGHBOURS * count))
-
-
-def _places(scene: Scene, entity: Any) -> dict[str, Place]:
-    hinged = {joint.body for joint in scene.joints if isinstance(joint, Hinge)}
-    places = {}
-    for index, body in enumerate(scene.bodies):
-        if body.motion is Motion.FIXED:
-            continue
-        link = entity.get_link(body_label(index))
-        places[body.name] = Place(
-            link=link.idx, coordinates=link.q_start, freedoms=link.dof_start, is_hinged=body.name in hinged
-        )
-    return places
 
 
 def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)
-    axes = {joint.body: np.asarray(joint.axis) for joint in scene.joints if isinstance(joint, Hinge)}
-    for name, place in model.places.items():
+    hinges = world_hinges(scene)
+    for name, link in model.links.items():
         body = scene.body(name)
         angular = np.asarray(body.angular_velocity_rad_per_s)
-        if place.is_hinged:
-            velocities[place.freedoms] = angular @ axes[name]
+        if name in hinges:
+            velocities[link.dof_start] = angular @ np.asarray(hinges[name].axis)
             continue
-        coordinates[place.coordinates : place.coordinates + 7] = [*body.pose.position_m, *body.pose.quaternion]
+        coordinates[link.q_start : link.q_start + 7] = [*body.pose.position_m, *body.pose.quaternion]
         # Genesis's angular velocity is in the body frame.
-        velocities[place.freedoms : place.freedoms + 6] = [
-            *body.linear_velocity_m_per_s,
-            *body.pose.rotation.inv().apply(angular),
-        ]
+        turned = body.pose.rotation.inv().apply(angular)
+        velocities[link.dof_start : link.dof_start + 6] = [*body.linear_velocity_m_per_s, *turned]
     return coordinates, velocities

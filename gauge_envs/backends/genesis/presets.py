@@ -1,21 +1,25 @@
-"""Presets of the Genesis backend, and the choice of one for a scene.
+"""Presets of the Genesis backend, the choice of one for a scene, and the scenes that it declines. Needs no engine.
 
 The content of a scene determines its preset; scores have no influence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from typing import Any
 
-from gauge_envs.backends.genesis.contacts import is_frictionless
-from gauge_envs.backends.genesis.deformables import deformable_presets
-from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS
+from gauge_envs.backends.genesis.document import is_frictionless, unsupported_contacts
+from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS, soft_presets
+from gauge_envs.backends.genesis.pbd_settings import pbd_presets
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
 from gauge_envs.backends.settings import resolve_settings
-from gauge_envs.backends.shared.impact_speed import impact_speed_m_per_s
+from gauge_envs.backends.shared.attachments import attachment_problems
+from gauge_envs.backends.shared.bundled import first_of
+from gauge_envs.backends.shared.soft_rows import soft_row_problems
+from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import ContactMode, Scene
+from gauge_envs.scene import Cloth, ContactMode, Hinge, Motion, Rod, Rope, Scene, SoftBody
 
 FRICTIONLESS_IMPRATIO = 1e-9
 """Ratio of frictional to normal impedance in scenes without friction. Signorini contacts keep their normal force."""
@@ -26,7 +30,11 @@ STACK_BODIES = 20
 
 def presets_for(scene: Scene) -> Mapping[str, SettingsGenesis]:
     """Return the presets of a scene by name. Scenes with deformable bodies have presets of their solvers."""
-    return deformable_presets(scene) if scene.deformables else PRESETS
+    if any(isinstance(body, Cloth) for body in scene.deformables):
+        return pbd_presets(scene)
+    if any(isinstance(body, SoftBody) for body in scene.deformables):
+        return soft_presets(scene)
+    return {"default": SettingsGenesis(preset="default", timestep_s=1 / 1800)} if scene.deformables else PRESETS
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsGenesis:
@@ -63,3 +71,66 @@ def _preset_name(scene: Scene) -> str:
     if scene.has_impact_chain:
         return "impact_chain"
     return "impact" if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
+
+
+# --- support ----------------------------------------------------------------------------------------------------------
+
+
+def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
+    """Yield one sentence for each kind of unsupported feature of a scene."""
+    hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
+    for name, count in hinges.items():
+        if count > 1:
+            yield f"{name!r} hangs on {count} hinges: this backend builds one hinge per body"
+            break
+    for joint in scene.joints:
+        if scene.body(joint.body).motion is not Motion.DYNAMIC:
+            motion = scene.body(joint.body).motion.value
+            yield f"{joint.body!r} hangs on a {type(joint).__name__} and is {motion}: only dynamic bodies have joints"
+            break
+    yield from unsupported_contacts(scene, settings)
+    yield from unsupported_deformables(scene)
+
+
+def unsupported_deformables(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each kind of unsupported feature of the deformable bodies of a scene."""
+    lines = [body.name for body in scene.deformables if isinstance(body, Rope | Rod)]
+    if lines:
+        yield f"{first_of(lines)} is a line: Genesis has no solver of ropes and rods"
+    yield from attachment_problems(scene, not_to_dynamic=Cloth | SoftBody)
+    yield from _unsupported_cloth(scene)
+    yield from _unsupported_solids(scene)
+
+
+def _unsupported_cloth(scene: Scene) -> Iterator[str]:
+    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
+    for attachment in scene.attachments:
+        if attachment.deformable in cloths and attachment.region.axis == "z":
+            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
+            break
+    dynamic = {body.name for body in scene.bodies if body.motion is Motion.DYNAMIC}
+    loads = sorted(
+        name
+        for contact in scene.contacts
+        for pair in scene.colliding_pairs(contact)
+        for name, other in (pair, pair[::-1])
+        if name in dynamic and other in cloths
+    )
+    if loads:
+        yield (
+            f"{first_of(loads)} is dynamic and touches cloth: Genesis moves particles out of a body and gives it only "
+            "their momentum, so that cloth does not carry it"
+        )
+
+
+def _unsupported_solids(scene: Scene) -> Iterator[str]:
+    solids = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
+    cloths = [body.name for body in scene.deformables if isinstance(body, Cloth)]
+    if solids and cloths:
+        yield f"{min(solids)!r} is beside cloth {cloths[0]!r}: this backend builds one of both kinds in a scene"
+    yield from soft_row_problems(scene)
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            if {first, second} <= solids:
+                yield f"{first!r} may touch {second!r}: Genesis's finite elements do not collide with each other"
+                return

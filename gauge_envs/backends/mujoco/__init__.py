@@ -1,5 +1,67 @@
 """MuJoCo backend, the default engine."""
 
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.mujoco.deformables import unsupported_features
+from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
+from gauge_envs.backends.mujoco.model import build_model
+from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
+from gauge_envs.backends.shared.bundled import BundledBackend
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
+
+
+class BackendMuJoCo(BundledBackend):
+    """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""
+
+    name = "mujoco"
+    packages = ("mujoco",)
+    settings_for = staticmethod(settings_for)
+    file_suffixes = (".xml",)
+    applies_air = True
+    configurations = MappingProxyType(
+        {
+            "PGS": {"solver": "PGS"},
+            "CG": {"solver": "CG"},
+            # Its own step of 2 ms does not divide the drive interval.
+            "out_of_box": {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
+        }
+    )
+    joins_bodies = True
+    worlds_mix_constants = True
+
+    def unsupported(self, scene: Scene) -> Iterator[str]:
+        """Yield the unsupported features, such as cloth on a dynamic body or, below MuJoCo 4, deformable bodies."""
+        yield from without_deformables(scene)
+        yield from unsupported_features(scene)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
+        """Build a scene; settings are the fields of `SettingsMuJoCo`."""
+        for reason in without_deformables(scene):
+            raise UnsupportedSceneError(reason)
+        chosen = settings_for(scene, settings)
+        in_force = without_absent(chosen.model_dump(mode="json"))
+        return SimulationMuJoCo(scene, in_force, *build_model(scene, chosen))
+
+    def read_file(self, path: Path, scene: Scene) -> ModelFile:
+        """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""
+        return read_model(path, scene, self.build(scene))
+
+    def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
+        """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
+        if settings:
+            raise ParameterError(
+                f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
+                "change them in the file"
+            )
+        return SimulationMuJoCo(scene, *load_model(path, scene))

@@ -18,12 +18,13 @@ from math import sqrt
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, collide_with_nothing, flex_table
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import Cloth
+from gauge_envs.scene import Air, Cloth, Scene
 
 ELASTIC_BOTH = 3
 """MuJoCo's code for a flex that both stretches and bends."""
@@ -44,7 +45,6 @@ class ClothPartMuJoCo(FlexPart):
         cloth: The cloth.
         flex: Its flex in the editable model.
         grid: Its mesh.
-        rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
         points: Its vertices.
 
     Attributes:
@@ -52,39 +52,21 @@ class ClothPartMuJoCo(FlexPart):
         grid: Its mesh.
     """
 
-    def __init__(
-        self,
-        cloth: Cloth,
-        flex: mujoco.MjsFlex,
-        grid: ClothGrid,
-        rest_m: NDArray[np.float64],
-        points: Points,
-    ) -> None:
-        self.name = cloth.name
-        self.flex = flex
-        self.rest_m = rest_m
-        self.cloth = cloth
-        self.grid = grid
-        self.points = points
+    def __init__(self, cloth: Cloth, flex: mujoco.MjsFlex, grid: ClothGrid, points: Points) -> None:
+        super().__init__(flex, grid.rest_m, points)
+        self.cloth, self.grid = cloth, grid
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
-        flex = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, self.name)
+        flex = self.flex.id
         membrane = _membrane(self.grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
-        start = model.flex_stiffnessadr[flex]
-        table = model.flex_stiffness[start : start + STIFFNESS_PER_TRIANGLE * len(membrane)]
-        table.reshape(-1, STIFFNESS_PER_TRIANGLE)[:, :6] = membrane
+        flex_table(model, "flex_stiffness", flex).reshape(-1, STIFFNESS_PER_TRIANGLE)[: len(membrane), :6] = membrane
 
         edge, count = model.flex_edgeadr[flex], model.flex_edgenum[flex]
         ends = self.grid.plane_m[model.flex_edge[edge : edge + count]]
         diagonal = (np.abs(ends[:, 1] - ends[:, 0]) > 1e-9).all(axis=1)
-        start = model.flex_bendingadr[flex]
-        forms = model.flex_bending[start : start + BENDING_PER_EDGE * count].reshape(-1, BENDING_PER_EDGE)
-        forms[diagonal] *= _diagonal_weight(*self.grid.cell_m)
-
-    def nodes(self) -> NDArray[np.float64]:
-        """Return the current world positions of the vertices [m], shape [node_count, 3]; cloth y runs fastest."""
-        return self.points.positions()
+        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)
+        forms[:count][diagonal] *= _diagonal_weight(*self.grid.cell_m)
 
 
 def add_cloth(
@@ -120,7 +102,7 @@ def add_cloth(
             f"{1e3 * min(grid.cell_m):.3g} mm must be larger: reduce cloth_fold_radius_m or increase cell_m"
         )
     held = held_vertices(grid, cloth, attachments)
-    rest = cloth.pose.to_world(np.column_stack([grid.plane_m, np.zeros(len(grid.plane_m))]))
+    rest = grid.rest_m
     names = [f"{cloth.name}/{index}" for index in range(len(rest))]
     for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
         if index in held:
@@ -135,8 +117,8 @@ def add_cloth(
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
     flex = spec.add_flex(name=cloth.name, dim=2)
-    flex.vertbody, places = attached_points(names, rest, held)
-    flex.vert = places.ravel()
+    points = Points(names, rest, held)
+    flex.vertbody, flex.vert = points.carriers()
     flex.elem = grid.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
     # MuJoCo derives both stiffnesses from one solid plate; this plate has the stretch and the bending of the fabric.
@@ -144,10 +126,8 @@ def add_cloth(
     flex.young = cloth.stretch_stiffness_n_per_m / flex.thickness
     flex.poisson = 0.0
     flex.radius = 0.5 * cloth.thickness_m if contact_radius_m is None else contact_radius_m
-    flex.contype = 0
-    flex.conaffinity = 0
-    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    return ClothPartMuJoCo(cloth, flex, grid, rest, Points(names, rest, held))
+    collide_with_nothing(flex)
+    return ClothPartMuJoCo(cloth, flex, grid, points)
 
 
 def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
@@ -174,3 +154,74 @@ def _membrane(grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> 
     matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
     rows, columns = np.triu_indices(3)
     return np.asarray(matrices[:, rows, columns])
+
+
+# --- air --------------------------------------------------------------------------------------------------------------
+
+
+class AirOnCloth:
+    """Forces of the air on one cloth by the law of `gauge_envs.scene.air`, as generalized forces on its free vertices.
+
+    MuJoCo's own fluid model acts on rigid bodies by their boxes of inertia, and not on a flex.
+    A vertex takes the share of each triangle that `ClothGrid.triangle_shares` gives it, and the velocity of a triangle
+    is the mean of its corners with the same shares. So the power of a vertex's forces is that of the triangles', and a
+    uniform wind accelerates a flat sheet uniformly. The bodies to which a cloth is attached are fixed or driven, so the
+    air on attached vertices moves nothing and is left out.
+
+    Args:
+        air: The air.
+        part: The cloth, bound to the model.
+        data: MuJoCo's state.
+    """
+
+    def __init__(self, air: Air, part: ClothPartMuJoCo, data: mujoco.MjData) -> None:
+        self._air = air
+        self._points = part.points
+        triangles = part.grid.triangles
+        self._first, self._second, self._third = triangles.T
+        columns = np.repeat(np.arange(len(triangles)), 3)
+        shares = (part.grid.triangle_shares().ravel(), (triangles.ravel(), columns))
+        self._to_vertices = csr_array(shares, shape=(len(part.rest_m), len(triangles)))
+        self._to_triangles = csr_array(self._to_vertices.T)
+        self._to_free = csr_array(self._to_vertices[self._points.free])
+        self._forces = data.qfrc_applied
+
+    def triangle_forces_n(self) -> NDArray[np.float64]:
+        """Return the forces on the triangles in the current state [N], shape [triangle_count, 3]."""
+        places = self._points.positions()
+        corner = places[self._first]
+        areas = 0.5 * _cross(places[self._second] - corner, places[self._third] - corner)
+        return self._air.forces_n(areas, self._to_triangles @ self._points.velocities())
+
+    def apply(self) -> None:
+        """Write the forces of the current state, which act during the next step."""
+        self._forces[self._points.dofs] = self._to_free @ self.triangle_forces_n()
+
+
+def check_air_step(scene: Scene, parts: list[ClothPartMuJoCo], timestep_s: float) -> None:
+    """Raise an error if the explicit forces of the air could overshoot in a step.
+
+    Args:
+        scene: A scene with air.
+        parts: Its cloth.
+        timestep_s: Step of the simulation [s].
+    """
+    assert scene.air is not None
+    fastest = scene.speed_limit_m_per_s + float(np.linalg.norm(scene.air.wind_m_per_s))
+    for part in parts:
+        density = part.cloth.areal_density_kg_per_m2
+        stable = scene.air.stable_speed_m_per_s(areal_density_kg_per_m2=density, timestep_s=timestep_s)
+        if fastest > stable:
+            raise ParameterError(
+                f"air on cloth {part.name!r}: steps of {timestep_s:.3g} s are stable up to {stable:.3g} m/s relative "
+                f"to the air, and the scene allows {fastest:.3g} m/s: reduce timestep_s to "
+                f"{timestep_s * stable / fastest:.3g} s or less, or reduce the density or the coefficients of the air"
+            )
+
+
+def _cross(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return cross products, shape [count, 3]; `numpy.cross` takes three times as long on short arrays."""
+    product = np.empty_like(first)
+    for axis, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        np.subtract(first[:, i] * second[:, j], first[:, j] * second[:, i], out=product[:, axis])
+    return product

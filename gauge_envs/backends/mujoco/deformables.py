@@ -6,18 +6,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 
 import mujoco
-import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
 from gauge_envs.backends.mujoco.contacts import IMPEDANCE_SHAPE, contact_constants, given_constants
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo, add_rod, add_rope
 from gauge_envs.backends.mujoco.settings import CLOTH_CELL_M, ROPE_CELL_M, SettingsMuJoCo
-from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
-from gauge_envs.backends.shared.attachments import attachment_problems, attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.mujoco.soft import add_soft
+from gauge_envs.backends.shared.attachments import attachment_problems, bonded_soft_bodies, rigid_attachments
+from gauge_envs.backends.shared.soft_rows import soft_rows
 from gauge_envs.scene import Cloth, Contact, Rope, Scene, SoftBody
 from gauge_envs.scene.fabrics import plate_bending_stiffness
+
+Geoms = Mapping[str, Sequence[mujoco.MjsGeom]]
+"""Geoms of each rigid body in the editable model, by name."""
 
 
 def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo) -> dict[str, FlexPart]:
@@ -26,27 +28,29 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
     Returns:
         The part of each deformable body, by name; bonded soft bodies share a part.
     """
-    attachments = attachments_by_body(scene, scene.deformables)
     parts: dict[str, FlexPart] = {}
     for body in scene.deformables:
+        attachments = rigid_attachments(scene, body.name)
         if isinstance(body, Cloth):
-            bending = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad)
+            touches_itself = any(body.name in {*c.first} & {*c.second} for c in scene.contacts)
             parts[body.name] = add_cloth(
                 spec,
                 body,
-                attachments=attachments[body.name],
+                attachments=attachments,
                 cell_m=settings.cell_m or CLOTH_CELL_M,
-                bending_stiffness_n_m=bending,
-                contact_radius_m=settings.cloth_fold_radius_m if _touches_itself(scene, body.name) else None,
+                bending_stiffness_n_m=plate_bending_stiffness(
+                    hinge_stiffness_n_m_per_rad=body.bend_stiffness_n_m_per_rad
+                ),
+                contact_radius_m=settings.cloth_fold_radius_m if touches_itself else None,
             )
         elif isinstance(body, Rope):
             cell_m = settings.cell_m or ROPE_CELL_M
-            parts[body.name] = add_rope(spec, body, attachments=attachments[body.name], cell_m=cell_m)
+            parts[body.name] = add_rope(spec, body, attachments=attachments, cell_m=cell_m)
         elif not isinstance(body, SoftBody):
-            parts[body.name] = add_rod(spec, body, attachments=attachments[body.name], cell_m=settings.cell_m)
-    for bodies in bonded_soft_bodies(scene):
-        part = add_soft(spec, bodies, attachments=attachments, cell_m=settings.cell_m)
-        parts |= {body.name: part for body in bodies}
+            parts[body.name] = add_rod(spec, body, attachments=attachments, cell_m=settings.cell_m)
+    for soft_row in soft_rows(scene):
+        part = add_soft(spec, soft_row, cell_m=settings.cell_m)
+        parts |= dict.fromkeys(soft_row.names, part)
     return parts
 
 
@@ -56,24 +60,8 @@ def unsupported_features(scene: Scene) -> Iterator[str]:
     yield from _frictions_in_conflict(scene)
 
 
-def _touches_itself(scene: Scene, name: str) -> bool:
-    return any(name in contact.first and name in contact.second for contact in scene.contacts)
-
-
-def nodes_of(part: FlexPart, name: str) -> NDArray[np.float64]:
-    """Return the current nodes of one deformable body [m], shape [node_count, 3]."""
-    nodes = part.nodes()
-    return nodes[part.block_nodes(name)] if isinstance(part, SoftPartMuJoCo) else nodes
-
-
 def add_flex_contact(
-    scene: Scene,
-    contact: Contact,
-    parts: Mapping[str, FlexPart],
-    geoms: Mapping[str, Sequence[mujoco.MjsGeom]],
-    settings: SettingsMuJoCo,
-    *,
-    bit: int,
+    scene: Scene, contact: Contact, parts: Mapping[str, FlexPart], geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
 ) -> None:
     """Let the deformable bodies of a contact collide through MuJoCo's broad phase.
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -33,6 +33,19 @@ class Points:
         self._rest_m = rest_m
         self._held = dict(held)
         self.free = np.array([index for index in range(len(rest_m)) if index not in self._held], dtype=np.intp)
+
+    def carriers(self) -> tuple[list[str], list[float]]:
+        """Return each point's body, and the positions of all points in the frames of their bodies [m], in a row."""
+        owners, places = list(self._names), np.zeros_like(self._rest_m)
+        for index, attachment in self._held.items():
+            owners[index] = attachment.body
+            places[index] = attachment.pose.to_body(self._rest_m[index])
+        return owners, places.ravel().tolist()
+
+    def delete_held(self, spec: mujoco.MjSpec) -> None:
+        """Delete the bodies of attached points; a flex that still refers to one of them would be deleted too."""
+        for index in self._held:
+            spec.delete(spec.body(self._names[index]))
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints of the points in a compiled model."""
@@ -74,22 +87,29 @@ class Points:
         return velocities
 
 
-class FlexPart(ABC):
+class FlexPart:
     """A deformable body of a MuJoCo model.
+
+    Args:
+        flex: Its flex in the editable model, with the name of the body.
+        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
+        points: The points that carry the flex.
 
     Attributes:
         name: Name of the deformable body, and of its flex.
         flex: The flex in the editable model; `add_flex_contact` sets its contact bits and friction.
         rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
         points: The points that carry the flex.
+        node_indices: Indices of each body's nodes among those of a soft row, by name; empty for a single body.
     """
 
-    name: str
-    flex: mujoco.MjsFlex
-    rest_m: NDArray[np.float64]
-    points: Points
+    node_indices: Mapping[str, NDArray[np.intp]] = MappingProxyType({})
 
-    @abstractmethod
+    def __init__(self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points) -> None:
+        self.name, self.flex = flex.name, flex
+        self.rest_m = rest_m
+        self.points = points
+
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the tables of the compiled model that the editable model cannot express."""
 
@@ -97,9 +117,23 @@ class FlexPart(ABC):
         """Look up the joints that `nodes` reads."""
         self.points.bind(model, data)
 
-    @abstractmethod
     def nodes(self) -> NDArray[np.float64]:
         """Return the current world positions of the nodes [m], shape [node_count, 3]."""
+        return self.points.positions()
+
+
+def make_firm(flex: mujoco.MjsFlex, solref: tuple[float, ...], solimp: tuple[float, ...]) -> None:
+    """Let a flex collide with nothing yet, with constants that hold for every contact that it gets."""
+    collide_with_nothing(flex)
+    # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
+    flex.priority = 1
+    flex.solref, flex.solimp = list(solref), list(solimp)
+
+
+def collide_with_nothing(flex: mujoco.MjsFlex) -> None:
+    """Remove all contacts of a flex."""
+    flex.contype, flex.conaffinity = 0, 0
+    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
 
 
 def flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.float64]:
@@ -113,14 +147,3 @@ def flex_table(model: mujoco.MjModel, table: str, index: int) -> NDArray[np.floa
     addresses, values = getattr(model, f"{table}adr").tolist(), getattr(model, table)
     start = addresses[index]
     return values[start : min((a for a in addresses if a > start), default=len(values))] if start >= 0 else values[:0]
-
-
-def attached_points(
-    names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
-) -> tuple[list[str], NDArray[np.float64]]:
-    """Return each point's body and its position in that body's frame [m], shape [point_count, 3]."""
-    owners, places = list(names), np.zeros_like(rest_m)
-    for index, attachment in held.items():
-        owners[index] = attachment.body
-        places[index] = attachment.pose.to_body(rest_m[index])
-    return owners, places

@@ -12,10 +12,9 @@ import mujoco
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.mujoco.settings import ROPE_CELL_M
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.lines import attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import RigidAttachment, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Rod, Rope
 
@@ -33,44 +32,20 @@ pull a rope of 5 g through the beam that it hangs on."""
 
 
 class LinePartMuJoCo(FlexPart):
-    """A rope or a rod of a MuJoCo model.
+    """A rope or a rod of a MuJoCo model; its nodes lie along the centre line.
 
     Attributes:
-        name: Name of the body, and of the flex.
-        flex: The flex in the editable model. The flex of a rope collides; that of a rod does not.
         geoms: Spheres along a rod that collide instead of its flex; empty for a rope.
-        rest_m: World positions of the nodes along the centre line at the start [m], shape [node_count, 3].
     """
 
     def __init__(
-        self,
-        flex: mujoco.MjsFlex,
-        rest_m: NDArray[np.float64],
-        geoms: Sequence[mujoco.MjsGeom],
-        points: Points,
+        self, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], points: Points, geoms: Sequence[mujoco.MjsGeom] = ()
     ) -> None:
-        self.name = flex.name
-        self.flex = flex
-        self.rest_m = rest_m
+        super().__init__(flex, rest_m, points)
         self.geoms = list(geoms)
-        self.points = points
-
-    def complete(self, model: mujoco.MjModel) -> None:
-        """Do nothing, since the editable model expresses a line completely."""
-
-    def nodes(self) -> NDArray[np.float64]:
-        """Return the current world positions of the nodes [m], shape [node_count, 3]."""
-        return self.points.positions()
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points in or on the line; each moves with its cross-section, without twist.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-        """
+        """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
         span = self.rest_m[-1] - self.rest_m[0]
         length, count = float(np.linalg.norm(span)), len(self.rest_m) - 1
         axis = span / length
@@ -112,7 +87,7 @@ def add_rope(
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
     held = {0 if side == "low" else count: attachment for side, attachment in ends.items()}
-    return LinePartMuJoCo(flex, rest_m, [], _hold(spec, flex, rest_m, held))
+    return LinePartMuJoCo(flex, rest_m, _hold(spec, flex, rest_m, held))
 
 
 def add_rod(
@@ -167,7 +142,7 @@ def add_rod(
             solimp=list(CONTACT_SOLIMP),
         )
         geoms.append(geom)
-    return LinePartMuJoCo(flex, rest_m, geoms, points)
+    return LinePartMuJoCo(flex, rest_m, points, geoms)
 
 
 def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64], mass_kg: float) -> mujoco.MjsFlex:
@@ -190,11 +165,7 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
         body.explicitinertial = True
         body.ipos = [0.0, 0.0, 0.0]
         body.mass = mass_kg / count * (0.5 if index in (0, count) else 1.0)
-    flex.contype, flex.conaffinity = 0, 0
-    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
-    flex.priority = 1
-    flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
+    make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
     edges = next(equality for equality in spec.equalities if equality.name1 == line.name)
     edges.solref, edges.solimp = list(EDGE_SOLREF), list(EDGE_SOLIMP)
     return flex
@@ -204,11 +175,9 @@ def _hold(
     spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
 ) -> Points:
     """Replace the bodies of attached nodes by points of the rigid bodies that hold them."""
-    names = list(flex.vertbody)
-    flex.vertbody, places = attached_points(names, rest_m, held)
-    flex.vert = places.ravel()
-    # Deleting a body that a flex uses deletes the flex, so its references change first. A line needs no `nodebody`.
+    points = Points(list(flex.vertbody), rest_m, held)
+    flex.vertbody, flex.vert = points.carriers()
+    # A line needs no `nodebody`, which refers to the bodies of attached nodes.
     flex.nodebody = []
-    for index in held:
-        spec.delete(spec.body(names[index]))
-    return Points(names, rest_m, held)
+    points.delete_held(spec)
+    return points

@@ -15,7 +15,7 @@ The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. O
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
@@ -28,18 +28,11 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
-from gauge_envs.backends.mujoco.model import (
-    CONES,
-    INTEGRATORS,
-    SOLVERS,
-    START_KEY,
-    build_model,
-    hinges_by_body,
-    parents_first,
-    start_rates,
-)
+from gauge_envs.backends.mujoco.model import START_KEY, build_model, parents_first, start_rates
 from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
+from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
 from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene
@@ -58,6 +51,9 @@ AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
 DRIVER_PREFIX = "driver/"
 """Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
+
+STATED_SETTINGS = ("timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance")
+"""Settings that a result of a file holds."""
 
 DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
@@ -96,10 +92,9 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
     try:
         content = read_regular(path, MOST_FILE_BYTES)
         text = content.decode("utf-8")
-    except OSError as error:
-        raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise AssetError(path, "", f"cannot be read: {error}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise AssetError(path, "", f"cannot be read: {reason or error}") from error
     refusal = _refusal(content)
     if refusal is not None:
         raise AssetError(path, "", f"{refusal}: simplify the model")
@@ -120,66 +115,52 @@ def _refusal(content: bytes) -> str | None:
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
     """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
-    option = model.opt
-    if not option.timestep >= SHORTEST_STEP_S:
-        raise AssetError(
-            path, "option timestep", f"is {option.timestep:g} s: {SHORTEST_STEP_S:g} s or more is expected"
-        )
-    steps = DRIVE_INTERVAL_S / option.timestep
+    step_s = model.opt.timestep
+    if not step_s >= SHORTEST_STEP_S:
+        raise AssetError(path, "option timestep", f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected")
+    steps = DRIVE_INTERVAL_S / step_s
     if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
         raise AssetError(
             path,
             "option timestep",
-            f"1/180 s is {steps:.6g} steps of {option.timestep:g} s, not a whole number: choose a step that divides it",
+            f"1/180 s is {steps:.6g} steps of {step_s:g} s, not a whole number: choose a step that divides it",
         )
-
-    def named(known: Mapping[str, Any], value: int) -> str:
-        return next((name for name, constant in known.items() if constant == value), str(value))
-
-    return {
-        "model_file": path.name,
-        "timestep_s": option.timestep,
-        "integrator": named(INTEGRATORS, option.integrator),
-        "cone": named(CONES, option.cone),
-        "solver": named(SOLVERS, option.solver),
-        "impratio": option.impratio,
-        "iterations": option.iterations,
-        "tolerance": option.tolerance,
-    }
+    known = option_settings(model)
+    return {"model_file": path.name} | {name: known[name] for name in STATED_SETTINGS}
 
 
 # --- custom numbers --------------------------------------------------------------------------------------------------
 
 
-def _numerics(model: mujoco.MjModel) -> Iterator[tuple[str, NDArray[np.float64]]]:
-    for index in range(model.nnumeric):
-        start = model.numeric_adr[index]
-        name = mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_NUMERIC, index)
-        yield name, model.numeric_data[start : start + model.numeric_size[index]]
+def _numerics(model: mujoco.MjModel) -> dict[str, NDArray[np.float64]]:
+    """Return the custom numbers of a model, by name."""
+    numerics = [model.numeric(index) for index in range(model.nnumeric)]
+    return {numeric.name: numeric.data for numeric in numerics}
 
 
 def _complete(path: Path, model: mujoco.MjModel) -> None:
     """Apply the file's custom numbers to the compiled flex tables."""
-    numbers = dict(_numerics(model))
+    numbers = _numerics(model)
     for name, values in numbers.items():
         table, _, rest = name.partition("/")
         body, _, part = rest.rpartition("/")
         if part not in ("kinds", "weight") or table not in ("flex_stiffness", "flex_bending"):
             continue
-        rows = _table(path, model, table, body)
+        flex, place = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body), f"{table}/{body}"
+        if flex < 0:
+            raise AssetError(path, place, "the file has no flex of this name: correct the name of the numeric")
+        rows = flex_table(model, table, flex)
         if part == "weight":
             weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
             weighed *= values[:, None]
             continue
-        kind = numbers.get(f"{table}/{body}/kind")
+        kind = numbers.get(f"{place}/kind")
         if kind is None:
-            raise AssetError(
-                path, name, f"custom numeric '{table}/{body}/kind', the index of each row, is missing: add it"
-            )
-        width = rows.size // _divided(path, f"{table}/{body}/kind", rows.size, len(kind))
+            raise AssetError(path, name, f"custom numeric '{place}/kind', the index of each row, is missing: add it")
+        width = rows.size // _divided(path, f"{place}/kind", rows.size, len(kind))
         kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
         if kind.min() < 0 or kind.max() >= len(kinds):
-            raise AssetError(path, f"{table}/{body}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
+            raise AssetError(path, f"{place}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
         rows[:] = kinds[kind.astype(int)].ravel()
 
 
@@ -188,14 +169,6 @@ def _divided(path: Path, name: str, size: int, count: int) -> int:
     if count < 1 or size % count:
         raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers: write all rows")
     return count
-
-
-def _table(path: Path, model: mujoco.MjModel, table: str, body: str) -> NDArray[np.float64]:
-    """Return a writable view of the part of a compiled table that belongs to the flex of a deformable body."""
-    index = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body)
-    if index < 0:
-        raise AssetError(path, f"{table}/{body}", "the file has no flex of this name: correct the name of the numeric")
-    return flex_table(model, table, index)
 
 
 # --- scene of a file -------------------------------------------------------------------------------------------------
@@ -254,14 +227,10 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             parent = other_end(hinge, body.name)
             if model.body(model.body(body.name).parentid[0]).name != parent:
                 raise AssetError(path, body.name, f"it hangs on {parent!r}: make it a child of that body")
-        if body.motion is Motion.KINEMATIC:
-            _check_driven(path, model, body)
-
-
-def _check_driven(path: Path, model: mujoco.MjModel, body: RigidBody) -> None:
-    index = model.body(body.name).id
-    if not np.all(model.body_inertia[index] == model.body_mass[index]):
-        raise AssetError(path, body.name, "its mass and its moments of inertia must be the same number: it is driven")
+        found = model.body(body.name)
+        if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
+            reason = "its mass and its moments of inertia must be the same number: it is driven"
+            raise AssetError(path, body.name, reason)
 
 
 def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
@@ -308,8 +277,10 @@ def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidB
             parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
             expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
             own = rates[first : first + len(expected)]
-            if parent is not None or not is_same(own, expected):
-                started = _same_or_moving(started, _with_rates(model, started, own, parent))
+            moving = _with_rates(model, started, own, parent)
+            is_still = parent is None and is_same(own, expected)
+            if not is_still and not is_same(_velocities(moving), _velocities(started)):
+                started = moving
             own[:] = 0.0
         found[body.name] = started
     yield from (found[body.name] for body in scene.bodies)
@@ -336,10 +307,8 @@ def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
     return np.array(model.key_qvel[key])
 
 
-def _same_or_moving(expected: RigidBody, moving: RigidBody) -> RigidBody:
-    """Return the expected body if both have the same velocities up to rounding, otherwise the other one."""
-    velocities = [[one.linear_velocity_m_per_s, one.angular_velocity_rad_per_s] for one in (expected, moving)]
-    return expected if is_same(velocities[1], velocities[0]) else moving
+def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
+    return [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
 
 
 def _with_rates(
@@ -418,18 +387,12 @@ def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> N
     return rows
 
 
-def _driver(
-    path: Path,
-    model: mujoco.MjModel,
-    scene: Scene,
-    driver: Driver,
-    simulation: SimulationMuJoCo,
-) -> Driver:
+def _driver(path: Path, model: mujoco.MjModel, scene: Scene, driver: Driver, simulation: SimulationMuJoCo) -> Driver:
     """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
     from gauge_envs.scene.driver_path import DriverPath
 
     name = f"{DRIVER_PREFIX}{driver.body}"
-    numbers = dict(_numerics(model)).get(name)
+    numbers = _numerics(model).get(name)
     if numbers is None:
         raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
     if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.contacts import contact_constants
-from gauge_envs.backends.mujoco.deformables import add_deformables, add_flex_contact
+from gauge_envs.backends.mujoco.deformables import Geoms, add_deformables, add_flex_contact
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo
 from gauge_envs.backends.mujoco.versions import constants_of
+from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import (
     BodyHinge,
@@ -90,10 +91,13 @@ def add_geoms(
     spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, shape: Shape | Capsule | Ellipsoid
 ) -> list[mujoco.MjsGeom]:
     """Add a shape to a body as geoms without contacts; a concave solid becomes one mesh per convex piece."""
+    geoms = []
     if isinstance(shape, Compound):
-        return _add_parts(spec, body, name, shape)
-    if isinstance(shape, ConvexUnion):
-        geoms = []
+        for number, part in enumerate(shape.parts):
+            for geom in add_geoms(spec, body, f"{name}/{number}", part.shape):
+                geom.pos, geom.quat = part.pose.position_m, part.pose.quaternion
+                geoms.append(geom)
+    elif isinstance(shape, ConvexUnion):
         for index, piece in enumerate(shape.pieces_m):
             # The volume integral gives the exact inertia of a convex piece.
             points = np.asarray(piece)
@@ -101,32 +105,27 @@ def add_geoms(
             mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
             geoms.append(body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=mesh.name, name=f"{name}/{index}"))
     else:
-        if isinstance(shape, Box):
-            kind, size = mujoco.mjtGeom.mjGEOM_BOX, [0.5 * edge for edge in shape.size_m]
-        elif isinstance(shape, Sphere):
-            kind, size = mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
-        elif isinstance(shape, Cylinder):
-            kind, size = mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius_m, 0.5 * shape.length_m, 0.0]
-        elif isinstance(shape, Capsule):
-            kind, size = mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius_m, 0.5 * shape.length_m, 0.0]
-        elif isinstance(shape, Ellipsoid):
-            kind, size = mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
-        else:
-            kind, size = mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
-        geoms = [body.add_geom(type=kind, size=size, name=name)]
+        kind, size = _primitive(shape)
+        geoms.append(body.add_geom(type=kind, size=size, name=name))
     for geom in geoms:
         geom.contype = 0
         geom.conaffinity = 0
     return geoms
 
 
-def _add_parts(spec: mujoco.MjSpec, body: mujoco.MjsBody, name: str, compound: Compound) -> list[mujoco.MjsGeom]:
-    geoms = []
-    for number, part in enumerate(compound.parts):
-        for geom in add_geoms(spec, body, f"{name}/{number}", part.shape):
-            geom.pos, geom.quat = part.pose.position_m, part.pose.quaternion
-            geoms.append(geom)
-    return geoms
+def _primitive(shape: Shape | Capsule | Ellipsoid) -> tuple[mujoco.mjtGeom, list[float]]:
+    """Return MuJoCo's type and size of a simple shape."""
+    if isinstance(shape, Box):
+        return mujoco.mjtGeom.mjGEOM_BOX, [0.5 * edge for edge in shape.size_m]
+    if isinstance(shape, Sphere):
+        return mujoco.mjtGeom.mjGEOM_SPHERE, [shape.radius_m, 0.0, 0.0]
+    if isinstance(shape, Cylinder):
+        return mujoco.mjtGeom.mjGEOM_CYLINDER, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+    if isinstance(shape, Capsule):
+        return mujoco.mjtGeom.mjGEOM_CAPSULE, [shape.radius_m, 0.5 * shape.length_m, 0.0]
+    if isinstance(shape, Ellipsoid):
+        return mujoco.mjtGeom.mjGEOM_ELLIPSOID, list(shape.radii_m)
+    return mujoco.mjtGeom.mjGEOM_PLANE, [0.0, 0.0, 0.05]
 
 
 def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
@@ -184,12 +183,6 @@ def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]
             first = int(model.joint(body.name).dofadr[0])
             velocities[first : first + len(rates)] = rates
     return velocities
-
-
-def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
-    """Return the hinge of each body that has one in place of a free joint, by its name."""
-    to_world = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
-    return to_world | parent_hinges(scene.body_hinges)
 
 
 def parents_first(scene: Scene) -> list[RigidBody]:
@@ -310,12 +303,7 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
 
 
 def _add_contact(
-    spec: mujoco.MjSpec,
-    scene: Scene,
-    contact: Contact,
-    geoms: dict[str, list[mujoco.MjsGeom]],
-    settings: SettingsMuJoCo,
-    bit: int,
+    spec: mujoco.MjSpec, scene: Scene, contact: Contact, geoms: Geoms, settings: SettingsMuJoCo, *, bit: int
 ) -> None:
     constants = contact_constants(contact, settings)
     pairs = list(scene.colliding_pairs(contact))

@@ -15,7 +15,7 @@ SAME_DOUBLE = 1e-9
 SAME_SINGLE = 3e-7
 """Relative difference below which single-precision numbers, such as mesh vertices, count as equal."""
 
-OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
+OBJECTS: Mapping[str, tuple[mujoco.mjtObj | None, tuple[str, ...]]] = {
     "body": (mujoco.mjtObj.mjOBJ_BODY, ("mass", "inertia", "ipos", "iquat", "pos", "quat", "gravcomp")),
     "jnt": (mujoco.mjtObj.mjOBJ_JOINT, ("type", "pos", "axis", "stiffness", "range", "margin", "solref", "solimp")),
     "geom": (
@@ -38,10 +38,12 @@ OBJECTS: Mapping[str, tuple[mujoco.mjtObj, tuple[str, ...]]] = {
             *("solref", "solimp"),
         ),
     ),
+    "pair": (None, ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")),
 }
-"""Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name."""
+"""Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name.
 
-PAIR_FIELDS = ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")
+A pair of geoms has none, and is reported with theirs.
+"""
 
 TABLES = ("mesh_vert", "flex_vert", "flex_stiffness", "flex_bending", "dof_damping", "dof_armature", "dof_frictionloss")
 """Arrays whose changes are reported as a whole."""
@@ -69,10 +71,8 @@ def same_or(value: float, expected: float) -> float:
 def model_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[str]:
     """Yield one line for each physical difference of a model from the model that the backend builds."""
     lines = [*_option_changes(model, built)]
-    for kind, (objects, names) in OBJECTS.items():
-        titles = [_titles(one, objects, kind) for one in (model, built)]
-        lines += _row_changes(model, built, kind, names, *titles)
-    lines += _row_changes(model, built, "pair", PAIR_FIELDS, _pair_titles(model), _pair_titles(built))
+    for kind in OBJECTS:
+        lines += _row_changes(model, built, kind)
     for name in TABLES:
         lines += _array_change(name, np.asarray(getattr(model, name)), np.asarray(getattr(built, name)))
     if not lines:
@@ -99,38 +99,22 @@ def _option_changes(model: mujoco.MjModel, built: mujoco.MjModel) -> Iterator[st
             yield f"option: {name} {format_value(expected)} -> {format_value(value)}"
 
 
-def _titles(model: mujoco.MjModel, objects: mujoco.mjtObj, kind: str) -> list[str]:
-    count = len(getattr(model, f"{kind}_{OBJECTS[kind][1][0]}"))
-    names = [mujoco.mj_id2name(model, objects, index) for index in range(count)]
+def _titles(model: mujoco.MjModel, kind: str) -> list[str]:
+    objects, fields = OBJECTS[kind]
+    if objects is None:
+        pairs = zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)
+        return [f"contact {model.geom(first).name}/{model.geom(second).name}" for first, second in pairs]
+    names = [mujoco.mj_id2name(model, objects, i) for i in range(len(getattr(model, f"{kind}_{fields[0]}")))]
     return [name or f"{kind} {index}" for index, name in enumerate(names)]
 
 
-def _pair_titles(model: mujoco.MjModel) -> list[str]:
-    geoms = [[mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_GEOM, index) for index in row] for row in _pair_geoms(model)]
-    return [f"contact {first}/{second}" for first, second in geoms]
-
-
-def _pair_geoms(model: mujoco.MjModel) -> NDArray[np.int32]:
-    return np.column_stack([model.pair_geom1, model.pair_geom2])
-
-
-def _row_changes(
-    model: mujoco.MjModel,
-    built: mujoco.MjModel,
-    kind: str,
-    names: tuple[str, ...],
-    titles: list[str],
-    expected_titles: list[str],
-) -> Iterator[str]:
-    for title in titles:
-        if title not in expected_titles:
-            yield f"{title}: added"
-    for title in expected_titles:
-        if title not in titles:
-            yield f"{title}: removed"
+def _row_changes(model: mujoco.MjModel, built: mujoco.MjModel, kind: str) -> Iterator[str]:
+    titles, expected_titles = (_titles(one, kind) for one in (model, built))
+    yield from (f"{title}: added" for title in titles if title not in expected_titles)
+    yield from (f"{title}: removed" for title in expected_titles if title not in titles)
     places = {title: index for index, title in enumerate(titles)}
     shared = [(title, places[title], index) for index, title in enumerate(expected_titles) if title in places]
-    for name in names:
+    for name in OBJECTS[kind][1]:
         values, expected = getattr(model, f"{kind}_{name}"), getattr(built, f"{kind}_{name}")
         rows = [(title, values[i], expected[k]) for title, i, k in shared if not is_same(values[i], expected[k])]
         if len(rows) > MOST_ROWS:

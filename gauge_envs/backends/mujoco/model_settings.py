@@ -1,17 +1,180 @@
-"""Read settings of this backend from a compiled MuJoCo model: its options, and the constants of one contact."""
+"""Read settings of this backend from a compiled MuJoCo model: its options, and the contact constants of its pairs.
+
+The rules for pairs of geoms that can collide, and for their constants, are those of MuJoCo's documentation ("Collision
+detection" and "Contact parameters"), for all pairs at once.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.contact_pairs import COLUMNS
 from gauge_envs.backends.mujoco.model import CONES, DISABLE_FLAGS, ENABLE_FLAGS, INTEGRATORS, SAME_NAME_OPTIONS, SOLVERS
 from gauge_envs.backends.mujoco.settings import PRESETS
+
+COLUMNS: Mapping[str, slice] = {
+    "condim": slice(0, 1),
+    "friction": slice(1, 6),
+    "solref": slice(6, 8),
+    "solreffriction": slice(8, 10),
+    "solimp": slice(10, 15),
+    "margin": slice(15, 16),
+    "gap": slice(16, 17),
+}
+"""Columns of a table of contact constants."""
+
+MIN_FRICTION = 1e-5
+"""Smallest coefficient of friction of a contact in MuJoCo (mjMINMU)."""
+
+MIN_SOLMIX = 1e-15
+"""MuJoCo treats smaller weights as zero (mjMINVAL)."""
+
+GROUND_TYPES = (mujoco.mjtGeom.mjGEOM_PLANE, mujoco.mjtGeom.mjGEOM_HFIELD)
+
+
+class PairKind(IntEnum):
+    """Kind of a pair of geoms, in order of importance."""
+
+    GROUND = 0
+    """A moving geom and a plane or height field of the world."""
+    STATIC = 1
+    """A moving geom and another geom of the world."""
+    MOVING = 2
+    """Two moving geoms."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ContactPairs:
+    """All pairs of geoms that can collide.
+
+    Attributes:
+        geoms: Ids of the two geoms, the smaller first, shape [pair_count, 2].
+        kinds: Kind of each pair (`PairKind`), shape [pair_count].
+        constants: Effective constants, columns as in `COLUMNS`, shape [pair_count, 17].
+    """
+
+    geoms: NDArray[np.intp]
+    kinds: NDArray[np.intp]
+    constants: NDArray[np.float64]
+
+
+def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
+    """Return all pairs of geoms that can collide, explicit ones included, with their constants."""
+    implicit = _implicit_pairs(model)
+    explicit = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1)
+    explicit_rows = np.flatnonzero(can_move(model)[explicit].any(axis=1))
+    explicit = explicit[explicit_rows]
+    # An explicit pair replaces the implicit one.
+    stated = set(map(tuple, explicit.tolist()))
+    implicit = implicit[[tuple(row) not in stated for row in implicit.tolist()]]
+    constants = np.vstack([_mixed_constants(model, *implicit.T), _stated_constants(model, explicit_rows)])
+    if overrides_contacts(model):
+        _override(model, constants)
+    constants[:, COLUMNS["friction"]] = np.maximum(constants[:, COLUMNS["friction"]], MIN_FRICTION)
+    geoms = np.vstack([implicit, explicit])
+    moves = can_move(model)[geoms]
+    on_ground = (np.isin(model.geom_type, GROUND_TYPES)[geoms] & ~moves).any(axis=1)
+    kinds = np.where(moves.all(axis=1), PairKind.MOVING, np.where(on_ground, PairKind.GROUND, PairKind.STATIC))
+    return ContactPairs(geoms=geoms, kinds=kinds.astype(np.intp), constants=constants)
+
+
+def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return whether each geom is on a body that can move, shape [geom_count]."""
+    roots = model.body_weldid[model.geom_bodyid]
+    moves: NDArray[np.bool_] = model.body_dofnum[roots] > 0
+    return moves
+
+
+def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
+    """Return pairs whose bits match and that no rule excludes, shape [pair_count, 2]."""
+    first, second = np.triu_indices(model.ngeom, 1)
+    offers, accepts = model.geom_contype, model.geom_conaffinity
+    keep = (offers[first] & accepts[second] | offers[second] & accepts[first]) != 0
+    moves = can_move(model)
+    keep &= moves[first] | moves[second]
+    bodies = model.geom_bodyid
+    roots = model.body_weldid[bodies]
+    keep &= roots[first] != roots[second]
+    if not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
+        # The rule does not apply to the world body: a child of the world collides with the floor.
+        parents = model.body_weldid[model.body_parentid[roots]]
+        related = (parents[first] == roots[second]) | (parents[second] == roots[first])
+        keep &= ~(related & (roots[first] != 0) & (roots[second] != 0))
+    low, high = np.minimum(bodies[first], bodies[second]), np.maximum(bodies[first], bodies[second])
+    keep &= ~np.isin((low.astype(np.int64) << 16) + high, model.exclude_signature)
+    ground = np.isin(model.geom_type, GROUND_TYPES)
+    keep &= ~(ground[first] & ground[second])
+    return np.column_stack([first[keep], second[keep]])
+
+
+def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return constants of pairs, mixed from those of their geoms, shape [pair_count, 17]."""
+    table = np.zeros((len(first), 17))
+    rank = model.geom_priority[first] - model.geom_priority[second]
+    share = _share(model.geom_solmix[first], model.geom_solmix[second])
+    share = np.where(rank > 0, 1.0, np.where(rank < 0, 0.0, share))[:, None]
+
+    def by_priority(values: NDArray[Any]) -> NDArray[Any]:
+        """Return the value of the geom with the higher priority, or the greater value for equal priorities."""
+        one, other = values[first], values[second]
+        ranks = rank.reshape(-1, *[1] * (values.ndim - 1))
+        chosen: NDArray[Any] = np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
+        return chosen
+
+    def mixed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return share * values[first] + (1.0 - share) * values[second]
+
+    table[:, 0] = by_priority(model.geom_condim)
+    table[:, COLUMNS["friction"]] = by_priority(model.geom_friction)[:, [0, 0, 1, 2, 2]]
+    solref = model.geom_solref
+    standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
+    # The direct format, minus stiffness and damping, is not averaged: the minimum is the stiffer one.
+    direct = np.minimum(solref[first], solref[second])
+    table[:, COLUMNS["solref"]] = np.where(standard[:, None], mixed(solref), direct)
+    table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
+    # Margins and gaps add up for all priorities.
+    for name, values in (("margin", model.geom_margin), ("gap", model.geom_gap)):
+        table[:, COLUMNS[name].start] = values[first] + values[second]
+    return table
+
+
+def _share(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the weight of the first geom's solref and solimp in the mean, from both geoms' solmix."""
+    both = (first >= MIN_SOLMIX) & (second >= MIN_SOLMIX)
+    alone = np.where(first >= MIN_SOLMIX, 1.0, np.where(second >= MIN_SOLMIX, 0.0, 0.5))
+    return np.where(both, first / np.where(both, first + second, 1.0), alone)
+
+
+def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return constants of explicit pairs, shape [pair_count, 17]."""
+    columns = (
+        *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),
+        *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
+    )
+    table: NDArray[np.float64] = np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
+    return table
+
+
+def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:
+    """Replace constants by those that the flag `override` gives to all contacts."""
+    option = model.opt
+    for name, value in (
+        ("friction", option.o_friction),
+        ("solref", option.o_solref),
+        ("solreffriction", option.o_solref),
+        ("solimp", option.o_solimp),
+        ("margin", option.o_margin),
+    ):
+        constants[:, COLUMNS[name]] = value
+
+
+# --- settings ---------------------------------------------------------------------------------------------------------
 
 
 def option_settings(model: mujoco.MjModel) -> dict[str, Any]:
@@ -88,4 +251,5 @@ def default_contact_settings() -> dict[str, Any]:
 
 
 def _name(known: Mapping[str, Any], value: int) -> str:
-    return next(name for name, constant in known.items() if constant == value)
+    """Return MuJoCo's name of an option, or its number if this package does not name it."""
+    return next((name for name, constant in known.items() if constant == value), str(value))

@@ -13,7 +13,7 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
 from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
-from gauge_envs.backends.shared.cells import CellSize, check_cells
+from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
 
@@ -268,11 +268,5 @@ def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> Se
     check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
         check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)
-    return settings if settings.cell_m is not None else settings.model_copy(update={"cell_m": _default_cell_m(scene)})
-
-
-def _default_cell_m(scene: Scene) -> float | None:
-    """Return the default size of cells, or None if the kinds of body in the scene have none in common."""
-    defaults = {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M}
-    found = {defaults.get(type(body)) for body in scene.deformables}
-    return found.pop() if len(found) == 1 else None
+    default = common_cell_m(scene, {Cloth: CLOTH_CELL_M, Rope: ROPE_CELL_M})
+    return settings if settings.cell_m is not None else settings.model_copy(update={"cell_m": default})

@@ -11,14 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.mujoco.air import AirOnCloth, check_air_step
-from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
-from gauge_envs.backends.mujoco.deformables import nodes_of
+from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, check_air_step
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
-from gauge_envs.backends.mujoco.model import START_KEY, hinges_by_body, rotated_back
+from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
 
 BAD_STATES = {
@@ -83,7 +82,14 @@ class SimulationMuJoCo(Simulation):
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         if body not in self._driven:
-            self._driven[body] = _driven_views(self.model, self.data, body)
+            # Views of MuJoCo's arrays with the pose, velocity, force and mass of the body.
+            (position, freedom), index = _free_joint_addresses(self.model, body), self.model.body(body).id
+            self._driven[body] = (
+                self.data.qpos[position : position + 7],
+                self.data.qvel[freedom : freedom + 6],
+                self.data.xfrc_applied[index],
+                self.model.body_mass[index : index + 1],
+            )
         place, speed, force, mass_kg = self._driven[body]
         place[:3] = pose.position_m
         place[3:] = pose.quaternion
@@ -140,7 +146,8 @@ class SimulationMuJoCo(Simulation):
 
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the current nodes of a deformable body [m], shape [node_count, 3]."""
-        return nodes_of(self._parts[name], name)
+        part = self._parts[name]
+        return part.nodes()[part.node_indices[name]] if name in part.node_indices else part.nodes()
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
         """Return a reader of material points of soft bodies, ropes and rods, or None for cloth; see `World.track`."""
@@ -187,14 +194,6 @@ def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tup
 def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
     joint = model.joint(name)
     return int(joint.qposadr[0]), int(joint.dofadr[0])
-
-
-def _driven_views(model: mujoco.MjModel, data: mujoco.MjData, name: str) -> tuple[NDArray[np.float64], ...]:
-    """Return views of MuJoCo's arrays with the pose, velocity, force and mass of a free body."""
-    position, speed = _free_joint_addresses(model, name)
-    index = model.body(name).id
-    place, velocity = data.qpos[position : position + 7], data.qvel[speed : speed + 6]
-    return place, velocity, data.xfrc_applied[index], model.body_mass[index : index + 1]
 
 
 class _OneFreeBody:

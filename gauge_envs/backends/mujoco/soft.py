@@ -7,7 +7,7 @@ in torsion.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from math import ceil
 
 import mujoco
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, attached_points
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
@@ -48,33 +48,23 @@ class SoftPartMuJoCo(FlexPart):
     """One soft body, or one soft row, of a MuJoCo model.
 
     Material in a grip moves rigidly and is not simulated: the elements span the free material and have its mass.
-    `nodes`, `block_nodes` and `track` read the free material only.
+    `nodes` and `track` read the free material only.
 
     Attributes:
-        name: Name of the first body of the soft row, and of the flex.
         names: Names of the bodies, in their order along the soft row.
-        flex: The flex in the editable model.
-        rest_m: World positions of a regular grid of points at the start, surface included [m], shape [node_count, 3].
     """
 
     def __init__(
-        self,
-        flex: mujoco.MjsFlex,
-        lattice: _Lattice,
-        soft_row: SoftRow,
-        points: Points,
-        layers: Sequence[int],
+        self, flex: mujoco.MjsFlex, lattice: _Lattice, soft_row: SoftRow, points: Points, layers: Sequence[int]
     ) -> None:
-        self.name = flex.name
-        self.names = tuple(block.body.name for block in soft_row.blocks)
-        self.flex = flex
+        # The nodes are a regular grid of points, surface included.
+        super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
+        self.names = soft_row.names
         self._lattice = lattice
         self._soft_row = soft_row
         self._layers = tuple(layers)
-        self.points = points
-        self.rest_m = lattice.grid_m(lattice.subdivisions)
         self._grid = lattice.weights(self.rest_m)
-        self._nodes = {block.body.name: np.flatnonzero(block.holds(self.rest_m)) for block in soft_row.blocks}
+        self.node_indices = soft_row.nodes_of(self.rest_m)
 
     def complete(self, model: mujoco.MjModel) -> None:
         """Write the stiffness of each cell's material."""
@@ -93,19 +83,8 @@ class SoftPartMuJoCo(FlexPart):
         """Return the current world positions of the grid of points [m], shape [node_count, 3]."""
         return self._grid @ self.points.positions()
 
-    def block_nodes(self, name: str) -> NDArray[np.intp]:
-        """Return indices into `nodes` of a body's nodes, shape [block_node_count]; bonded faces belong to both."""
-        return self._nodes[name]
-
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
-        """Return a reader of material points, which interpolates with the shape functions of the elements.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function without arguments that returns the current positions of the points [m], shape [point_count, 3].
-        """
+        """Return a reader of material points by the shape functions of the elements; see `World.track`."""
         weights = self._lattice.weights(self._soft_row.checked(np.asarray(points_m, dtype=np.float64)))
         return lambda: weights @ self.points.positions()
 
@@ -167,26 +146,21 @@ class _Lattice:
 
 def add_soft(
     spec: mujoco.MjSpec,
-    bodies: Sequence[SoftBody],
+    soft_row: SoftRow,
     *,
-    attachments: Mapping[str, Sequence[RigidAttachment]],
     cell_m: float | None = None,
-    cells: tuple[int, int] | None = None,
     damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
     """Add a soft body or a soft row without contacts.
 
     Args:
         spec: Editable model that contains the rigid bodies.
-        bodies: One body, or all bodies of a soft row in any order.
-        attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
-        cell_m: Largest edge of a cell [m], used without `cells`.
-        cells: Cells along and across each body; without `cell_m`, `LONE_CELLS` or `BONDED_CELLS` by default.
+        soft_row: The soft row.
+        cell_m: Largest edge of a cell [m]; None gives each body `LONE_CELLS` or `BONDED_CELLS` along and across.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
-    soft_row = SoftRow.of(bodies, attachments)
     axis, blocks, low_m, high_m = soft_row.axis, soft_row.blocks, soft_row.low_m, soft_row.high_m
-    each = _cells_of_a_block(blocks, axis, cell_m, cells)
+    each = _cells_of_a_block(blocks, axis, cell_m)
     layers = _layers_of_blocks(blocks, axis, each[axis])
     lattice = _Lattice(low_m, high_m, tuple(sum(layers) if i == axis else n for i, n in enumerate(each)), axis)
 
@@ -205,11 +179,7 @@ def add_soft(
     # `complete` writes the stiffness of each cell; these two values only make MuJoCo reserve the memory.
     flex.young, flex.poisson = blocks[0].body.young_modulus_pa, blocks[0].body.poisson_ratio
     flex.damping = damping_s
-    flex.contype, flex.conaffinity = 0, 0
-    flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_NONE
-    # Without priority, MuJoCo would average these constants with those of the other geom, which is far too soft.
-    flex.priority = 1
-    flex.solref, flex.solimp = list(CONTACT_SOLREF), list(CONTACT_SOLIMP)
+    make_firm(flex, CONTACT_SOLREF, CONTACT_SOLIMP)
 
     densities = np.repeat([block.density_kg_per_m3 for block in blocks], layers)
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
@@ -219,21 +189,16 @@ def add_soft(
     for side, attachment in soft_row.ends.items():
         held |= dict.fromkeys(sections[0 if side == "low" else -1].ravel().tolist(), attachment)
         _add_gripped_material(spec, flex, soft_row, side)
-    names = list(flex.nodebody)
-    flex.nodebody, places = attached_points(names, lattice.rest_m, held)
-    flex.node = places.ravel()
-    # Deleting a body that a flex uses deletes the flex, so its references change first.
-    for index in held:
-        spec.delete(spec.body(names[index]))
-    return SoftPartMuJoCo(flex, lattice, soft_row, Points(names, lattice.rest_m, held), layers)
+    points = Points(list(flex.nodebody), lattice.rest_m, held)
+    flex.nodebody, flex.node = points.carriers()
+    points.delete_held(spec)
+    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers)
 
 
-def _cells_of_a_block(
-    blocks: Sequence[Block], axis: int, cell_m: float | None, cells: tuple[int, int] | None
-) -> tuple[int, ...]:
+def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) -> tuple[int, ...]:
     """Return the number of cells of each block along x, y and z."""
-    if cells is not None or cell_m is None:
-        along, across = cells or (LONE_CELLS if len(blocks) == 1 else BONDED_CELLS)
+    if cell_m is None:
+        along, across = LONE_CELLS if len(blocks) == 1 else BONDED_CELLS
         return tuple(along if i == axis else across for i in range(3))
     # Blocks at the ends of a row lose material to the grips; the longest one decides.
     edges = np.max([block.high_m - block.low_m for block in blocks], axis=0)

@@ -1,5 +1,162 @@
-"""NVIDIA Newton: its MuJoCo solver for rigid bodies, VBD for deformable bodies, implicit MPM as a choice for foam."""
+"""NVIDIA Newton: its MuJoCo solver for rigid bodies, VBD for deformable bodies, implicit MPM as a choice for foam.
 
-from gauge_envs.backends.newton.backend import BackendNewton
+The first build imports the engine, which takes seconds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from functools import cache
+from types import MappingProxyType
+from typing import Any
+
+from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.newton.contacts import unsupported_contacts, unsupported_surface_contacts
+from gauge_envs.backends.newton.settings import (
+    SettingsLines,
+    SettingsMPM,
+    SettingsMuJoCoWarp,
+    SettingsNewton,
+    SettingsVBD,
+    settings_for,
+)
+from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
+from gauge_envs.backends.shared.soft_rows import soft_row_problems
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
 
 __all__ = ["BackendNewton"]
+
+
+class BackendNewton(BundledBackend):
+    """NVIDIA Newton on the CPU or a GPU.
+
+    Its MuJoCo solver simulates rigid scenes and VBD all others; presets `mpm...` select implicit MPM for foam.
+    """
+
+    name = "newton"
+    modules = ("newton", "warp", "mujoco_warp")
+    packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
+    settings_for = staticmethod(settings_for)
+    configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
+    joins_bodies = True
+    worlds_mix_constants = True
+    worlds_restart_alone = True
+
+    def unsupported(self, scene: Scene) -> Iterator[str]:
+        """Yield one sentence for each feature of a scene that Newton's solvers do not support."""
+        return _unsupported_features(scene, settings_for(scene))
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build a scene; settings are the fields of the settings class of the preset's solver."""
+        chosen = _checked(scene, settings)
+        from gauge_envs.backends.newton.simulation import SimulationNewton
+
+        return SimulationNewton(scene, chosen)
+
+    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+        """Build scenes as worlds of one model, which advance in the same step."""
+        chosen = _checked(scenes[0], settings)
+        from gauge_envs.backends.newton.simulation import WorldsNewton
+
+        return WorldsNewton(scenes, chosen)
+
+
+def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:
+    """Return the settings for a scene if their solver supports it, and start Warp."""
+    settings = settings_for(scene, changes)
+    _check_preset(scene, settings)
+    check_settings("Newton", settings, _unsupported_features(scene, settings))
+    _start_quietly()
+    return settings
+
+
+@cache
+def _start_quietly() -> None:
+    """Keep Warp from logging every kernel that it loads."""
+    import warp
+
+    warp.config.log_level = warp.LOG_WARNING
+
+
+# --- support ----------------------------------------------------------------------------------------------------------
+
+
+def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
+    """Raise an error if the solver of settings does not simulate the kinds of body in a scene."""
+    has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)
+    has_lines = any(isinstance(body, Rope | Rod) for body in scene.deformables)
+    fits = {
+        SettingsMuJoCoWarp: not scene.deformables,
+        SettingsVBD: bool(scene.deformables) and not has_lines,
+        SettingsLines: has_lines and all(isinstance(body, Rope | Rod) for body in scene.deformables),
+        SettingsMPM: bool(scene.deformables) and not has_cloth and not has_lines,
+    }
+    if not fits[type(settings)]:
+        kinds = sorted({type(body).__name__ for body in scene.deformables}) or ["rigid bodies alone"]
+        raise UnsupportedSceneError(
+            f"Newton preset {settings.preset!r} is for {settings.solver}, which does not simulate {', '.join(kinds)} "
+            "here: choose another preset"
+        )
+
+
+def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[str]:
+    """Yield one sentence for each feature of a scene that Newton does not support with given settings."""
+    for joint in scene.joints:
+        if isinstance(joint, Tether):
+            yield (
+                f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints, and this backend "
+                "does not build its tendons"
+            )
+    if not scene.deformables:
+        if isinstance(settings, SettingsMuJoCoWarp):
+            yield from unsupported_contacts(scene, settings)
+        return
+    per_body = isinstance(settings, SettingsVBD) and not settings.full_surface
+    yield from unsupported_surface_contacts(scene, per_body=per_body)
+    yield from _unsupported_lines(scene)
+    yield from _unsupported_solids(scene)
+    if isinstance(settings, SettingsMPM) and scene.dynamic_bodies:
+        yield (
+            f"{scene.dynamic_bodies[0].name!r} moves freely: the material point method of this backend collides with "
+            "fixed and driven bodies only"
+        )
+
+
+def _unsupported_lines(scene: Scene) -> Iterator[str]:
+    lines = [body for body in scene.deformables if isinstance(body, Rope | Rod)]
+    others = [body.name for body in scene.deformables if not isinstance(body, Rope | Rod)]
+    names = {line.name for line in lines}
+    if lines and others:
+        yield f"{lines[0].name!r} is beside {others[0]!r}: this backend builds ropes and rods with rigid bodies only"
+    for attachment in scene.attachments:
+        if {attachment.deformable, attachment.to} & names and attachment.to not in {body.name for body in scene.bodies}:
+            yield f"{attachment.deformable!r} is attached to {attachment.to!r}, which is not a rigid body"
+    for contact in scene.contacts:
+        touching = names & {*contact.first, *contact.second}
+        if touching and contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT:
+            yield f"{min(touching)!r} rebounds: Newton's vertex block descent has no restitution"
+    for line in lines:
+        try:
+            attached_ends(line, rigid_attachments(scene, line.name))
+        except UnsupportedSceneError as error:
+            yield str(error)
+
+
+def _unsupported_solids(scene: Scene) -> Iterator[str]:
+    """Yield what VBD does not support of rigid bodies, attachments and soft rows in scenes with deformable bodies."""
+    soft = {body.name for body in scene.deformables}
+    hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge)]
+    for name in (*hinged, *(hinge.first for hinge in scene.body_hinges)):
+        yield f"{name!r} is hinged beside deformable bodies, which this backend does not support"
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            if contact.restitution > 0.0 and contact.mode is ContactMode.IMPACT and not {first, second} & soft:
+                yield f"{first!r} rebounds from {second!r}: Newton's vertex block descent has no restitution"
+    yield from attachment_problems(scene, not_to_dynamic=Cloth)
+    cloths = {body.name for body in scene.deformables if isinstance(body, Cloth)}
+    for attachment in scene.attachments:
+        if attachment.region.axis == "z" and attachment.deformable in cloths:
+            yield f"cloth {attachment.deformable!r} is attached to {attachment.to!r} by its face, not by an edge"
+    yield from soft_row_problems(scene)

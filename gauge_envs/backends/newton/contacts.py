@@ -1,15 +1,19 @@
-"""Contacts of a rigid scene in Newton, whose contact constants belong to shapes and not to pairs. Needs no engine.
+"""Contacts in Newton, whose contact constants belong to shapes and particles and not to pairs. Needs no engine.
 
-A body whose contacts all have the same constants carries them with priority over the other body of each pair.
+In a rigid scene, a body whose contacts all have the same constants carries them with priority over the other body of
+each pair. Cloth and soft bodies consist of particles, which share one friction.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
-from gauge_envs.scene import Contact, ContactMode, Motion, Scene
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Cloth, Contact, ContactMode, Rod, Rope, Scene, SoftBody
 
 FRICTION_AS_NORMAL = -1.0
 """Negative friction gain, with which friction has the time constant of the contact. Newton's default gain gives light
@@ -20,6 +24,15 @@ DEFAULT_SOLIMP = (0.9, 0.95, 0.001, 0.5, 2.0)
 
 DEFAULT_KF_N_S_PER_M = 1000.0
 """Newton's default friction gain of shapes."""
+
+PARTICLES = ""
+"""Placeholder name of all bodies made of particles, which share one friction in Newton; no body has this name."""
+
+FRICTION_FLOOR = 1e-9
+"""Replacement for zero friction, which has no logarithm."""
+
+
+# --- rigid bodies ----------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -61,15 +74,11 @@ def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -
     return ShapeConstants(contact.friction, solref, settings.impact_solimp, gain)
 
 
-def _reduced_mass_kg(scene: Scene, first: str, second: str) -> float:
-    inverse = [1.0 / scene.body(name).mass_kg for name in (first, second) if scene.body(name).motion is Motion.DYNAMIC]
-    return 1.0 / sum(inverse)
-
-
 def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset[str], ShapeConstants]:
     """Return the constants of each colliding pair of bodies."""
+    inverse_masses = {body.name: 1.0 / body.mass_kg for body in scene.dynamic_bodies}
     return {
-        frozenset(pair): _constants(contact, _reduced_mass_kg(scene, *pair), settings)
+        frozenset(pair): _constants(contact, 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair), settings)
         for contact in scene.contacts
         for pair in scene.colliding_pairs(contact)
     }
@@ -95,3 +104,138 @@ def unsupported_contacts(scene: Scene, settings: SettingsMuJoCoWarp) -> Iterator
             f"contacts among {shown} differ in friction, restitution or mode from pair to pair: Newton's contact "
             "constants belong to a body, not to a pair"
         )
+
+
+# --- particles --------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurfaceContacts:
+    """Collision partners of particles, and the friction coefficients of both sides.
+
+    Newton's friction of a pair is the geometric mean of the coefficients of both sides.
+
+    Attributes:
+        friction: Coefficient of all particles.
+        shape_friction: Coefficient of the shapes of each rigid body, by name, including rigid blocks of soft rows.
+        touched: Rigid bodies that particles collide with.
+        passed: For each touched body, the bodies made of particles that pass through it.
+        itself: Whether surfaces made of particles collide with each other.
+    """
+
+    friction: float = 0.0
+    shape_friction: dict[str, float] = field(default_factory=dict)
+    touched: frozenset[str] = frozenset()
+    passed: dict[str, frozenset[str]] = field(default_factory=dict)
+    itself: bool = False
+
+
+def surface_contacts(scene: Scene, *, per_body: bool = False) -> SurfaceContacts:
+    """Return the collision partners and the coefficients that give each pair of the scene its friction.
+
+    Args:
+        scene: The scene.
+        per_body: Whether each body made of particles can collide with other rigid bodies than the rest. This needs
+            collisions of vertices only.
+    """
+    problems = list(unsupported_surface_contacts(scene, per_body=per_body))
+    if problems:
+        raise UnsupportedSceneError("; ".join(problems))
+    pairs = _pairs(scene)
+    solved = _side_frictions(pairs)
+    friction = solved.pop(PARTICLES, 0.0)
+    soft, met = _soft_bodies(scene), _met(scene)
+    touching = {name: met[name] for name in sorted(met.keys() - soft)}
+    return SurfaceContacts(
+        friction=friction,
+        shape_friction=solved | dict.fromkeys(sorted(soft), friction),
+        touched=frozenset(touching),
+        passed={name: soft - by for name, by in touching.items() if by != soft},
+        itself=(PARTICLES, PARTICLES) in pairs,
+    )
+
+
+def unsupported_surface_contacts(scene: Scene, *, per_body: bool = False) -> Iterator[str]:
+    """Yield one sentence for each contact that VBD does not support; arguments as in `surface_contacts`."""
+    try:
+        pairs = _pairs(scene)
+    except UnsupportedSceneError as error:
+        yield str(error)
+        return
+    sides = _side_frictions(pairs)
+    for (first, second), friction in pairs.items():
+        got = float(np.sqrt(sides[first] * sides[second]))
+        if not np.isclose(got, friction, rtol=1e-3, atol=1e-6):
+            yield (
+                f"the friction of {first or 'deformable bodies'!r} on {second or 'deformable bodies'!r} is "
+                f"{friction:g}: Newton takes the geometric mean of one coefficient per body, and no coefficients give "
+                "every pair its friction"
+            )
+    yield from _partial_contacts(scene, per_body=per_body)
+
+
+def _partial_contacts(scene: Scene, *, per_body: bool) -> Iterator[str]:
+    """Yield one sentence for each contact that involves only some of the bodies made of particles.
+
+    Newton lets all of their surfaces collide with each other, or none. The same holds for a shape if edges and faces
+    collide.
+    """
+    soft, met = _soft_bodies(scene), _met(scene)
+    among = {name: touching for name, touching in met.items() if name in soft}
+    if among and (set(among) != soft or any(touching != soft for touching in among.values())):
+        yield f"of {', '.join(sorted(soft))}, some touch each other or themselves and some do not"
+    for name, touching in met.items():
+        if not per_body and name not in soft and touching != soft:
+            yield f"{', '.join(sorted(soft - touching))} would touch {name} as well as {', '.join(sorted(touching))}"
+
+
+def _soft_bodies(scene: Scene) -> frozenset[str]:
+    return frozenset(body.name for body in scene.deformables if isinstance(body, Cloth | SoftBody))
+
+
+def _met(scene: Scene) -> dict[str, frozenset[str]]:
+    """Return the bodies made of particles that touch each body, by name.
+
+    A body does not touch the rigid body that it is attached to, since they would be in contact all along the seam.
+    """
+    soft = _soft_bodies(scene)
+    seams = {(a.deformable, a.to) for a in scene.attachments if a.to not in soft}
+    met: dict[str, frozenset[str]] = {}
+    for contact in scene.contacts:
+        for group, others in ((contact.first, contact.second), (contact.second, contact.first)):
+            for name in others:
+                touching = {one for one in group if one in soft and (one, name) not in seams}
+                met[name] = met.get(name, frozenset()) | touching
+    return {name: touching for name, touching in met.items() if touching}
+
+
+def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
+    """Return the friction of each pair of bodies that VBD simulates; bodies made of particles count as one."""
+    soft = _soft_bodies(scene)
+    lines = {body.name for body in scene.deformables if isinstance(body, Rope | Rod)}
+    moving = soft | lines | {body.name for body in scene.dynamic_bodies}
+    found: dict[tuple[str, str], float] = {}
+    for contact in scene.contacts:
+        for first in contact.first:
+            for second in contact.second:
+                if not {first, second} & moving or (first == second and first not in soft | lines):
+                    continue
+                low, high = sorted(PARTICLES if name in soft else name for name in (first, second))
+                if found.setdefault((low, high), contact.friction) != contact.friction:
+                    raise UnsupportedSceneError(
+                        f"{first!r} and {second!r} have two coefficients of friction: Newton takes one for all "
+                        "deformable bodies"
+                    )
+    return found
+
+
+def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:
+    """Return the coefficient of each side, the least-squares solution of log a + log b = 2 log(pair friction)."""
+    names = sorted({name for pair in pairs for name in pair})
+    matrix = np.zeros((len(pairs), len(names)))
+    for row, pair in zip(matrix, pairs, strict=True):
+        for name in pair:
+            row[names.index(name)] += 1.0
+    right = 2.0 * np.log(np.maximum(list(pairs.values()), FRICTION_FLOOR))
+    logs = np.linalg.lstsq(matrix, right, rcond=None)[0] if pairs else ()
+    return {name: float(np.exp(value)) for name, value in zip(names, logs, strict=True)}

@@ -8,7 +8,7 @@ end then exceeds that of theory by 1 part in 2 n^2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from math import pi
@@ -19,11 +19,11 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.newton.pins import Pin
+from gauge_envs.backends.newton.parts import Part, Reader
 from gauge_envs.backends.newton.rigid import WORLD
+from gauge_envs.backends.newton.settings import ROD_SEGMENTS, ROPE_CELL_M, SettingsLines
 from gauge_envs.backends.newton.stepper import warp_transform
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.lines import LINE_AXIS, attached_ends, points_on_axis
+from gauge_envs.backends.shared.attachments import LINE_AXIS, RigidAttachment, attached_ends, points_on_axis
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Pose, Rod, Rope
 from gauge_envs.scene.geometry import vector
@@ -31,6 +31,9 @@ from gauge_envs.scene.meshes import mass_properties
 
 ROTATION_TO_AXIS = {"x": Rotation.from_rotvec([0.0, 0.5 * pi, 0.0]), "z": Rotation.identity()}
 """Rotation from z, the axis of Newton's capsules and rod joints, to the axis of a line."""
+
+STIFFNESSES = ("stretch_stiffness", "bend_stiffness", "bend_damping", "twist_stiffness", "twist_damping")
+"""Newton's names of the stiffnesses and dampings of a rod joint."""
 
 CLEAR_RADII = 2.5
 """Clearance along the line, in radii, below which segments never collide, since they touch in every shape."""
@@ -50,40 +53,14 @@ class _Anchor:
     place_m: tuple[float, float, float]
     start: Rotation
 
-
-@dataclass(frozen=True, kw_only=True)
-class _CrossSection:
-    """Stiffness of the cross-section of a line.
-
-    Attributes:
-        stretch_n: Force per strain, E A, limited by the largest stable joint stiffness [N].
-        bend_n_m2: Moment per curvature, E I [N m^2].
-        twist_n_m2: Torque per twist, G J [N m^2].
-        damping_s: Time that multiplies the rates of curvature and twist [s].
-    """
-
-    stretch_n: float
-    bend_n_m2: float
-    twist_n_m2: float
-    damping_s: float
-
-    @classmethod
-    def of(cls, line: Rope | Rod, *, largest_stretch_n: float, damping_s: float) -> _CrossSection:
-        """Return the cross-section of a rod or a rope; a rope is inextensible and perfectly flexible."""
-        if isinstance(line, Rope):
-            return cls(stretch_n=largest_stretch_n, bend_n_m2=0.0, twist_n_m2=0.0, damping_s=0.0)
-        area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
-        return cls(
-            stretch_n=min(line.young_modulus_pa * area, largest_stretch_n),
-            bend_n_m2=line.young_modulus_pa * inertia,
-            # J is twice I, and G is E / (2 + 2 nu).
-            twist_n_m2=line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio),
-            damping_s=damping_s,
-        )
+    def frame(self, rotation: Rotation) -> wp.transform:
+        """Return a frame at the point that has a rotation in the world at the start."""
+        turned = (self.start.inv() * rotation).as_quat().tolist()
+        return wp.transform(wp.vec3(*self.place_m), wp.quat(*turned))
 
 
-@dataclass(frozen=True, kw_only=True)
-class LinePartNewton:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinePartNewton(Part):
     """A rope or a rod among the bodies of a model.
 
     Attributes:
@@ -93,7 +70,6 @@ class LinePartNewton:
         keeps_direction: Whether attached ends keep their direction, as those of a rod do.
         segments: Bodies of the segments, along the line's axis.
         shapes: Capsules of the segments.
-        pins: Empty, since a line has no particles.
     """
 
     name: str
@@ -102,21 +78,13 @@ class LinePartNewton:
     keeps_direction: bool
     segments: tuple[int, ...]
     shapes: tuple[int, ...]
-    pins: tuple[Pin, ...] = ()
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the world positions of the nodes in a state [m], shape [node_count, 3], in single precision."""
+        """Return the midpoints of the anchors; see `Part.nodes`."""
         return self._nodes(_poses(state))
 
-    def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
-        """Return a reader of material points in or on the line, which move with their cross-section.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function of a state that returns the positions of the points [m], shape [point_count, 3].
-        """
+    def track(self, points_m: ArrayLike) -> Reader:
+        """Return a reader of material points in or on the line, which move with their cross-section."""
         points = np.asarray(points_m, dtype=np.float64)
         span = self.rest_m[-1] - self.rest_m[0]
         axis = span / np.linalg.norm(span)
@@ -162,9 +130,8 @@ def add_line(
     *,
     attachments: Sequence[RigidAttachment] = (),
     bodies: Mapping[str, int],
-    segments: int,
-    joint_stiffness_n_per_m: float,
-    damping_s: float = 0.0,
+    settings: SettingsLines,
+    load_n: float = 0.0,
     touches_itself: bool = False,
 ) -> LinePartNewton:
     """Add a rope or a rod to a model builder; it collides with every shape that is not excluded.
@@ -176,26 +143,26 @@ def add_line(
         line: The line. A rope's Young's modulus is unused, because a rope is inextensible.
         attachments: Attachments of its ends. An attached rod keeps its direction; a rope only keeps its position.
         bodies: Model index of each rigid body, by name; -1 for fixed bodies.
-        segments: Number of segments outside the grips.
-        joint_stiffness_n_per_m: Largest stiffness of the joints between segments [N/m]; a softer rod has E A over the
-            length of a segment.
-        damping_s: Viscosity of a rod in bending and twist, as the time that multiplies the rate of curvature [s].
+        settings: Length of the segments, stiffness of the joints between them, and damping.
+        load_n: Largest load of a rope [N].
         touches_itself: Whether segments collide with those that are not close along the line.
     """
     ends = attached_ends(line, attachments)
-    low_m, high_m = _free_places_m(line, ends)
+    # The ends of the free length, as signed distances from the middle of the line.
+    low_m, depth_m = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
+    low_m, high_m = low_m - 0.5 * line.length_m, 0.5 * line.length_m - depth_m
+    segments = _segment_count(line, attachments, settings)
     length_m = (high_m - low_m) / segments
     nodes_m = points_on_axis(line, low_m + length_m * np.arange(segments + 1))
     rotation = line.pose.rotation * ROTATION_TO_AXIS[LINE_AXIS[type(line)]]
     fixed = {
         0 if side == "low" else segments - 1 for side, attachment in ends.items() if bodies[attachment.body] == WORLD
     }
-    links = [
-        _add_segment(builder, line, 0.5 * (nodes_m[i] + nodes_m[i + 1]), rotation, length_m, on_world=i in fixed)
-        for i in range(segments)
-    ]
+    links = _add_segments(builder, line, nodes_m, rotation, length_m, fixed)
     shapes = _add_capsules(builder, line, links, length_m=length_m, ends=ends)
-    _keep_near_apart(builder, shapes, length_m, clear_m=CLEAR_RADII * line.radius_m, all_of_it=not touches_itself)
+    for one, other in combinations(range(segments), 2):
+        if not touches_itself or (other - one - 1) * length_m < CLEAR_RADII * line.radius_m:
+            builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
 
     half = 0.5 * length_m
     low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links]
@@ -204,11 +171,21 @@ def add_line(
     last = _held(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
     anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
-    section = _CrossSection.of(line, largest_stretch_n=joint_stiffness_n_per_m * length_m, damping_s=damping_s)
+    stiffness = _stiffness(line, length_m, segments, settings, load_n)
     for index, (parent, child) in enumerate(anchors):
         if parent is not child:
             span_m = length_m if 0 < index < segments else half
-            _add_joint(builder, parent, child, rotation, section, span_m=span_m, label=line.name)
+            joint = builder.add_joint_rod(
+                parent.body,
+                child.body,
+                parent_xform=parent.frame(rotation),
+                child_xform=child.frame(rotation),
+                rest_rotation=wp.quat_identity(),
+                label=line.name,
+                **{name: value / span_m for name, value in stiffness.items()},
+            )
+            if parent.body == WORLD:
+                builder.add_articulation([joint], label=line.name)
     tips = {side: _gripped_tip(line, side, ends, bodies) for side in ("low", "high")}
     return LinePartNewton(
         name=line.name,
@@ -220,10 +197,33 @@ def add_line(
     )
 
 
-def _free_places_m(line: Rope | Rod, ends: Mapping[str, RigidAttachment]) -> tuple[float, float]:
-    """Return the ends of the free length, as signed distances from the middle of the line [m]."""
-    low, high = (ends[side].region.depth_m if side in ends else 0.0 for side in ("low", "high"))
-    return low - 0.5 * line.length_m, 0.5 * line.length_m - high
+def _segment_count(line: Rope | Rod, attachments: Sequence[RigidAttachment], settings: SettingsLines) -> int:
+    """Return the number of segments outside the grips."""
+    if isinstance(line, Rope):
+        return max(2, round(line.length_m / (settings.cell_m or ROPE_CELL_M)))
+    if settings.cell_m is None:
+        return ROD_SEGMENTS
+    free_m = line.length_m - sum(attachment.region.depth_m for attachment in attachments)
+    return max(2, round(free_m / settings.cell_m))
+
+
+def _stiffness(
+    line: Rope | Rod, length_m: float, segments: int, settings: SettingsLines, load_n: float
+) -> dict[str, float]:
+    """Return the stiffness and damping of the joints of a line, times their length: E A, E I and G J of a rod.
+
+    A rope is inextensible and perfectly flexible. The largest stable stiffness of a joint limits E A.
+    """
+    if isinstance(line, Rope):
+        largest_n_per_m = load_n * segments / (settings.rope_strain * line.length_m)
+        return dict.fromkeys(STIFFNESSES, 0.0) | {"stretch_stiffness": largest_n_per_m * length_m}
+    area, inertia = pi * line.radius_m**2, pi / 4.0 * line.radius_m**4
+    bend = line.young_modulus_pa * inertia
+    # J is twice I, and G is E / (2 + 2 nu).
+    twist = line.young_modulus_pa * inertia / (1.0 + line.poisson_ratio)
+    stretch = min(line.young_modulus_pa * area, settings.rod_joint_stiffness_n_per_m * length_m)
+    damping_s = settings.rod_damping_s
+    return dict(zip(STIFFNESSES, (stretch, bend, damping_s * bend, twist, damping_s * twist), strict=True))
 
 
 def _gripped_tip(
@@ -253,27 +253,24 @@ def _held(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArr
     return _Anchor(body=index, place_m=vector(attachment.pose.to_body(point_m)), start=attachment.pose.rotation)
 
 
-def _add_segment(
+def _add_segments(
     builder: newton.ModelBuilder,
     line: Rope | Rod,
-    centre_m: NDArray[np.float64],
+    nodes_m: NDArray[np.float64],
     rotation: Rotation,
     length_m: float,
-    *,
-    on_world: bool,
-) -> int:
+    fixed: set[int],
+) -> list[int]:
+    """Add a body between each two nodes; those at a fixed end have a rod joint to the world."""
     mass = line.mass_kg * length_m / line.length_m
     _, inertia = mass_properties(Cylinder(radius_m=line.radius_m, length_m=length_m), mass)
-
-    # `add_body` also adds a free joint to the world, which a segment with a rod joint to the world must not have.
-    add = builder.add_link if on_world else builder.add_body
-    return add(
-        xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)),
-        mass=mass,
-        inertia=wp.mat33(inertia),
-        lock_inertia=True,
-        label=line.name,
-    )
+    given = {"mass": mass, "inertia": wp.mat33(inertia), "lock_inertia": True, "label": line.name}
+    links = []
+    for index, centre_m in enumerate(0.5 * (nodes_m[:-1] + nodes_m[1:])):
+        # `add_body` also adds a free joint to the world, which must not be beside a rod joint to the world.
+        add = builder.add_link if index in fixed else builder.add_body
+        links.append(add(xform=warp_transform(Pose.from_rotation(vector(centre_m), rotation)), **given))
+    return links
 
 
 def _add_capsules(
@@ -285,58 +282,12 @@ def _add_capsules(
     ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
     """Add the capsules of the segments; the round end of a free end lies within the line."""
-    shapes = []
+    shapes, config = [], newton.ModelBuilder.ShapeConfig(density=0.0)
     for index, link in enumerate(links):
         low = line.radius_m if index == 0 and "low" not in ends else 0.0
         high = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
-        shapes.append(
-            builder.add_shape_capsule(
-                link,
-                xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity()),
-                radius=line.radius_m,
-                half_height=max(0.5 * (length_m - low - high), 0.0),
-                cfg=newton.ModelBuilder.ShapeConfig(density=0.0),
-                label=line.name,
-            )
-        )
+        frame = wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity())
+        half_m = max(0.5 * (length_m - low - high), 0.0)
+        given = {"radius": line.radius_m, "half_height": half_m, "cfg": config, "label": line.name}
+        shapes.append(builder.add_shape_capsule(link, xform=frame, **given))
     return tuple(shapes)
-
-
-def _keep_near_apart(
-    builder: newton.ModelBuilder, shapes: Sequence[int], length_m: float, *, clear_m: float, all_of_it: bool
-) -> None:
-    for one, other in combinations(range(len(shapes)), 2):
-        if all_of_it or (other - one - 1) * length_m < clear_m:
-            builder.add_shape_collision_filter_pair(shapes[one], shapes[other])
-
-
-def _add_joint(
-    builder: newton.ModelBuilder,
-    parent: _Anchor,
-    child: _Anchor,
-    rotation: Rotation,
-    section: _CrossSection,
-    *,
-    span_m: float,
-    label: str,
-) -> None:
-    """Join two anchors at the same position with the stiffness of a length of the line [m]."""
-    frames = [
-        wp.transform(wp.vec3(*anchor.place_m), wp.quat(*(anchor.start.inv() * rotation).as_quat().tolist()))
-        for anchor in (parent, child)
-    ]
-    joint = builder.add_joint_rod(
-        parent.body,
-        child.body,
-        parent_xform=frames[0],
-        child_xform=frames[1],
-        rest_rotation=wp.quat_identity(),
-        stretch_stiffness=section.stretch_n / span_m,
-        bend_stiffness=section.bend_n_m2 / span_m,
-        bend_damping=section.damping_s * section.bend_n_m2 / span_m,
-        twist_stiffness=section.twist_n_m2 / span_m,
-        twist_damping=section.damping_s * section.twist_n_m2 / span_m,
-        label=label,
-    )
-    if parent.body == WORLD:
-        builder.add_articulation([joint], label=label)

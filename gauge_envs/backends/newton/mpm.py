@@ -2,14 +2,13 @@
 
 The grid limits the accuracy. Velocity is linear within a voxel, and a gripped particle holds all nodes of its voxel, so
 a voxel at a grip is rigid up to its far side. By default, the solver relaxes elastic stress whenever a solve stops at
-its maximum number of iterations; this module keeps the strain. Tetrahedra with VBD (`soft.py`) are more accurate and
-much cheaper.
+its maximum number of iterations; this module keeps the strain. Tetrahedra with VBD are more accurate and much
+cheaper.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Literal
+from collections.abc import Mapping, Sequence
 
 import newton
 import numpy as np
@@ -17,12 +16,11 @@ import warp as wp
 from newton.solvers import SolverImplicitMPM
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.pins import Pin, PinnedParticles
+from gauge_envs.backends.newton.parts import Pin, PinnedParticles, Reader, SoftRowPart, pins_of
+from gauge_envs.backends.newton.settings import VOXEL_M, SettingsMPM
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.point_weights import linear_weights
-from gauge_envs.backends.shared.soft_rows import SoftRow
-from gauge_envs.scene import Motion, SoftBody
+from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights, points_in_box_m
+from gauge_envs.scene import SoftBody
 
 GRIPPED_SIZE = 0.3
 """Size of a gripped point relative to its cell; a gripped point has no volume to fill."""
@@ -31,29 +29,16 @@ VOXEL_RANGE = (0.85, 1.15)
 """Voxel sizes that `fitted_voxel_m` tries, as multiples of the desired size."""
 
 
-def fitted_voxel_m(
-    bodies: Sequence[SoftBody],
-    *,
-    attachments: Mapping[str, Sequence[RigidAttachment]],
-    voxel_m: float,
-    points_per_voxel_edge: int = 2,
-) -> float:
+def fitted_voxel_m(soft_row: SoftRow, settings: SettingsMPM) -> float:
     """Return the voxel edge [m], close to a desired one, with which the rigid voxels end where the grips end.
 
     One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
     therefore the distance of two grid planes, which may be a voxel too short.
-
-    Args:
-        bodies: One body, or all bodies of a soft row in any order.
-        attachments: Attachments to rigid bodies, by name of the soft body.
-        voxel_m: Desired edge of a voxel [m].
-        points_per_voxel_edge: Material points along the edge of a voxel.
     """
-    soft_row = SoftRow.of(bodies, attachments)
     low, high = soft_row.low_m[soft_row.axis], soft_row.high_m[soft_row.axis]
-    candidates = voxel_m * np.linspace(*VOXEL_RANGE, 601)
+    candidates = (settings.cell_m or VOXEL_M) * np.linspace(*VOXEL_RANGE, 601)
     # The outermost gripped point sits half a spacing beyond the face.
-    half = 0.5 * candidates / points_per_voxel_edge
+    half = 0.5 * candidates / settings.points_per_voxel_edge
     misses = np.zeros((2, len(candidates)))
     if "low" in soft_row.ends:
         misses[0] = (np.ceil((low - half) / candidates - 0.5) + 0.5) * candidates - low
@@ -62,15 +47,15 @@ def fitted_voxel_m(
     return float(candidates[np.argmin(np.square(misses).sum(axis=0))])
 
 
-class SoftPartMPM:
-    """One soft body, or several bonded in a row, as material points of a Newton model.
+class SoftPartMPM(SoftRowPart):
+    """One soft body, or several bonded in a row, as material points of a Newton model; its nodes are the free points.
 
-    Attributes:
-        name: Name of the row's first body.
-        names: Names of the bodies, in their order along the row.
-        rest_m: World positions of the free material points at the start [m], shape [node_count, 3].
-        particles: Its particles in the model; free particles come first.
-        pins: Particles that kinematic bodies hold, for `StepperMPM`.
+    Args:
+        soft_row: The soft row.
+        free_m: Free points at the start [m], shape [node_count, 3]; they are the first particles.
+        gripped_m: Gripped points at the start [m], shape [gripped_count, 3].
+        start: Its first particle.
+        pins: Particles that kinematic bodies hold.
     """
 
     def __init__(
@@ -82,47 +67,24 @@ class SoftPartMPM:
         start: int,
         pins: Sequence[Pin],
     ) -> None:
-        self.name = soft_row.blocks[0].body.name
-        self.names = tuple(block.body.name for block in soft_row.blocks)
-        self.rest_m = free_m
-        self.particles = slice(start, start + len(free_m) + len(gripped_m))
-        self.pins = tuple(pins)
-        self._soft_row = soft_row
+        super().__init__(soft_row, free_m, slice(start, start + len(free_m) + len(gripped_m)), pins)
         self._points_m = np.concatenate([free_m, gripped_m])
-        self._node_indices = {block.body.name: np.flatnonzero(block.holds(free_m)) for block in soft_row.blocks}
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
-        """Return the world positions of the free points in a state [m], shape [node_count, 3], in single precision."""
-        return state.particle_q.numpy()[self.particles][: len(self.rest_m)].astype(np.float64)
+        """Return the positions of the free points; see `Part.nodes`."""
+        return self.positions(state)[: len(self.rest_m)]
 
-    def block_nodes(self, name: str) -> NDArray[np.intp]:
-        """Return indices into `nodes` of a body's nodes, shape [block_node_count]."""
-        return self._node_indices[name]
-
-    def track(self, points_m: ArrayLike) -> Callable[[newton.State], NDArray[np.float64]]:
-        """Return a reader of material points: a weighted mean of the nearest particles, exact for linear deformation.
-
-        Args:
-            points_m: World positions at the start [m], shape [point_count, 3].
-
-        Returns:
-            Function of a state that returns the positions of the points [m], shape [point_count, 3].
-        """
+    def track(self, points_m: ArrayLike) -> Reader:
+        """Return a reader of material points: weighted means of the nearest particles, exact for linear deformation."""
         points = self._soft_row.checked(np.asarray(points_m, dtype=np.float64))
         nearest, weights = linear_weights(self._points_m, points)
-
-        def read(state: newton.State) -> NDArray[np.float64]:
-            positions = state.particle_q.numpy()[self.particles].astype(np.float64)
-            return np.asarray(np.einsum("pk,pki->pi", weights, positions[nearest]))
-
-        return read
+        return lambda state: np.asarray(np.einsum("pk,pki->pi", weights, self.positions(state)[nearest]))
 
 
 def add_soft_mpm(
     builder: newton.ModelBuilder,
-    bodies: Sequence[SoftBody],
+    soft_row: SoftRow,
     *,
-    attachments: Mapping[str, Sequence[RigidAttachment]],
     indices: Mapping[str, int],
     spacing_m: float,
     damping_s: float = 0.0,
@@ -134,55 +96,33 @@ def add_soft_mpm(
 
     Args:
         builder: Model builder that contains the rigid bodies.
-        bodies: One body, or all bodies of a soft row in any order.
-        attachments: Attachments to rigid bodies, by name of the soft body; only the row's ends may be attached.
+        soft_row: The soft row.
         indices: Model index of each kinematic body that grips the row, by name.
         spacing_m: Largest distance between neighbouring points [m]; half a voxel gives 8 points per voxel.
         damping_s: Relaxation time of the elastic stress, Newton's `mpm:damping` [s].
     """
-    soft_row = SoftRow.of(bodies, attachments)
     start = builder.particle_count
     free: list[NDArray[np.float64]] = []
     for block in soft_row.blocks:
-        points, cell_m = _points_m(block.low_m, block.high_m, spacing_m)
+        points, cell_m = points_in_box_m(block.low_m, block.high_m, spacing_m)
         _add_points(builder, points, cell_m, block.body, block.density_kg_per_m3, damping_s)
         free.append(points)
     gripped: list[NDArray[np.float64]] = [np.zeros((0, 3))]
     pins: list[Pin] = []
     for side, attachment in soft_row.ends.items():
         block = soft_row.blocks[0] if side == "low" else soft_row.blocks[-1]
-        low_m, high_m = block.low_m.copy(), block.high_m.copy()
+        low_m, high_m, axis = block.low_m.copy(), block.high_m.copy(), soft_row.axis
         depth_m = max(attachment.region.depth_m, spacing_m)
         if side == "low":
-            low_m[soft_row.axis], high_m[soft_row.axis] = (
-                block.low_m[soft_row.axis] - depth_m,
-                block.low_m[soft_row.axis],
-            )
+            low_m[axis], high_m[axis] = block.low_m[axis] - depth_m, block.low_m[axis]
         else:
-            low_m[soft_row.axis], high_m[soft_row.axis] = (
-                block.high_m[soft_row.axis],
-                block.high_m[soft_row.axis] + depth_m,
-            )
-        points, cell_m = _points_m(low_m, high_m, spacing_m)
+            low_m[axis], high_m[axis] = block.high_m[axis], block.high_m[axis] + depth_m
+        points, cell_m = points_in_box_m(low_m, high_m, spacing_m)
         first = builder.particle_count
         _add_points(builder, points, cell_m, block.body, 0.0, damping_s)
         gripped.append(points)
-        if attachment.motion is Motion.KINEMATIC:
-            pins.extend(
-                Pin(particle=first + number, body=indices[attachment.body], place_m=(x, y, z))
-                for number, (x, y, z) in enumerate(attachment.pose.to_body(points).tolist())
-            )
+        pins += pins_of(attachment, indices, range(first, first + len(points)), points)
     return SoftPartMPM(soft_row, np.concatenate(free), np.concatenate(gripped), start=start, pins=pins)
-
-
-def _points_m(
-    low_m: NDArray[np.float64], high_m: NDArray[np.float64], spacing_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the centres of the cells of a box [m], shape [point_count, 3], and the size of a cell [m], shape [3]."""
-    counts = np.maximum(1, np.ceil((high_m - low_m) / spacing_m - 1e-6)).astype(int)
-    cell_m = (high_m - low_m) / counts
-    steps = np.meshgrid(*(np.arange(count) + 0.5 for count in counts), indexing="ij")
-    return low_m + cell_m * np.stack(steps, axis=-1).reshape(-1, 3), cell_m
 
 
 def _add_points(
@@ -218,46 +158,36 @@ class StepperMPM(Stepper):
 
     It records no graph, because each step allocates a new grid, and a recorded step cannot do so on the CPU.
 
+    With the integration scheme `pic`, the constant strain of a voxel misses motions of evenly spaced points: with two
+    points along an edge, voxels of 12 mm give a tenth of the stress. With `gimp`, a bar diverges at a twist of more
+    than 45 degrees.
+
     Args:
         model: The finalized model.
         driven: Indices of the kinematic bodies.
         pins: Particles that kinematic bodies hold.
-        timestep_s: Time step [s].
         voxel_m: Edge of a voxel [m].
-        iterations: Maximum number of iterations of the stress solver.
-        tolerance: Residual at which the stress solver stops.
-        integration_scheme: `gimp`, in which points fill their cells, or `pic`, in which they have no extent. With
-            `pic`, the constant strain of a voxel misses motions of evenly spaced points: with two points along an edge,
-            voxels of 12 mm give a tenth of the stress. With `gimp`, a bar diverges at a twist of more than 45 degrees.
+        settings: Settings of the solver.
     """
 
     def __init__(
-        self,
-        model: newton.Model,
-        *,
-        driven: Sequence[int],
-        pins: Sequence[Pin],
-        timestep_s: float,
-        voxel_m: float,
-        iterations: int,
-        tolerance: float,
-        integration_scheme: Literal["gimp", "pic"] = "gimp",
+        self, model: newton.Model, *, driven: Sequence[int], pins: Sequence[Pin], voxel_m: float, settings: SettingsMPM
     ) -> None:
         config = SolverImplicitMPM.Config(
             voxel_size=voxel_m,
-            max_iterations=iterations,
-            tolerance=tolerance,
+            max_iterations=settings.iterations,
+            tolerance=settings.tolerance,
             # Otherwise the residual strain of an unconverged solve is lost, and the stress is half the correct value.
             carry_residual_strain="unconverged",
             # Keeps the warm start in the state, so that snapshots contain it.
             warmstart_mode="particles",
-            integration_scheme=integration_scheme,
+            integration_scheme=settings.integration_scheme,
             # Contact at the points. With contact at the grid nodes, the default, a driven cube sinks 16 mm into foam.
             collider_basis="pic27",
             air_drag=0.0,
             separate_worlds=model.world_count > 1,
         )
-        super().__init__(model, SolverImplicitMPM(model, config), driven=driven, timestep_s=timestep_s)
+        super().__init__(model, SolverImplicitMPM(model, config), driven=driven, timestep_s=settings.timestep_s)
         self._pinned = PinnedParticles(pins, model.device)
 
     def record(self) -> None:

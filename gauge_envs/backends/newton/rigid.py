@@ -1,7 +1,16 @@
-"""Conversion of rigid bodies of a scene to bodies and shapes of a Newton model."""
+"""Rigid bodies of a scene in a Newton model, and rigid scenes on Newton's MuJoCo solver (MuJoCo Warp).
+
+Contacts come from Newton's collision pipeline. The collision detection of MuJoCo Warp is used on request only
+(`mujoco_contacts`): its normals are inaccurate in single precision. With mujoco_warp 4.0.0, of 400 poses of a cube on a
+leaning board, up to 0.8 % of the contacts that are 1 to 10 um deep are off by more than a degree, up to 1.2 % at a
+depth of 0.1 to 1 um, and 1 to 6 % at 0.01 to 0.1 um, some by 90 degrees. A cube with a friction of 0.1 then slides down
+30 degrees with 3.80 instead of 4.05 m/s^2. Newton's normals are accurate to 0.02 degrees, and that cube has 4.055
+m/s^2.
+"""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import combinations, product
@@ -11,9 +20,14 @@ import newton
 import numpy as np
 import trimesh
 import warp as wp
+from newton.solvers import SolverMuJoCo
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.stepper import warp_transform
+from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
+from gauge_envs.backends.newton.kernels import bodies_to_joints
+from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
+from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
+from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
     BodyHinge,
     Box,
@@ -43,6 +57,27 @@ _Solid = Box | Sphere | Cylinder | Plane | ConvexUnion | Capsule | Ellipsoid
 SPHERE_SUBDIVISIONS = 3
 """Subdivisions of the icosahedron that is the mesh of a sphere: 642 vertices on the sphere."""
 
+CONTACT_POINTS_PER_PAIR = 8
+"""Reserved contact points per pair of shapes; Newton reduces two faces in contact to four or five points."""
+
+ROWS_PER_POINT = 4
+"""Constraints of a contact point: four for the edges of a pyramidal cone, three for an elliptic cone."""
+
+ROWS_PER_WELD = 6
+"""Constraints of a driven body."""
+
+SOLIMP_SHAPE = (0.5, 2.0)
+"""Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
+
+NO_FRICTION = 2e-5
+"""Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
+
+SOLREF_AS_GIVEN = 1
+"""Newton's code for a shape whose `solref` is given, and not computed from its stiffness and damping."""
+
+CONTACT_GAP_M = 0.002
+"""Distance at which Newton detects a contact [m], more than the displacement of any body in one step."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RigidIndex:
@@ -58,11 +93,7 @@ class RigidIndex:
 
 
 def add_bodies(
-    builder: newton.ModelBuilder,
-    scene: Scene,
-    *,
-    config: newton.ModelBuilder.ShapeConfig,
-    solids: Solids = "exact",
+    builder: newton.ModelBuilder, scene: Scene, *, config: newton.ModelBuilder.ShapeConfig, solids: Solids = "exact"
 ) -> RigidIndex:
     """Add the rigid bodies of a scene; hinges become revolute joints and driven bodies kinematic bodies.
 
@@ -74,20 +105,28 @@ def add_bodies(
             edges takes speed, so a dynamic cylinder is never a prism. Particles collide with cylinders three times
             faster than with prisms.
     """
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = hinges_by_body(scene)
     index = RigidIndex()
     joined: dict[str, int] = {}
     for tree in hinge_trees(scene.body_hinges):
-        joined |= _add_tree(builder, scene, parent_hinges(tree))
+        below = parent_hinges(tree)
+        root = next(other_end(hinge, name) for name, hinge in below.items())
+        joined |= _add_articulation(builder, scene, (root, *below), hinges)
     for body in scene.bodies:
+        name, frame = body.name, wp.transform_identity()
         if body.motion is Motion.FIXED:
             place, frame = WORLD, warp_transform(body.pose)
-        elif body.name in joined:
-            place, frame = joined[body.name], wp.transform_identity()
+        elif name in joined:
+            place = joined[name]
+        elif name in hinges:
+            place = _add_articulation(builder, scene, (name,), hinges)[name]
         else:
-            place, frame = _add_body(builder, body, hinges.get(body.name)), wp.transform_identity()
-        index.bodies[body.name] = place
-        index.shapes[body.name] = _add_shapes(builder, place, frame, body, config, solids=solids)
+            place = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **_link_arguments(body))
+            if not body.starts_at_rest:
+                _set_velocity(builder, place, body)
+                builder.joint_qd[-6:] = list(builder.body_qd[place])
+        index.bodies[name] = place
+        index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, frame, solids)
     return index
 
 
@@ -104,31 +143,37 @@ def _link_arguments(body: RigidBody) -> dict[str, Any]:
     }
 
 
-def _add_tree(builder: newton.ModelBuilder, scene: Scene, hinges: Mapping[str, BodyHinge]) -> dict[str, int]:
-    """Add bodies that hinges join as one articulation with a free root; return their numbers by name.
+def _add_articulation(
+    builder: newton.ModelBuilder, scene: Scene, names: Sequence[str], hinges: Mapping[str, Hinge | BodyHinge]
+) -> dict[str, int]:
+    """Add bodies on hinges as one articulation, in which a body without a hinge is free; return their indices by name.
 
     Args:
         builder: Model builder.
         scene: The scene.
-        hinges: The hinge through which each body but the root hangs on another one, parents first.
+        names: Names of the bodies, parents first.
+        hinges: Hinges of the scene, by name of the body that hangs on them.
     """
-    root = next(other_end(hinge, name) for name, hinge in hinges.items())
     places, joints = {}, []
-    for name in (root, *hinges):
-        body = scene.body(name)
+    for name in names:
+        body, hinge = scene.body(name), hinges.get(name)
         places[name] = builder.add_link(**_link_arguments(body))
-        _set_velocity(builder, places[name], body, body_mass_properties(body)[0])
-        if name == root:
+        _set_velocity(builder, places[name], body)
+        if hinge is None:
             joints.append(builder.add_joint_free(child=places[name], label=name))
             builder.joint_qd[-6:] = list(builder.body_qd[places[name]])
             continue
-        hinge = hinges[name]
-        parent = scene.body(other_end(hinge, name))
         anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
+        parent, in_parent = WORLD, anchor
+        rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+        if isinstance(hinge, BodyHinge):
+            other = scene.body(other_end(hinge, name))
+            parent, in_parent = places[other.name], wp.transform_inverse(warp_transform(other.pose)) * anchor
+            rate = start_rate_rad_per_s(hinge, body, other)
         joint = builder.add_joint_revolute(
-            places[parent.name],
+            parent,
             places[name],
-            parent_xform=wp.transform_inverse(warp_transform(parent.pose)) * anchor,
+            parent_xform=in_parent,
             child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
             axis=wp.vec3(*hinge.axis),
             armature=0.0,
@@ -136,85 +181,39 @@ def _add_tree(builder: newton.ModelBuilder, scene: Scene, hinges: Mapping[str, B
             label=name,
         )
         joints.append(joint)
-        builder.joint_qd[-1] = start_rate_rad_per_s(hinge, body, parent)
-    builder.add_articulation(joints, label=root)
+        builder.joint_qd[-1] = rate
+    builder.add_articulation(joints, label=names[0])
     return places
 
 
-def _add_body(builder: newton.ModelBuilder, body: RigidBody, hinge: Hinge | None) -> int:
-    centre, given = body_mass_properties(body)[0], _link_arguments(body)
-    if hinge is None:
-        index = builder.add_body(is_kinematic=body.motion is Motion.KINEMATIC, **given)
-        if not body.starts_at_rest:
-            _set_velocity(builder, index, body, centre)
-            builder.joint_qd[-6:] = list(builder.body_qd[index])
-        return index
-    link = builder.add_link(**given)
-    anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
-    joint = builder.add_joint_revolute(
-        WORLD,
-        link,
-        parent_xform=anchor,
-        child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
-        axis=wp.vec3(*hinge.axis),
-        armature=0.0,
-        friction=0.0,
-        label=body.name,
-    )
-    builder.add_articulation([joint], label=body.name)
-    if not body.starts_at_rest:
-        _set_velocity(builder, link, body, centre)
-        builder.joint_qd[-1] = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-    return link
-
-
-def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody, centre_m: NDArray[np.float64]) -> None:
+def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:
     """Write the start velocity of a body; Newton's linear velocity is that of the centre of mass."""
-    angular = np.array(body.angular_velocity_rad_per_s)
-    linear = body.linear_velocity_m_per_s + np.cross(angular, body.pose.rotation.apply(centre_m))
-    builder.body_qd[index] = wp.spatial_vector(*linear.tolist(), *angular.tolist())
+    velocity = [*centre_velocity(body, body_mass_properties(body)[0]).tolist(), *body.angular_velocity_rad_per_s]
+    builder.body_qd[index] = wp.spatial_vector(*velocity)
 
 
 def _add_shapes(
-    builder: newton.ModelBuilder,
-    place: int,
-    frame: wp.transform,
-    body: RigidBody,
-    config: newton.ModelBuilder.ShapeConfig,
-    *,
-    solids: Solids,
+    builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], frame: wp.transform, solids: Solids
 ) -> list[int]:
+    """Add the shapes of a body, with given arguments and a frame, and return their indices."""
+    parts: list[tuple[str, wp.transform, _Solid]]
+    if isinstance(body.shape, Compound):
+        parts = [
+            (f"{body.name}/{number}", frame * warp_transform(part.pose), part.shape)
+            for number, part in enumerate(body.shape.parts)
+        ]
+    else:
+        parts = [(body.name, frame, body.shape)]
     rolls = body.motion is Motion.DYNAMIC
-    if not isinstance(body.shape, Compound):
-        return _add_solid(builder, place, frame, body.name, body.shape, config, solids=solids, rolls=rolls)
-    return [
-        index
-        for number, part in enumerate(body.shape.parts)
-        for index in _add_solid(
-            builder,
-            place,
-            frame * warp_transform(part.pose),
-            f"{body.name}/{number}",
-            part.shape,
-            config,
-            solids=solids,
-            rolls=rolls,
-        )
-    ]
+    added: list[int] = []
+    for label, place, shape in parts:
+        added += _add_solid(builder, label, shape, given | {"xform": place}, solids=solids, rolls=rolls)
+    return added
 
 
 def _add_solid(
-    builder: newton.ModelBuilder,
-    place: int,
-    frame: wp.transform,
-    label: str,
-    shape: _Solid,
-    config: newton.ModelBuilder.ShapeConfig,
-    *,
-    solids: Solids,
-    rolls: bool,
+    builder: newton.ModelBuilder, label: str, shape: _Solid, given: dict[str, Any], *, solids: Solids, rolls: bool
 ) -> list[int]:
-    given = {"body": place, "xform": frame, "cfg": config}
     if isinstance(shape, Plane):
         return [builder.add_shape_plane(width=0.0, length=0.0, label=label, **given)]
     pieces = _pieces_m(shape, solids, rolls=rolls)
@@ -264,3 +263,108 @@ def keep_apart(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex) ->
         if frozenset((first, second)) not in pairs:
             for one, other in product(index.shapes[first], index.shapes[second]):
                 builder.add_shape_collision_filter_pair(one, other)
+
+
+# --- MuJoCo solver ----------------------------------------------------------------------------------------------------
+
+
+def shape_config() -> newton.ModelBuilder.ShapeConfig:
+    """Return the constants of a shape before `add_contacts`; its density is zero because masses are given."""
+    return newton.ModelBuilder.ShapeConfig(
+        density=0.0, gap=CONTACT_GAP_M, mu=NO_FRICTION, mu_torsional=0.0, mu_rolling=0.0, kf=FRICTION_AS_NORMAL
+    )
+
+
+def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
+    """Write the contact constants of shapes, and exclude all collisions without a contact in the scene."""
+    pairs = pair_constants(scene, settings)
+    keeps_material = settings.newton_material and settings.contact_solref is None
+    for name, constants in carried_constants(pairs).items():
+        for shape in index.shapes[name]:
+            _carry(builder, shape, constants, newton_material=keeps_material)
+    keep_apart(builder, scene, index)
+
+
+def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
+    builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
+    attributes: dict[str, Any] = {"condim": 3 if constants.friction > 0.0 else 1, "geom_priority": 1}
+    if newton_material:
+        builder.shape_material_kf[shape] = newton.ModelBuilder.ShapeConfig().kf
+    else:
+        builder.shape_material_kf[shape] = constants.friction_gain_n_s_per_m
+        attributes |= {
+            "solref": wp.vec2(*constants.solref),
+            "solref_mode": SOLREF_AS_GIVEN,
+            "geom_solimp": wp.types.vector(5, wp.float32)(*(*constants.solimp, *SOLIMP_SHAPE)[:5]),
+        }
+    for key, value in attributes.items():
+        attribute = builder.custom_attributes[f"mujoco:{key}"]
+        attribute.values = (attribute.values or {}) | {shape: value}
+
+
+class StepperMuJoCo(Stepper):
+    """Stepper of rigid bodies with MuJoCo Warp.
+
+    Args:
+        model: The finalized model.
+        driven: Indices of the kinematic bodies.
+        settings: Settings of the solver.
+    """
+
+    def __init__(self, model: newton.Model, *, driven: Sequence[int], settings: SettingsMuJoCoWarp) -> None:
+        pair_count = model.shape_contact_pair_count // model.world_count
+        with warnings.catch_warnings():
+            # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
+            warnings.filterwarnings("ignore", message="MuJoCo dependency version mismatch")
+            solver = SolverMuJoCo(
+                model,
+                solver="newton",
+                integrator=settings.integrator,
+                cone=settings.cone,
+                impratio=settings.impratio,
+                iterations=settings.iterations,
+                ls_iterations=settings.line_search_iterations,
+                tolerance=settings.tolerance,
+                # Otherwise Newton adds a weld for each body that could become kinematic, and many constraints.
+                kinematic_switchable_roots=False,
+                use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
+                disable_contacts=not pair_count,
+                nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
+                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) or None,
+            )
+        has_pipeline = pair_count and not settings.mujoco_contacts
+        self._pipeline = collision_pipeline(model) if has_pipeline else None
+        self._contacts = self._pipeline.contacts() if self._pipeline else None
+        super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
+        # This solver reads joint coordinates, so driven bodies are written to both bodies and joints.
+        joints = {body: joint for joint, body in enumerate(model.joint_child.numpy().tolist())}
+        starts = [model.joint_q_start.numpy(), model.joint_qd_start.numpy()]
+        with wp.ScopedDevice(model.device):
+            self._coordinates, self._freedoms = (
+                wp.array(np.array([start[joints[body]] for body in driven], dtype=np.int32), dtype=wp.int32)
+                for start in starts
+            )
+
+    def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
+        """Apply a force and a torque to a body; see `World.apply_wrench`."""
+        # Steps alternate between the two states, and each step reads the wrenches of its start state.
+        for state in self._states:
+            wrenches = state.body_f.numpy()
+            wrenches[body] = wrench
+            state.body_f.assign(wrenches)
+
+    def _step(self, state: newton.State, after: newton.State) -> None:
+        self._prescribe(state.body_q, state.body_qd, counts=False)
+        if self._rows:
+            wp.launch(
+                bodies_to_joints,
+                dim=len(self._rows),
+                inputs=[self._driven, self._coordinates, self._freedoms, state.body_q, state.body_qd],
+                outputs=[state.joint_q, state.joint_qd],
+                device=self.model.device,
+            )
+        if self._pipeline is not None:
+            self._pipeline.collide(state, self._contacts)
+        self.solver.step(state, after, self._control, self._contacts, self.timestep_s)
+        # The solver does not move driven bodies.
+        self._prescribe(after.body_q, after.body_qd, steps_ahead=1)

@@ -12,12 +12,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from gauge_envs.backends.newton.stability import longest_timestep_s
 from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
-from gauge_envs.backends.shared.cells import CellSize, check_cells
+from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
+from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene.fabrics import Fabric, newton_vbd
 
 
 class SettingsNewton(SteppedSettings):
@@ -306,6 +307,14 @@ NODE_LIMIT = 200_000
 """Largest number of nodes or material points of a body that `cell_m` may ask for."""
 
 
+ITERATIONS_PER_RATIO = 0.33
+"""Smallest number of iterations, over the ratio of elastic to inertial stiffness, to start from the last acceleration.
+
+Measured on falling cloth of all six fabrics: energy rises by less than 0.2 % of the fall above 0.24, by more than 1 %
+below 0.23, and without bound below 0.15.
+"""
+
+
 def _preset_name(scene: Scene) -> str:
     if any(isinstance(body, Cloth) for body in scene.deformables):
         return _cloth_preset(scene)
@@ -364,14 +373,10 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
         is_given=(changes or {}).get("cell_m") is not None,
     )
     if isinstance(settings, SettingsVBD) and settings.starts_from_acceleration and "timestep_s" not in (changes or {}):
+        cell_m, iterations = settings.cell_m or CLOTH_CELL_M, settings.iterations
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]
-        longest_s = min(
-            (
-                longest_timestep_s(c, cell_m=settings.cell_m or CLOTH_CELL_M, iterations=settings.iterations)
-                for c in cloths
-            ),
-            default=settings.timestep_s,
-        )
+        limits = (longest_timestep_s(cloth, cell_m=cell_m, iterations=iterations) for cloth in cloths)
+        longest_s = min(limits, default=settings.timestep_s)
         while settings.timestep_s > longest_s:
             settings = settings.model_copy(update={"timestep_s": 0.5 * settings.timestep_s})
     return settings
@@ -382,17 +387,24 @@ def _with_cells(settings: SettingsNewton, scene: Scene, *, is_given: bool) -> Se
     if not isinstance(settings, SettingsVBD | SettingsLines | SettingsMPM):
         return settings
     if settings.cell_m is None:
-        return settings.model_copy(update={"cell_m": _default_cell_m(settings, scene)})
+        defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
+        cell_m = VOXEL_M if isinstance(settings, SettingsMPM) else common_cell_m(scene, defaults)
+        return settings.model_copy(update={"cell_m": cell_m})
     if is_given:
         points = settings.points_per_voxel_edge if isinstance(settings, SettingsMPM) else 1
         check_cells("Newton", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=points)
     return settings
 
 
-def _default_cell_m(settings: SettingsNewton, scene: Scene) -> float | None:
-    """Return the default size of cells, or None if the kinds of body in the scene have none in common."""
-    if isinstance(settings, SettingsMPM):
-        return VOXEL_M
-    defaults = {Cloth: CLOTH_CELL_M, SoftBody: SOFT_CELL_M, Rope: ROPE_CELL_M}
-    found = {defaults.get(type(body)) for body in scene.deformables}
-    return found.pop() if len(found) == 1 else None
+def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float:
+    """Return the longest time step [s] for which the iterations are enough for `StepperVBD(predict=True)`.
+
+    On a square grid the squared gradients of the shape functions around a vertex, times area, add up to 4. Hinges are
+    neglected; with cells of 25 mm they add 0.1 %.
+    """
+    constants = newton_vbd(Fabric.of(cloth)).constants
+    modulus = constants["tri_ka"] + 2.0 * constants["tri_ke"]
+    along_x, along_y = ClothGrid(cloth, cell_m).cell_m
+    gradients = 2.0 * (along_x / along_y + along_y / along_x)
+    mass = cloth.areal_density_kg_per_m2 * along_x * along_y
+    return float(np.sqrt(iterations / ITERATIONS_PER_RATIO * mass / (gradients * modulus)))

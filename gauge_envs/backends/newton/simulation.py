@@ -1,4 +1,4 @@
-"""Simulations and batched worlds on top of a Newton model."""
+"""Simulations and batched worlds on top of a Newton model, and recordings in arrays of its device."""
 
 from __future__ import annotations
 
@@ -6,31 +6,28 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
 import numpy as np
+import warp as wp
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.base import Recording, Simulation, Worlds
+from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
-from gauge_envs.backends.newton.recorder import Recorder, RecordShape
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.recording import Recording
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
+from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
 
-class _WorldNewton(World):
+class _WorldNewton(PlacedWorld):
     """One world of a Newton model."""
 
     def __init__(self, scene: Scene, layout: WorldLayout, stepper: Stepper, settings: SettingsNewton) -> None:
         self.settings = settings.model_dump(mode="json")
         self._layout = layout
         self._stepper = stepper
-        self._fixed = {
-            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
-            for body in scene.bodies
-            if body.motion is Motion.FIXED
-        }
+        self.placed = placed_states(scene)
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
@@ -41,17 +38,10 @@ class _WorldNewton(World):
         """Apply a force and a torque to a dynamic body if the solver supports it; see `World.apply_wrench`."""
         self._stepper.apply_wrench(self._layout.rigid.bodies[body], wrench)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities in single precision, shape [len(names), 13]; see `World.body_states`."""
-        states = np.empty((len(names), 13))
-        moving = [(row, self._layout.rigid.bodies[name]) for row, name in enumerate(names) if name not in self._fixed]
-        for row, name in enumerate(names):
-            if name in self._fixed:
-                states[row] = self._fixed[name]
-        if moving:
-            rows, bodies = map(list, zip(*moving, strict=True))
-            states[rows] = self._stepper.body_states(bodies)
-            states[rows, :3] += self._layout.origin_m
+    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities in single precision, shape [len(names), 13]."""
+        states = self._stepper.body_states([self._layout.rigid.bodies[name] for name in names])
+        states[:, :3] += self._layout.origin_m
         return states
 
     def nodes(self, name: str) -> NDArray[np.float64]:
@@ -93,6 +83,68 @@ class SimulationNewton(_WorldNewton, Simulation):
         """Do nothing, since the simulation only holds memory."""
 
 
+class Recorder:
+    """Record of the bodies of all worlds.
+
+    The host starts the recorded steps and a kernel after each sample, and waits for none of them.
+
+    Args:
+        stepper: Stepper of the model.
+        bodies: Indices of the bodies in the model, shape [world_count, body_count].
+        origins_m: World positions of the origin of each world's bodies [m], shape [world_count, 3].
+        frame_count: Number of frames, with the first one.
+        samples: Number of samples from one frame to the next.
+    """
+
+    def __init__(
+        self,
+        stepper: Stepper,
+        bodies: NDArray[np.intp],
+        origins_m: NDArray[np.float64],
+        *,
+        frame_count: int,
+        samples: int,
+    ) -> None:
+        self._stepper, self._bodies, self._samples = stepper, bodies, samples
+        self._device = stepper.model.device
+        with wp.ScopedDevice(self._device):
+            self._index = wp.array(bodies.astype(np.int32), dtype=wp.int32)
+            self._origins = wp.array(origins_m, dtype=wp.vec3d)
+            self._centres = wp.array(stepper.model.body_com.numpy().astype(np.float64), dtype=wp.vec3d)
+            sample_count = (frame_count - 1) * samples + 1
+            self._positions = wp.zeros((sample_count, *bodies.shape, 3), dtype=wp.float64)
+            self._states = wp.zeros((frame_count, *bodies.shape, 13), dtype=wp.float64)
+
+    def fits(self, bodies: NDArray[np.intp], frame_count: int, samples: int) -> bool:
+        """Return whether the arrays suit these bodies and this length."""
+        is_as_long = (frame_count, samples) == (len(self._states), self._samples)
+        return is_as_long and np.array_equal(bodies, self._bodies)
+
+    def run(self, interval_s: float) -> Recording:
+        """Advance the model and record it from its current state on.
+
+        Args:
+            interval_s: Time between samples [s].
+        """
+        self._record(0)
+        for sample in range(1, len(self._positions)):
+            self._stepper.advance(interval_s)
+            self._record(sample)
+        return Recording(device=str(self._device), positions_m=self._positions, states=self._states)
+
+    def _record(self, sample: int) -> None:
+        state = self._stepper.now
+        frame, rest = divmod(sample, self._samples)
+        bodies = (self._index, self._origins, self._centres, state.body_q, state.body_qd)
+        wp.launch(
+            record,
+            dim=self._bodies.shape,
+            inputs=[sample, -1 if rest else frame, *bodies],
+            outputs=[self._positions, self._states],
+            device=self._device,
+        )
+
+
 class WorldsNewton(Worlds):
     """Instances of a scene as worlds of one Newton model."""
 
@@ -124,7 +176,7 @@ class WorldsNewton(Worlds):
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies in all worlds, with one copy from the device."""
-        if not names or not self._bodies.keys() >= set(names):
+        if not self._all_move(names):
             return super().body_states(names)
         states = self._stepper.body_states(self._indices(names)).reshape(len(self.worlds), len(names), 13)
         states[:, :, :3] += self._origins_m
@@ -132,7 +184,7 @@ class WorldsNewton(Worlds):
 
     def body_positions(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return positions of bodies in all worlds, with one copy from the device."""
-        if not names or not self._bodies.keys() >= set(names):
+        if not self._all_move(names):
             return super().body_positions(names)
         positions = self._stepper.body_positions(self._indices(names)).reshape(len(self.worlds), len(names), 3)
         return positions + self._origins_m
@@ -140,10 +192,13 @@ class WorldsNewton(Worlds):
     def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
         """Advance all worlds and record them in Warp arrays of the model's device; see `Worlds.record`."""
         bodies = np.column_stack([self._bodies[name] for name in names])
-        shape = RecordShape(frame_count=frame_count, samples=samples)
-        if self._recorder is None or not self._recorder.fits(bodies, shape):
-            self._recorder = Recorder(self._stepper, bodies, self._origins_m[:, 0], shape)
+        if self._recorder is None or not self._recorder.fits(bodies, frame_count, samples):
+            origins_m = self._origins_m[:, 0]
+            self._recorder = Recorder(self._stepper, bodies, origins_m, frame_count=frame_count, samples=samples)
         return self._recorder.run(interval_s)
+
+    def _all_move(self, names: Sequence[str]) -> bool:
+        return bool(names) and self._bodies.keys() >= set(names)
 
     def _indices(self, names: Sequence[str]) -> NDArray[np.intp]:
         """Return the indices of bodies in the model, all of the first world first."""

@@ -8,20 +8,28 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
+from functools import cache
 from typing import Any
 
 import newton
+import newton._src.geometry.narrow_phase as narrow_phase
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.newton.kernels import prescribe
+from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose
 
 WARM_UP_STEPS = 2
 """Number of steps before recording, in which solvers allocate their arrays; even, so that both states end in place."""
+
+_shared = {
+    name: cache(factory) for name, factory in vars(narrow_phase).items() if name.startswith("create_narrow_phase_")
+}
+"""Newton's factories of kernels, which depend on their arguments alone, with one kernel for all pipelines."""
 
 Snapshot = list[NDArray[Any]]
 
@@ -30,6 +38,20 @@ def warp_transform(pose: Pose) -> wp.transform:
     """Return Warp's transform of a pose; Warp's quaternions are x, y, z, w."""
     w, x, y, z = pose.quaternion
     return wp.transform(wp.vec3(*pose.position_m), wp.quat(x, y, z, w))
+
+
+def collision_pipeline(model: newton.Model, **options: Any) -> newton.CollisionPipeline:
+    """Return Newton's collision pipeline of a model.
+
+    Newton makes the kernels of each pipeline anew, and Warp reads the source of each new kernel to find its binary;
+    this takes most of the time in which a rigid scene is built.
+
+    Args:
+        model: The finalized model.
+        **options: Arguments of the pipeline.
+    """
+    with replaced(narrow_phase, **_shared):
+        return newton.CollisionPipeline(model, **options)
 
 
 class Stepper(ABC):
@@ -71,7 +93,7 @@ class Stepper(ABC):
     def record(self) -> None:
         """Record the step in both directions between the two states, then return to the start."""
         states = self._states
-        first = self._snapshot()
+        first = {id(array): array.numpy().copy() for array in self._arrays()}
         for _ in range(WARM_UP_STEPS // 2):
             self._step(states[0], states[1])
             self._step(states[1], states[0])
@@ -80,13 +102,10 @@ class Stepper(ABC):
                 self._step(state, after)
             self._graphs.append(capture.graph)
         # Arrays that the solver allocated during the warm-up are zero at the start.
-        self._first = self._completed(first)
+        self._first = [first.get(id(array), np.zeros_like(array.numpy())) for array in self._arrays()]
         self.reset()
         # The start stays on the device: 4096 worlds of a sliding cube have 55 MB, which a reset need not send.
         self._first = [wp.clone(array) for array in self._arrays()]
-
-    def _completed(self, first: dict[int, NDArray[Any]]) -> Snapshot:
-        return [first.get(id(array), np.zeros_like(array.numpy())) for array in self._arrays()]
 
     def reset(self) -> None:
         """Return to the start."""
@@ -180,9 +199,6 @@ class Stepper(ABC):
         for root in (*self._states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
         return [*found.values(), self._elapsed, self._start, self._velocity, self._acceleration]
-
-    def _snapshot(self) -> dict[int, NDArray[Any]]:
-        return {id(array): array.numpy().copy() for array in self._arrays()}
 
     def _restore_arrays(self, snapshot: Snapshot) -> None:
         for array, values in zip(self._arrays(), snapshot, strict=True):

@@ -9,7 +9,6 @@ than few long steps with many.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from math import ceil, sqrt
 from typing import Any
 
@@ -18,16 +17,18 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from gauge_envs.backends.newton.contacts import SurfaceContacts
 from gauge_envs.backends.newton.kernels import predict
-from gauge_envs.backends.newton.pins import Pin, PinnedParticles
-from gauge_envs.backends.newton.pipeline import collision_pipeline
-from gauge_envs.backends.newton.stability import ITERATIONS_PER_RATIO
-from gauge_envs.backends.newton.stepper import Stepper
-from gauge_envs.backends.newton.surface import SurfaceContacts
+from gauge_envs.backends.newton.parts import Pin, PinnedParticles
+from gauge_envs.backends.newton.settings import ITERATIONS_PER_RATIO, SettingsLines, SettingsVBD
+from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline
 from gauge_envs.errors import ParameterError
 
 SPEED_HEADROOM = 1.5
 """Assumed largest growth of the fastest particle's speed within an interval, in addition to free fall."""
+
+LINE_GAP_M = 0.002
+"""Distance from a shape at which Newton detects a contact in scenes of ropes and rods [m]."""
 
 
 def apply_contacts(
@@ -66,20 +67,6 @@ def passing_pairs(
 
 
 # --- stepping --------------------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class SelfContact:
-    """Parameters of contacts between surfaces made of particles.
-
-    Attributes:
-        thickness_m: Distance at which the contact force starts [m]; much less than the edges of the mesh.
-        reach_m: Additional distance at which pairs are detected [m]. Newton limits the displacement of each particle
-            between two detections to 0.425 of the sum of both, so the fastest particle must stay below that in a step.
-    """
-
-    thickness_m: float
-    reach_m: float
 
 
 class _Solver(newton.solvers.SolverVBD):
@@ -181,24 +168,13 @@ class StepperVBD(Stepper):
     Args:
         model: The finalized, coloured model.
         driven: Indices of the kinematic bodies.
+        settings: Settings of the solver. Ropes and rods have no particles, and so only some of them.
         pins: Particles that kinematic bodies hold.
-        timestep_s: Time step [s].
-        iterations: Descents over all colours in a step.
-        predict: Whether the initial guess of a step uses the last acceleration instead of free fall, Newton's guess.
-            Cloth then reaches its full stiffness with a third of the iterations.
         contacts: Collision partners and friction of particles.
         contact_stiffness_n_per_m: Contact stiffness of a particle against a rigid shape or another surface of
             particles. Newton averages it with that of the shape, which is set to the same value.
-        contact_damping_n_s_per_m: Damping of a closing contact, set on both sides. Newton adds it to the normal force
-            but not to the load of friction, so chattering contacts lose friction.
-        contact_gap_m: Distance from a shape at which a particle's contact is detected [m]; more than its displacement
-            in a step.
-        full_surface: Whether edges and faces of a mesh collide with shapes, and not only its vertices. Bodies narrower
-            than the mesh need this. Several contacts then share a load, and friction needs ten iterations to converge.
         passing: Pairs of a particle and a shape that do not collide, from `passing_pairs`, shape [pair_count, 2]. The
             model then needs an inactive particle, which replaces those of the pairs in the solver's list.
-        friction_speed_m_per_s: Sliding speed above which friction is Coulomb's; below, it decreases to zero.
-        self_contact: Parameters of contacts between surfaces; None disables them.
     """
 
     def __init__(
@@ -206,49 +182,48 @@ class StepperVBD(Stepper):
         model: newton.Model,
         *,
         driven: Sequence[int],
+        settings: SettingsVBD | SettingsLines,
         pins: Sequence[Pin] = (),
-        timestep_s: float,
-        iterations: int,
-        predict: bool = False,
         contacts: SurfaceContacts | None = None,
         contact_stiffness_n_per_m: float = 1e3,
-        contact_damping_n_s_per_m: float = 0.0,
-        contact_gap_m: float = 0.002,
-        full_surface: bool = False,
         passing: NDArray[np.intp] | None = None,
-        friction_speed_m_per_s: float = 1e-4,
-        self_contact: SelfContact | None = None,
     ) -> None:
+        surfaces = settings if isinstance(settings, SettingsVBD) else None
+        predict = surfaces is not None and surfaces.starts_from_acceleration
         if predict:
-            _check_iterations(model, timestep_s=timestep_s, iterations=iterations)
+            _check_iterations(model, timestep_s=settings.timestep_s, iterations=settings.iterations)
         contacts = contacts or SurfaceContacts()
         model.soft_contact_mu = contacts.friction
         model.soft_contact_ke = contact_stiffness_n_per_m
-        model.soft_contact_kd = contact_damping_n_s_per_m
-        self._integrates_bodies = _has_dynamic_bodies(model)
+        model.soft_contact_kd = settings.contact_damping_n_s_per_m
+        kinematic = model.body_flags.numpy() & int(newton.BodyFlags.KINEMATIC) if model.body_count else np.ones(0)
+        self._integrates_bodies = bool((kinematic == 0).any())
         if model.shape_count:
             model.shape_material_ke.fill_(contact_stiffness_n_per_m)
-            model.shape_material_kd.fill_(contact_damping_n_s_per_m)
+            model.shape_material_kd.fill_(settings.contact_damping_n_s_per_m)
         self._pipeline = None
         if contacts.touched or self._integrates_bodies:
+            full_surface = surfaces is not None and surfaces.full_surface
             self._pipeline = collision_pipeline(
-                model, soft_contact_gap=contact_gap_m, enable_rigid_soft_full_surface_contact=full_surface
+                model,
+                soft_contact_gap=LINE_GAP_M if surfaces is None else surfaces.contact_gap_m,
+                enable_rigid_soft_full_surface_contact=full_surface,
             )
             if passing is not None and len(passing):
                 assert not full_surface
                 _let_pass(self._pipeline, passing)
         self._contacts = self._pipeline.contacts() if self._pipeline else None
-        self._self_contact = self_contact if contacts.itself else None
+        self._self_contact = surfaces if contacts.itself else None
         solver = _Solver(
             model,
-            iterations=iterations,
+            iterations=settings.iterations,
             predict=predict,
-            friction_epsilon=friction_speed_m_per_s,
+            friction_epsilon=settings.friction_speed_m_per_s,
             integrate_with_external_rigid_solver=not self._integrates_bodies,
             deterministic=wp.DeterministicMode.RUN_TO_RUN if model.device.is_cuda else None,
-            **_self_contact_settings(self._self_contact),
+            **_self_contact_arguments(self._self_contact),
         )
-        super().__init__(model, solver, driven=driven, timestep_s=timestep_s)
+        super().__init__(model, solver, driven=driven, timestep_s=settings.timestep_s)
         self._pinned = PinnedParticles(pins, model.device)
         self._open_graphs: list[Any] = []
         self._closed_graphs: list[Any] = []
@@ -289,7 +264,7 @@ class StepperVBD(Stepper):
         if self._rows:
             speed = max(speed, float(np.abs(now.body_qd.numpy()[list(self._rows)]).max()))
         displacement_m = (SPEED_HEADROOM * speed + 10.0 * seconds) * seconds
-        radius_m = self._self_contact.thickness_m + 2.0 * displacement_m
+        radius_m = self._self_contact.self_contact_thickness_m + 2.0 * displacement_m
         detector = self.solver.trimesh_collision_detector
         detector.refit(now.particle_q)
         detector.vertex_triangle_collision_detection(radius_m)
@@ -320,21 +295,15 @@ def _let_pass(pipeline: newton.CollisionPipeline, passing: NDArray[np.intp]) -> 
     pipeline.soft_rigid_contact_pairs.assign(pairs)
 
 
-def _has_dynamic_bodies(model: newton.Model) -> bool:
-    if not model.body_count:
-        return False
-    kinematic = model.body_flags.numpy() & int(newton.BodyFlags.KINEMATIC)
-    return bool((kinematic == 0).any())
-
-
-def _self_contact_settings(self_contact: SelfContact | None) -> dict[str, Any]:
-    if self_contact is None:
+def _self_contact_arguments(settings: SettingsVBD | None) -> dict[str, Any]:
+    """Return the solver's arguments for contacts between surfaces; None disables them."""
+    if settings is None:
         return {}
     slot = newton.solvers.SolverBase.CollisionSlot.SOFT_SELF_CONTACT
     return {
         "particle_enable_self_contact": True,
-        "particle_self_contact_margin": self_contact.thickness_m,
-        "particle_self_contact_gap": self_contact.reach_m,
+        "particle_self_contact_margin": settings.self_contact_thickness_m,
+        "particle_self_contact_gap": settings.self_contact_reach_m,
         # One detection per step is enough if the reach covers the motion in a step; the default is two.
         "collision_frequency_type": {slot: newton.solvers.SolverBase.CollisionFrequencyType.PRE_INIT},
     }

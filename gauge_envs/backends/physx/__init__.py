@@ -1,5 +1,90 @@
-"""NVIDIA PhysX 5 through SAPIEN: rigid bodies on the CPU."""
+"""NVIDIA PhysX 5 through SAPIEN: rigid bodies on the CPU. The first build imports SAPIEN, which takes 0.4 s."""
 
-from gauge_envs.backends.physx.backend import BackendPhysX
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from scipy.spatial import ConvexHull
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.physx.contacts import unsupported_contacts
+from gauge_envs.backends.physx.settings import settings_for
+from gauge_envs.backends.shared.bundled import BundledBackend, first_of
+from gauge_envs.backends.shared.states import ReplayedSimulation
+from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
 __all__ = ["BackendPhysX"]
+
+HULL_LIMIT = 128
+"""Largest number of vertices of a convex piece. PhysX makes 254 triangles at most, and simplifies larger hulls."""
+
+
+class BackendPhysX(BundledBackend):
+    """NVIDIA PhysX 5 on the CPU, in single precision, as SAPIEN ships it: rigid bodies, hinges, strings, driven bodies.
+
+    `restore` repeats all calls since the reset, since PhysX keeps contact caches that cannot be saved.
+    """
+
+    name = "physx"
+    modules = ("sapien",)
+    packages = ("sapien",)
+    settings_for = staticmethod(settings_for)
+    configurations = MappingProxyType(
+        {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
+    )
+    joins_bodies = True
+
+    def versions(self) -> dict[str, str]:
+        """Return the version of SAPIEN and of the PhysX that it contains."""
+        from gauge_envs.backends.physx.model import physx_version
+
+        return {**super().versions(), "physx": physx_version()}
+
+    def unsupported(self, scene: Scene) -> Iterator[str]:
+        """Yield one sentence for each kind of unsupported feature of a scene."""
+        if scene.deformables:
+            yield (
+                f"{first_of([body.name for body in scene.deformables])} is deformable: SAPIEN contains PhysX's rigid "
+                "bodies only; its cloth and soft bodies need a GPU and Isaac Sim"
+            )
+        hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
+        for name, count in hinges.items():
+            if count > 1:
+                yield f"{name!r} hangs on {count} hinges: this backend builds one hinge per body"
+                break
+        for name in hinges:
+            motion = scene.body(name).motion
+            if motion is not Motion.DYNAMIC:
+                yield f"{name!r} hangs on a hinge and is {motion.value}: only dynamic bodies have hinges"
+                break
+        for body in scene.bodies:
+            parts = body.shape.parts if isinstance(body.shape, Compound) else ()
+            if any(isinstance(part.shape, Ellipsoid) for part in parts):
+                yield f"{body.name!r} contains an ellipsoid, and PhysX has no ellipsoids"
+        yield from _unsupported_hulls(scene)
+        yield from unsupported_contacts(scene)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build a scene; settings are the fields of `SettingsPhysX`."""
+        chosen = settings_for(scene, settings)
+        from gauge_envs.backends.physx.simulation import SimulationPhysX
+
+        return ReplayedSimulation(SimulationPhysX(scene, chosen))
+
+
+def _unsupported_hulls(scene: Scene) -> Iterator[str]:
+    for body in scene.bodies:
+        solids = [part.shape for part in body.shape.parts] if isinstance(body.shape, Compound) else [body.shape]
+        pieces = [piece for solid in solids if isinstance(solid, ConvexUnion) for piece in solid.pieces_m]
+        for number, piece in enumerate(pieces):
+            vertices = len(ConvexHull(np.asarray(piece)).vertices) if len(piece) > HULL_LIMIT else 0
+            if vertices > HULL_LIMIT:
+                yield (
+                    f"piece {number} of {body.name!r} has {vertices} vertices: PhysX simplifies pieces with more than "
+                    f"{HULL_LIMIT}; divide it"
+                )
+                return

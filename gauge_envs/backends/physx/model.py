@@ -1,9 +1,12 @@
-"""Conversion of a scene to a PhysX scene: bodies, shapes and joints."""
+"""Conversion of a scene to a PhysX scene: bodies, shapes and joints; and the one engine of a process."""
 
 from __future__ import annotations
 
+import gc
+import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from weakref import WeakSet
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -11,9 +14,9 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
-from gauge_envs.backends.physx.engine import EngineLease, new_system, physx, pysapien
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
+from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
     Box,
@@ -32,8 +35,12 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import body_mass_properties, prism
+
+with warnings.catch_warnings():
+    # SAPIEN warns that no Vulkan driver is installed. Only its renderer needs one, which this package never starts.
+    warnings.simplefilter("ignore")
+    from sapien import physx, pysapien
 
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
@@ -59,6 +66,62 @@ AXIS_Z = [0.5**0.5, 0.0, -(0.5**0.5), 0.0]
 
 PLANE_TURN = Rotation.from_euler("y", -90, degrees=True)
 """Rotation of the z axis of this package's planes onto the x axis of PhysX's."""
+
+
+def physx_version() -> str:
+    """Return the version of the PhysX that SAPIEN contains."""
+    return str(physx.version())
+
+
+class EngineLease:
+    """A claim on the engine of the process, whose tolerances are fixed while a simulation exists.
+
+    Args:
+        settings: Settings with the tolerances.
+
+    Raises:
+        BackendError: Another simulation exists that needs other tolerances.
+    """
+
+    def __init__(self, settings: SettingsPhysX) -> None:
+        self.tolerances = (settings.tolerance_length_m, settings.tolerance_speed_m_per_s)
+        if any(lease.tolerances != self.tolerances for lease in _LEASES):
+            # A cycle of references may still hold a simulation that nothing uses.
+            gc.collect()
+        for lease in _LEASES:
+            if lease.tolerances != self.tolerances:
+                raise BackendError(
+                    "PhysX has one engine per process, and a simulation with tolerances of "
+                    f"{lease.tolerances} (m, m/s) exists. A simulation with {self.tolerances} cannot start beside it. "
+                    "Close the other one first, set tolerance_length_m and tolerance_speed_m_per_s to the same values, "
+                    "or use another process."
+                )
+        self._engine = physx.PhysxEngine(*self.tolerances)
+        _LEASES.add(self)
+
+
+_LEASES: WeakSet[EngineLease] = WeakSet()
+
+
+def new_system(settings: SettingsPhysX, gravity_m_per_s2: float) -> physx.PhysxCpuSystem:
+    """Return an empty PhysX scene. The defaults of other users of SAPIEN in this process do not change."""
+    before = physx.get_scene_config()
+    physx.set_scene_config(
+        gravity=[0.0, 0.0, -gravity_m_per_s2],
+        bounce_threshold=settings.bounce_threshold_m_per_s,
+        enable_pcm=settings.persistent_manifolds,
+        enable_tgs=settings.solver == "TGS",
+        enable_ccd=settings.continuous_detection,
+        enable_enhanced_determinism=settings.enhanced_determinism,
+        enable_friction_every_iteration=settings.friction_every_iteration,
+        cpu_workers=0,
+    )
+    try:
+        system = physx.PhysxCpuSystem()
+    finally:
+        physx.set_scene_config(before)
+    system.timestep = settings.timestep_s
+    return system
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +168,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     materials = {
         c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
     }
-    hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+    hinges = world_hinges(scene)
     parts = {}
     for body in scene.bodies:
         hinge = hinges.get(body.name)
@@ -117,11 +180,11 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         centre_m, inertia = body_mass_properties(body)
         parts[body.name] = Part(component, centre_m)
         if body.motion is not Motion.FIXED:
-            _set_mass(component, body, centre_m, inertia)
+            _set_mass(component, body.mass_kg, centre_m, inertia)
             _set_limits(component, settings)
         _add(world, component, _turned(body.pose) if isinstance(body.shape, Plane) else body.pose)
         if isinstance(component, physx.PhysxArticulationLinkComponent):
-            _finish_link(component, settings)
+            _set_solver(component.articulation, settings)
         elif hinge is not None:
             _add_hinge(component, body, hinge)
         if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
@@ -155,7 +218,7 @@ def _component(world: pysapien.Scene, body: RigidBody, hinge: Hinge | None) -> p
         return component
     base = physx.PhysxArticulationLinkComponent()
     base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
-    frame = Pose.from_rotation(hinge.anchor_m, _axis_frame(hinge))
+    frame = hinge_frame(hinge)
     _add(world, base, frame)
     link = physx.PhysxArticulationLinkComponent(base)
     base.joint.type = "fixed"
@@ -166,11 +229,6 @@ def _component(world: pysapien.Scene, body: RigidBody, hinge: Hinge | None) -> p
     link.joint.friction = 0.0
     link.joint.set_drive_properties(0.0, 0.0)
     return link
-
-
-def _axis_frame(hinge: Hinge | BodyHinge) -> Rotation:
-    """Return a rotation that takes the x axis, about which PhysX's hinges rotate, to the axis of a hinge."""
-    return Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0]
 
 
 def _shapes(
@@ -252,10 +310,7 @@ def _cylinder(shape: Cylinder, material: physx.PhysxMaterial) -> Iterator[physx.
 
 
 def _set_mass(
-    component: physx.PhysxRigidBodyComponent,
-    body: RigidBody,
-    centre_m: NDArray[np.float64],
-    inertia_kg_m2: NDArray[np.float64],
+    component: physx.PhysxRigidBodyComponent, mass_kg: float, centre_m: ArrayLike, inertia_kg_m2: NDArray[np.float64]
 ) -> None:
     """Write mass, centre of mass and inertia, which PhysX takes along principal axes."""
     moments, axes = np.linalg.eigh(inertia_kg_m2)
@@ -264,7 +319,7 @@ def _set_mass(
     elif np.linalg.det(axes) < 0.0:
         axes[:, 2] *= -1.0
     x, y, z, w = Rotation.from_matrix(axes).as_quat()
-    component.mass = body.mass_kg
+    component.mass = mass_kg
     component.inertia = moments
     component.cmass_local_pose = pysapien.Pose(centre_m, [w, x, y, z])
 
@@ -286,19 +341,10 @@ def _set_solver(place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulatio
     place.sleep_threshold = settings.sleep_threshold_m2_per_s2
 
 
-def _finish_link(link: physx.PhysxArticulationLinkComponent, settings: SettingsPhysX) -> None:
-    _set_solver(link.articulation, settings)
-
-
 def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge) -> None:
     """Connect a body to the world with a constraint that leaves one rotation free."""
-    frame = Pose.from_rotation(hinge.anchor_m, _axis_frame(hinge))
-    joint = physx.PhysxDriveComponent(component)
-    joint.pose_in_parent = physx_pose(frame)
-    joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    joint.set_limit_x(0.0, 0.0)
-    joint.set_limit_y(0.0, 0.0)
-    joint.set_limit_z(0.0, 0.0)
+    frame = hinge_frame(hinge)
+    joint = _point_joint(component, frame, frame.relative_to(body.pose))
     joint.set_limit_pyramid(0.0, 0.0, 0.0, 0.0)
     component.entity.add_component(joint)
 
@@ -306,19 +352,25 @@ def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hin
 def _add_body_hinge(parts: Mapping[str, Part], scene: Scene, hinge: BodyHinge) -> None:
     """Connect two bodies at two points of the axis, since PhysX leaves the swing of such a joint free."""
     first, second = scene.body(hinge.first), scene.body(hinge.second)
+    component = parts[second.name].component
     reach_m = 0.5 * float(np.linalg.norm(second.shape.corners_m, axis=1).max())
     for side in (-reach_m, reach_m):
-        point_m = vector(np.asarray(hinge.anchor_m) + side * np.asarray(hinge.axis))
-        frame = Pose.from_rotation(point_m, _axis_frame(hinge))
-        component = parts[second.name].component
-        joint = physx.PhysxDriveComponent(component)
+        frame = hinge_frame(hinge, side)
+        joint = _point_joint(component, frame.relative_to(first.pose), frame.relative_to(second.pose))
         joint.parent = parts[first.name].component
-        joint.pose_in_parent = physx_pose(frame.relative_to(first.pose))
-        joint.pose_in_child = physx_pose(frame.relative_to(second.pose))
-        joint.set_limit_x(0.0, 0.0)
-        joint.set_limit_y(0.0, 0.0)
-        joint.set_limit_z(0.0, 0.0)
         component.entity.add_component(joint)
+
+
+def _point_joint(
+    component: physx.PhysxRigidBodyComponent, in_parent: Pose, in_child: Pose
+) -> physx.PhysxDriveComponent:
+    """Return a joint of a body, to the world by default, that keeps the origins of two frames together."""
+    joint = physx.PhysxDriveComponent(component)
+    joint.pose_in_parent, joint.pose_in_child = physx_pose(in_parent), physx_pose(in_child)
+    joint.set_limit_x(0.0, 0.0)
+    joint.set_limit_y(0.0, 0.0)
+    joint.set_limit_z(0.0, 0.0)
+    return joint
 
 
 def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> None:
@@ -338,4 +390,4 @@ def _set_velocity(
         component.articulation.set_qvel(np.array([angular @ np.asarray(hinge.axis)]))
         return
     component.angular_velocity = angular
-    component.linear_velocity = body.linear_velocity_m_per_s + np.cross(angular, body.pose.rotation.apply(centre_m))
+    component.linear_velocity = centre_velocity(body, centre_m)

@@ -12,6 +12,7 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, placed_states
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import pose_distance
@@ -20,7 +21,7 @@ SAME_POSE = 1e-5
 """Distance [m, rad] within which a driven body already is where its interval starts."""
 
 
-class SimulationPhysX(Simulation):
+class SimulationPhysX(PlacedWorld, Simulation):
     """A scene in PhysX. A reset builds it anew, since PhysX cannot forget its contacts.
 
     Args:
@@ -40,11 +41,7 @@ class SimulationPhysX(Simulation):
         self._is_new = True
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         self._driven: dict[str, DrivenMotion] = {}
-        self._given = {
-            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
-            for body in self._scene.bodies
-            if body.motion is not Motion.DYNAMIC
-        }
+        self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
 
     def _open(self) -> Model:
         if self._model is None:
@@ -61,12 +58,12 @@ class SimulationPhysX(Simulation):
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
         component = self._open().parts[body].component
         self._is_new = False
-        before = self._given[body]
+        before = self.placed[body]
         known = Pose(position_m=tuple(before[:3]), quaternion=tuple(before[3:7]))
         if pose_distance(known, pose) > SAME_POSE:
             component.entity.set_pose(physx_pose(pose))
-        self._driven[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
-        self._given[body] = np.array([*pose.position_m, *pose.quaternion, *velocity])
+        self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
+        self.placed[body] = body_state(pose, velocity)
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
@@ -86,18 +83,18 @@ class SimulationPhysX(Simulation):
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
             model.system.step()
         for name, motion in self._driven.items():
-            end = motion.pose(seconds)
-            self._given[name] = np.array([*end.position_m, *end.quaternion, *motion.velocity_at(seconds)])
+            self.placed[name] = motion.state_at(seconds)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities, in single precision for dynamic bodies; see `World.body_states`."""
-        model = self._open()
+        self._open()
+        return super().body_states(names)
+
+    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
         for row, name in zip(states, names, strict=True):
-            if name in self._given:
-                row[:] = self._given[name]
-                continue
-            part = model.parts[name]
+            part = self._open().parts[name]
             pose = part.component.entity_pose
             row[:3], row[3:7] = pose.p, pose.q
             row[3:7] /= np.linalg.norm(row[3:7])

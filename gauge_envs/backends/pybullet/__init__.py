@@ -1,5 +1,164 @@
-"""PyBullet: sequential impulses for rigid bodies, Featherstone's algorithm for joints, tetrahedra for foam."""
+"""PyBullet: sequential impulses for rigid bodies, Featherstone's algorithm for joints, tetrahedra for foam.
 
-from gauge_envs.backends.pybullet.backend import BackendPyBullet
+The first build imports the engine.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.pybullet.contacts import surfaces
+from gauge_envs.backends.pybullet.settings import settings_for
+from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
+from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
+from gauge_envs.backends.shared.states import ReplayedSimulation
+from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody, Tether
 
 __all__ = ["BackendPyBullet"]
+
+LAST_PYTHON_WITH_WHEELS = (3, 11)
+
+INCOMPRESSIBLE = 0.45
+"""Poisson's ratio from which a soft body is declined."""
+
+UNSUPPORTED = {
+    Cloth: "is cloth, and the bending springs of Bullet's cloth have no stiffness while it is flat",
+    Rod: "is a rod, and Bullet's chains have no bending stiffness",
+}
+
+
+class BackendPyBullet(BundledBackend):
+    """PyBullet on the CPU, in double precision: rigid bodies, joints, and ropes and soft bodies without contacts.
+
+    A hanging bar of foam is 3 % too soft, and a swinging rope gains 2.5 % of its energy.
+
+    Bullet keeps contact forces between steps and cannot save them. A restore therefore repeats the episode.
+    """
+
+    name = "pybullet"
+    modules = ("pybullet",)
+    packages = ("pybullet",)
+    settings_for = staticmethod(settings_for)
+    configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
+    joins_bodies = True
+
+    def failed_import(self, module: str) -> ImportError:
+        """Return the failed import, with the way to PyBullet on this version of Python."""
+        if sys.version_info[:2] <= LAST_PYTHON_WITH_WHEELS:
+            return super().failed_import(module)
+        return ModuleNotFoundError(
+            "PyBullet on Python 3.11 (for later versions it has no wheels; 'pip install pybullet' then compiles it)"
+        )
+
+    def unsupported(self, scene: Scene) -> Iterator[str]:
+        """Yield one sentence for each feature of a scene that this backend does not support."""
+        yield from declined_compounds(scene)
+        for kind, reason in UNSUPPORTED.items():
+            names = [body.name for body in scene.deformables if isinstance(body, kind)]
+            if names:
+                yield f"{names[0]!r} {reason}"
+        yield from _unsupported_joints(scene)
+        yield from _unsupported_soft_bodies(scene)
+        for rope in scene.deformables:
+            if isinstance(rope, Rope):
+                yield from _unsupported_rope(scene, rope)
+        try:
+            yield from _unsupported_hinges(scene)
+        except UnsupportedSceneError as error:
+            yield str(error)
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build a scene; settings are the fields of `SettingsPyBullet`."""
+        from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
+
+        return ReplayedSimulation(SimulationPyBullet(scene, settings_for(scene, settings)))
+
+
+def _unsupported_joints(scene: Scene) -> Iterator[str]:
+    jointed: set[str] = set()
+    for joint in scene.joints:
+        if joint.body in jointed:
+            yield f"{joint.body!r} has two joints: this backend builds one joint for each body"
+        jointed.add(joint.body)
+        body = scene.body(joint.body)
+        if body.motion is not Motion.DYNAMIC:
+            yield f"{joint.body!r} has a joint and is not dynamic"
+        if isinstance(joint, Tether) and body.pose.position_m == joint.anchor_m:
+            yield f"{joint.body!r} starts at the anchor of its string, which then has no direction"
+        if isinstance(joint, Tether) and not body.starts_at_rest:
+            yield f"{joint.body!r} hangs on a string and has a start velocity: this backend starts strings at rest"
+
+
+def _unsupported_hinges(scene: Scene) -> Iterator[str]:
+    """Yield what this backend does not build of bodies that hinges join."""
+    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    if not joined:
+        return
+    for name, found in surfaces(scene).items():
+        if name in joined and len(found) > 1:
+            yield f"{name!r} is on a hinge and has {len(found)} kinds of contact, of which this backend builds one"
+    for contact in scene.contacts:
+        for pair in scene.colliding_pairs(contact):
+            if joined.issuperset(pair):
+                yield f"{pair[0]!r} and {pair[1]!r} are on hinges and collide, which this backend does not build"
+                return
+
+
+def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
+    """Yield what PyBullet's chains do not support of a rope: contacts, and ends outside one tree of joints."""
+    if any(rope.name in (*contact.first, *contact.second) for contact in scene.contacts):
+        yield f"{rope.name!r} touches other bodies or itself: chains of light segments in contact diverge in Bullet"
+    for attachment in scene.attachments:
+        if attachment.deformable == rope.name and attachment.to in {body.name for body in scene.deformables}:
+            yield f"{rope.name!r} is attached to {attachment.to!r}, which is not a rigid body"
+    try:
+        ends = attached_ends(rope, rigid_attachments(scene, rope.name))
+    except UnsupportedSceneError as error:
+        yield str(error)
+        return
+    held = [scene.body(attachment.body) for attachment in ends.values()]
+    driven = [body.name for body in held if body.motion is Motion.KINEMATIC]
+    if driven:
+        yield f"{rope.name!r} is attached to {driven[0]!r}, which is driven: chains start at fixed or dynamic bodies"
+    if len(held) == 2 and (held[0].motion is Motion.FIXED is held[1].motion or held[0] is held[1]):
+        yield f"{rope.name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
+    jointed = {joint.body for joint in scene.joints}
+    others = {one.to for one in scene.attachments if one.deformable != rope.name}
+    for body in held:
+        if body.motion is Motion.DYNAMIC and body.name in jointed | others:
+            yield f"{body.name!r} is attached to {rope.name!r} and has another joint or rope"
+
+
+def _unsupported_soft_bodies(scene: Scene) -> Iterator[str]:
+    """Yield what this backend does not build of soft bodies: contacts, bonds, and moving rigid bodies beside them."""
+    soft = {body.name for body in scene.deformables if isinstance(body, SoftBody)}
+    if not soft:
+        return
+    touching = sorted(soft & {name for contact in scene.contacts for name in (*contact.first, *contact.second)})
+    if touching:
+        yield f"{touching[0]!r} touches other bodies: this backend builds soft bodies without contacts"
+    yield from attachment_problems(scene, not_to_dynamic=SoftBody)
+    bonded = [attachment for attachment in scene.attachments if attachment.deformable in soft and attachment.to in soft]
+    if bonded:
+        yield f"{bonded[0].deformable!r} is attached to {bonded[0].to!r}: this backend builds no bonds of soft bodies"
+    for body in scene.deformables:
+        if isinstance(body, SoftBody):
+            yield from _unsupported_solid(scene, body)
+    others = [body.name for body in (*scene.dynamic_bodies, *scene.deformables) if body.name not in soft]
+    if others:
+        yield f"{others[0]!r} moves beside {min(soft)!r}: this backend builds soft bodies alone"
+
+
+def _unsupported_solid(scene: Scene, body: SoftBody) -> Iterator[str]:
+    """Yield what the mesh of a soft body cannot represent."""
+    if body.poisson_ratio >= INCOMPRESSIBLE:
+        yield f"{body.name!r} has Poisson's ratio {body.poisson_ratio:g}: linear tetrahedra lock above {INCOMPRESSIBLE}"
+    for axis, edge_m in zip("xyz", body.shape.size_m, strict=True):
+        depths = [one.region.depth_m for one in rigid_attachments(scene, body.name) if one.region.axis == axis]
+        if sum(depths) >= edge_m:
+            yield f"{body.name!r} is attached over all of its length: reduce the regions' depth_m"

@@ -16,9 +16,6 @@ Pair = tuple[str, str]
 SMALLEST_VALUE = 1e-6
 """Largest product that stands for a value of 0. A ball then rebounds with a millionth of its speed."""
 
-RELATIVE_ERROR = 1e-6
-"""Largest error of a product, over the value of the pair."""
-
 
 @dataclass(frozen=True)
 class Surface:

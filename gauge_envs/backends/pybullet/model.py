@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-from collections import defaultdict
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,13 +10,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.chains import add_rope
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces
-from gauge_envs.backends.pybullet.engine import pybullet, silent
-from gauge_envs.backends.pybullet.frames import Frame, Handle
+from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.soft import add_soft_body
-from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld
+from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
+from gauge_envs.backends.shared.rigid import centre_velocity
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
 
@@ -37,18 +34,15 @@ class WorldPyBullet(BulletWorld):
 
     Attributes:
         ropes: The ropes in PyBullet, by name.
-        soft: The soft bodies in PyBullet, by name.
+        soft: PyBullet's numbers of the soft bodies, by name.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
         super().__init__(scene, settings)
-        self._build()
+        self.rebuild()
 
     def rebuild(self) -> None:
         """Return to the start of the scene, as after construction."""
-        self._build()
-
-    def _build(self) -> None:
         # PyBullet reads the files of convex pieces until all bodies exist.
         with tempfile.TemporaryDirectory() as folder, silent():
             self.folder = Path(folder)
@@ -75,7 +69,7 @@ class WorldPyBullet(BulletWorld):
             if body.name in self.handles:
                 continue
             if isinstance(joint, Hinge):
-                self._hinged(body, joint)
+                self._joined({body.name: joint})
             elif isinstance(joint, Tether):
                 self._tethered(body, joint)
             else:
@@ -129,82 +123,65 @@ class WorldPyBullet(BulletWorld):
             self.set_dynamics(handle, mass=base["baseMass"], localInertiaDiagonal=moments)
         if is_coned:
             # The limit on the speed of joints holds for the base too.
-            self.free_joints(handle.body, 0, spherical=())
+            self.free_joints(handle.body)
         if body.motion is Motion.DYNAMIC:
             self._start_base(handle.body, body, frame)
 
-    def _hinged(self, body: RigidBody, joint: Hinge) -> None:
-        """Add a body as the link of a revolute joint. The link's frame lies at the anchor, along the principal axes."""
-        frame = self.frame(body)
-        link = body.pose.rotation * frame.axes
-        arm_m = link.inv().apply(body.pose.to_world(frame.centre_m) - joint.anchor_m)
-        shape = self.shape(body.shape, link.inv().apply(np.subtract(body.pose.position_m, joint.anchor_m)), frame)
-        number = self.call(
-            "createMultiBody",
-            baseMass=0.0,
-            basePosition=(self.scale * np.asarray(joint.anchor_m)).tolist(),
-            linkMasses=[body.mass_kg],
-            linkCollisionShapeIndices=[shape],
-            linkVisualShapeIndices=[-1],
-            linkPositions=[[0.0, 0.0, 0.0]],
-            linkOrientations=[link.as_quat().tolist()],
-            linkInertialFramePositions=[(self.scale * arm_m).tolist()],
-            linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]],
-            linkParentIndices=[0],
-            linkJointTypes=[pybullet.JOINT_REVOLUTE],
-            linkJointAxis=[link.inv().apply(joint.axis).tolist()],
-        )
-        handle = self.add_handle(body, int(number), 0)
-        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frame.moments)
-        rate = float(np.asarray(body.angular_velocity_rad_per_s) @ joint.axis)
-        self.call("resetJointState", handle.body, 0, targetValue=0.0, targetVelocity=rate)
-        self.free_joints(handle.body, 1, spherical=())
+    def _joined(self, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
+        """Add bodies on hinges as one multibody, whose base is the root, or the anchor of a body on a hinge of its own.
 
-    def _joined(self, hinges: Mapping[str, BodyHinge]) -> None:
-        """Add bodies that hinges join as one multibody, whose base is the root.
+        The frame of the base is at its centre of mass, that of a link at its hinge, both along the principal axes.
 
         Args:
-            hinges: The hinge through which each body but the root hangs on another one, parents first.
+            hinges: The hinge through which each body hangs on the root or on another one, parents first.
         """
-        root = self.scene.body(next(other_end(hinge, name) for name, hinge in hinges.items()))
-        frames = {name: self.frame(self.scene.body(name)) for name in (root.name, *hinges)}
-        turns = {name: self.scene.body(name).pose.rotation * frame.axes for name, frame in frames.items()}
-        # The frame of the base is at its centre of mass, that of a link at its hinge.
+        name, hinge = next(iter(hinges.items()))
+        root = self.scene.body(other_end(hinge, name)) if isinstance(hinge, BodyHinge) else None
+        members = [self.scene.body(name) for name in ([root.name] if root else []) + list(hinges)]
+        frames = {body.name: self.frame(body) for body in members}
+        turns = {body.name: body.pose.rotation * frames[body.name].axes for body in members}
         origins = {name: np.asarray(hinge.anchor_m) for name, hinge in hinges.items()}
-        origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
-        names = list(frames)
-        links: dict[str, list[Any]] = defaultdict(list)
+        base: dict[str, Any] = {"baseMass": 0.0, "basePosition": (self.scale * origins[name]).tolist()}
+        base_moments: list[float] = []
+        if root is not None:
+            base, base_moments = self.base_arguments(root, frames[root.name]), frames[root.name].moments
+            origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
+        links = []
         for name, hinge in hinges.items():
-            body, parent, back = self.scene.body(name), other_end(hinge, name), turns[name].inv()
+            body, back, place, parent = self.scene.body(name), turns[name].inv(), (np.zeros(3), turns[name]), 0
+            if isinstance(hinge, BodyHinge):
+                other = other_end(hinge, name)
+                to_parent, parent = turns[other].inv(), list(frames).index(other)
+                place = (self.scale * to_parent.apply(origins[name] - origins[other]), to_parent * turns[name])
             arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
             offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
-            place_m = turns[parent].inv().apply(origins[name] - origins[parent])
-            links["linkMasses"].append(body.mass_kg)
-            links["linkCollisionShapeIndices"].append(self.shape(body.shape, offset_m, frames[name]))
-            links["linkVisualShapeIndices"].append(-1)
-            links["linkPositions"].append((self.scale * place_m).tolist())
-            links["linkOrientations"].append((turns[parent].inv() * turns[name]).as_quat().tolist())
-            links["linkInertialFramePositions"].append((self.scale * arm_m).tolist())
-            links["linkInertialFrameOrientations"].append([0.0, 0.0, 0.0, 1.0])
-            links["linkParentIndices"].append(names.index(parent))
-            links["linkJointTypes"].append(pybullet.JOINT_REVOLUTE)
-            links["linkJointAxis"].append(back.apply(hinge.axis).tolist())
-        number = int(self.call("createMultiBody", **self.base_arguments(root, frames[root.name]), **links))
-        for link, name in enumerate(names, start=-1):
+            link = Link(
+                joint=pybullet.JOINT_REVOLUTE,
+                place=place,
+                parent=parent,
+                mass_kg=body.mass_kg,
+                moments=frames[name].moments,
+                centre=self.scale * arm_m,
+                shape=self.shape(body.shape, offset_m, frames[name]),
+                axis=back.apply(hinge.axis).tolist(),
+            )
+            links.append(link)
+        number = self.add_multibody(base, base_moments, links)
+        for link_number, body in enumerate(members, start=0 if root is None else -1):
+            self.add_handle(body, number, link_number)
+        if root is not None:
+            self._start_base(number, root, frames[root.name])
+        for link_number, (name, hinge) in enumerate(hinges.items()):
             body = self.scene.body(name)
-            handle = self.add_handle(body, number, link)
-            self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frames[name].moments)
-        self._start_base(number, root, frames[root.name])
-        for link, (name, hinge) in enumerate(hinges.items()):
-            rate = start_rate_rad_per_s(hinge, self.scene.body(name), self.scene.body(other_end(hinge, name)))
-            self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
-        self.free_joints(number, len(hinges), spherical=())
+            rate = float(np.asarray(body.angular_velocity_rad_per_s) @ hinge.axis)
+            if isinstance(hinge, BodyHinge):
+                rate = start_rate_rad_per_s(hinge, body, self.scene.body(other_end(hinge, name)))
+            self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""
-        spin = np.asarray(body.angular_velocity_rad_per_s)
-        speed = np.asarray(body.linear_velocity_m_per_s) + np.cross(spin, body.pose.rotation.apply(frame.centre_m))
-        self.call("resetBaseVelocity", number, (self.scale * speed).tolist(), spin.tolist())
+        speed = self.scale * centre_velocity(body, frame.centre_m)
+        self.call("resetBaseVelocity", number, speed.tolist(), list(body.angular_velocity_rad_per_s))
 
     def _tethered(self, body: RigidBody, joint: Tether) -> None:
         """Add a body on a string: a spherical joint, a sliding joint with an upper limit, and a spherical joint."""
@@ -213,40 +190,43 @@ class WorldPyBullet(BulletWorld):
         along = np.asarray(body.pose.position_m) - anchor
         apart_m = float(np.linalg.norm(along))
         string = Rotation.align_vectors([along], [[0.0, 0.0, 1.0]])[0]
-        link = body.pose.rotation * frame.axes
-        light = STRING_MASS * body.mass_kg
-        arm_m = frame.axes.inv().apply(frame.centre_m)
-        origin, unturned = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]
-        number = self.call(
-            "createMultiBody",
-            baseMass=0.0,
-            basePosition=(self.scale * anchor).tolist(),
-            linkMasses=[light, light, body.mass_kg],
-            linkCollisionShapeIndices=[-1, -1, self.shape(body.shape, np.zeros(3), frame)],
-            linkVisualShapeIndices=[-1, -1, -1],
-            linkPositions=[origin, [0.0, 0.0, self.scale * apart_m], origin],
-            linkOrientations=[string.as_quat().tolist(), unturned, (string.inv() * link).as_quat().tolist()],
-            linkInertialFramePositions=[origin, origin, (self.scale * arm_m).tolist()],
-            linkInertialFrameOrientations=[unturned] * 3,
-            linkParentIndices=[0, 1, 2],
-            linkJointTypes=[pybullet.JOINT_SPHERICAL, pybullet.JOINT_PRISMATIC, pybullet.JOINT_SPHERICAL],
-            linkJointAxis=[[0.0, 0.0, 1.0]] * 3,
+        mass_kg = STRING_MASS * body.mass_kg
+        light: dict[str, Any] = {"mass_kg": mass_kg, "moments": [mass_kg * (self.scale * joint.length_m) ** 2] * 3}
+        origin = np.zeros(3)
+        links = (
+            Link(joint=pybullet.JOINT_SPHERICAL, place=(origin, string), centre=origin, **light),
+            Link(
+                joint=pybullet.JOINT_PRISMATIC,
+                place=(np.array([0.0, 0.0, self.scale * apart_m]), Rotation.identity()),
+                centre=origin,
+                **light,
+            ),
+            Link(
+                joint=pybullet.JOINT_SPHERICAL,
+                place=(origin, string.inv() * (body.pose.rotation * frame.axes)),
+                mass_kg=body.mass_kg,
+                moments=frame.moments,
+                centre=self.scale * frame.axes.inv().apply(frame.centre_m),
+                shape=self.shape(body.shape, origin, frame),
+            ),
         )
-        handle = self.add_handle(body, int(number), 2)
-        self.set_dynamics(handle, mass=body.mass_kg, localInertiaDiagonal=frame.moments)
-        inertia = light * (self.scale * joint.length_m) ** 2
-        for light_link in (0, 1):
-            self.call("changeDynamics", handle.body, light_link, mass=light, localInertiaDiagonal=[inertia] * 3)
-        self.free_joints(handle.body, 3, spherical=(0, 2))
+        base = {"baseMass": 0.0, "basePosition": (self.scale * anchor).tolist()}
+        handle = self.add_handle(body, self.add_multibody(base, [], links), 2)
         # Bullet ignores limits of which the lower one is above the upper one, and needs both.
         upper = self.scale * (joint.length_m - apart_m)
         self.call("changeDynamics", handle.body, 1, jointLowerLimit=-1e6, jointUpperLimit=upper)
 
     def _set_contacts(self) -> None:
         late = impact_bodies(self.scene) if self.settings.late_impacts else set()
+        settings = self.settings
         awake = pybullet.ACTIVATION_STATE_DISABLE_SLEEPING
+        springs = {
+            "contactStiffness": settings.contact_stiffness_n_per_m,
+            "contactDamping": settings.contact_damping_n_s_per_m,
+        }
         for name in self.handles:
             is_dynamic = self.scene.body(name).motion is Motion.DYNAMIC
+            has_springs = is_dynamic and settings.contact_stiffness_n_per_m is not None
             for surface, handle in self._surface_handles(name):
                 self.set_dynamics(
                     handle,
@@ -259,15 +239,8 @@ class WorldPyBullet(BulletWorld):
                     frictionAnchor=int(self.settings.friction_anchors),
                     contactProcessingThreshold=0.0 if name in late else EARLY_CONTACTS,
                     activationState=pybullet.ACTIVATION_STATE_ENABLE_SLEEPING if self.settings.sleeping else awake,
-                    **(self._springs() if is_dynamic else {}),
+                    **(springs if has_springs else {}),
                 )
-
-    def _springs(self) -> dict[str, float]:
-        """Return the arguments of compliant contacts, nothing for rigid ones."""
-        stiffness, damping = self.settings.contact_stiffness_n_per_m, self.settings.contact_damping_n_s_per_m
-        if stiffness is None or damping is None:
-            return {}
-        return {"contactStiffness": stiffness, "contactDamping": damping}
 
     def _surface_handles(self, name: str) -> list[tuple[Surface, Handle]]:
         """Return the surfaces of a rigid body, each with its copy of the body."""

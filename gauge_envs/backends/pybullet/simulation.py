@@ -10,19 +10,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.pybullet.engine import pybullet
-from gauge_envs.backends.pybullet.frames import Handle
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
-from gauge_envs.backends.pybullet.world import PLANE_REACH_M
+from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, placed_states
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.geometry import vector
 
 Rows = list[list[float]]
 
 
-class SimulationPyBullet(Simulation):
+class SimulationPyBullet(PlacedWorld, Simulation):
     """A scene in PyBullet.
 
     Args:
@@ -49,11 +48,7 @@ class SimulationPyBullet(Simulation):
         self._driven: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         # Fixed and driven bodies are where they were put; Bullet has nothing to add.
-        self._placed = {
-            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
-            for body in self._scene.bodies
-            if body.motion is not Motion.DYNAMIC
-        }
+        self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start in a new world. Bullet draws no random numbers, so the seed has no effect."""
@@ -62,8 +57,8 @@ class SimulationPyBullet(Simulation):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
-        self._driven[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
-        self._placed[body] = _row(pose, velocity)
+        self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
+        self.placed[body] = body_state(pose, velocity)
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
@@ -89,7 +84,7 @@ class SimulationPyBullet(Simulation):
                 self._push(name, wrench)
             pybullet.stepSimulation(physicsClientId=client)
         for name, motion in motions.items():
-            self._placed[name] = _row(motion.pose(seconds), motion.velocity_at(seconds))
+            self.placed[name] = motion.state_at(seconds)
         self._driven.clear()
 
     def fault(self) -> str | None:
@@ -108,8 +103,10 @@ class SimulationPyBullet(Simulation):
 
     def _motion(self, name: str) -> DrivenMotion:
         """Return the motion of a driven body; without a call of `drive`, it stays where it is."""
-        still = np.zeros(6)
-        return self._driven.get(name) or DrivenMotion(_pose(self._placed[name]), still, still)
+        w, x, y, z = self.placed[name][3:7].tolist()
+        return self._driven.get(name) or DrivenMotion(
+            Pose(position_m=vector(self.placed[name][:3]), quaternion=(w, x, y, z))
+        )
 
     def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
         """Return what Bullet gets of a driven body before each of the next steps.
@@ -161,7 +158,8 @@ class SimulationPyBullet(Simulation):
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a rope or soft body [m], shape [node_count, 3]."""
         if name in self.world.soft:
-            return self.world.soft[name].nodes_m(self.world)
+            flags = pybullet.MESH_DATA_SIMULATION_MESH
+            return np.array(self.world.call("getMeshData", self.world.soft[name], -1, flags=flags)[1]) / self._scale
         return self.world.ropes[name].nodes_m(self._read, self._scale)
 
     def track(self, name: str, points_m: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]] | None:
@@ -171,13 +169,10 @@ class SimulationPyBullet(Simulation):
         # A reset builds the rope anew, with the same numbers.
         return self.world.ropes[name].track(points_m, self._read, self._scale)
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
+    def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
         for state, name in zip(states, names, strict=True):
-            if name in self._placed:
-                state[:] = self._placed[name]
-                continue
             handle = self.world.handles[name]
             place, quaternion, speed, spin = self._read(handle.body, handle.link)
             rotation = Rotation.from_quat(quaternion) * handle.turn
@@ -191,12 +186,3 @@ class SimulationPyBullet(Simulation):
     def close(self) -> None:
         """Free the world. A second call does nothing."""
         self.world.close()
-
-
-def _pose(row: NDArray[np.float64]) -> Pose:
-    w, x, y, z = row[3:7].tolist()
-    return Pose(position_m=vector(row[:3]), quaternion=(w, x, y, z))
-
-
-def _row(pose: Pose, velocity: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.array([*pose.position_m, *pose.quaternion, *velocity])

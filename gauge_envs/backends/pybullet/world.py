@@ -1,8 +1,16 @@
-"""A PyBullet world: its connection, and the shapes, frames and joints that all kinds of bodies use."""
+"""A PyBullet world: its connection, and the shapes, frames and joints that all kinds of bodies use.
+
+The import of PyBullet discards its messages, which would mix with the output of a command.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Collection
+import ctypes
+import os
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +18,36 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.engine import pybullet, silent
-from gauge_envs.backends.pybullet.frames import Frame, Handle
-from gauge_envs.backends.pybullet.pieces import write_convex_pieces
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
-from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.scene.meshes import body_mass_properties, hull_faces
+
+
+@contextmanager
+def silent() -> Iterator[None]:
+    """Discard what C++ code of this process writes to the standard streams."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    libc = ctypes.CDLL(None) if os.name == "posix" else ctypes.cdll.msvcrt
+    saved = [os.dup(1), os.dup(2)]
+    null = os.open(os.devnull, os.O_WRONLY)
+    # What the C library still holds was written before, and belongs to the user.
+    libc.fflush(None)
+    try:
+        for stream in (1, 2):
+            os.dup2(null, stream)
+        yield
+    finally:
+        libc.fflush(None)
+        for stream, descriptor in zip((1, 2), saved, strict=True):
+            os.dup2(descriptor, stream)
+            os.close(descriptor)
+        os.close(null)
+
+
+with silent():
+    import pybullet as pybullet
 
 FASTEST_JOINT = 1e9
 """Bullet's limit on the speed of joints in units per second; its default of 100 is 1 m/s at 100 units per metre."""
@@ -27,6 +58,67 @@ spheres by up to 39 %; on 107 boxes from 1 to 11.6 m, spheres roll within 0.1 % 
 
 DRIVEN_MASS_KG = 1e6
 """Mass of a driven body, which contacts between two drives do not move: 1 N moves it by 2e-11 m in 1/180 s."""
+
+
+NO_SHAPE = -1
+"""Number of the shape of links that touch nothing."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Mass properties of a body; Bullet's frame is that of the centre of mass, along the principal axes.
+
+    Attributes:
+        centre_m: Centre of mass in the body frame [m].
+        axes: Rotation from the principal axes to the body frame.
+        moments: Principal moments of inertia [kg units^2].
+    """
+
+    centre_m: NDArray[np.float64]
+    axes: Rotation
+    moments: list[float]
+
+
+@dataclass(frozen=True)
+class Handle:
+    """A body in PyBullet.
+
+    Attributes:
+        body: PyBullet's number of the body.
+        link: Number of its link; -1 is the base.
+        offset_m: Position of Bullet's frame, which is that of the centre of mass, in the body frame [m].
+        turn: Rotation from Bullet's frame to the body frame.
+    """
+
+    body: int
+    link: int
+    offset_m: NDArray[np.float64]
+    turn: Rotation
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """A link of a multibody, whose lengths are in units.
+
+    Attributes:
+        joint: PyBullet's type of the joint to the parent.
+        place: Position and rotation in the frame of the parent.
+        parent: Number of the parent, of which the base is 0; None for the link before.
+        mass_kg: Mass [kg].
+        moments: Moments of inertia [kg units^2].
+        centre: Centre of mass in the frame of the link, whose axes are the principal axes.
+        shape: PyBullet's number of its shape.
+        axis: Axis of the joint in the frame of the link.
+    """
+
+    joint: int
+    place: tuple[NDArray[np.float64], Rotation]
+    parent: int | None = None
+    mass_kg: float
+    moments: list[float]
+    centre: NDArray[np.float64]
+    shape: int = NO_SHAPE
+    axis: Sequence[float] = (0.0, 0.0, 1.0)
 
 
 class BulletWorld:
@@ -74,33 +166,34 @@ class BulletWorld:
             "collisionFramePosition": (self.scale * offset_m).tolist(),
             "collisionFrameOrientation": frame.axes.inv().as_quat().tolist(),
         }
+        return int(self.call("createCollisionShape", **place | self._shape_arguments(shape)))
+
+    def _shape_arguments(self, shape: Shape) -> dict[str, Any]:
         scale = self.scale
         flags = pybullet.URDF_INITIALIZE_SAT_FEATURES if self.settings.polyhedral_features else 0
+        if isinstance(shape, Sphere):
+            return {"shapeType": pybullet.GEOM_SPHERE, "radius": scale * shape.radius_m}
+        if isinstance(shape, Cylinder):
+            size = {"radius": scale * shape.radius_m, "height": scale * shape.length_m}
+            return {"shapeType": pybullet.GEOM_CYLINDER, **size}
+        if isinstance(shape, Plane) and self.settings.planes == "plane":
+            return {"shapeType": pybullet.GEOM_PLANE, "planeNormal": [0.0, 0.0, 1.0]}
+        if isinstance(shape, Plane):
+            # A box below the plane.
+            half = [scale * PLANE_REACH_M] * 3
+            place = {"collisionFramePosition": [0.0, 0.0, -half[2]]}
+            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags, **place}
         if isinstance(shape, Box):
             half = [0.5 * scale * edge for edge in shape.size_m]
-            return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=half, flags=flags, **place))
-        if isinstance(shape, Sphere):
-            return int(self.call("createCollisionShape", pybullet.GEOM_SPHERE, radius=scale * shape.radius_m, **place))
-        if isinstance(shape, Plane):
-            return self._plane(flags, place)
-        if isinstance(shape, Cylinder):
-            radius, length = scale * shape.radius_m, scale * shape.length_m
-            return int(self.call("createCollisionShape", pybullet.GEOM_CYLINDER, radius=radius, height=length, **place))
+            return {"shapeType": pybullet.GEOM_BOX, "halfExtents": half, "flags": flags}
         assert isinstance(shape, ConvexUnion), "compounds are declined by unsupported_features"
         pieces = [(scale * np.asarray(piece)) for piece in shape.pieces_m]
-        if len(pieces) == 1:
-            vertices = pieces[0].tolist()
-            return int(self.call("createCollisionShape", pybullet.GEOM_MESH, vertices=vertices, flags=flags, **place))
-        path = write_convex_pieces(self.folder / f"{len(list(self.folder.iterdir()))}.obj", pieces)
-        return int(self.call("createCollisionShape", pybullet.GEOM_MESH, fileName=str(path), flags=flags, **place))
-
-    def _plane(self, flags: int, place: dict[str, Any]) -> int:
-        """Return Bullet's plane, or a box below the plane that reaches `PLANE_REACH_M` to each side."""
-        if self.settings.planes == "plane":
-            return int(self.call("createCollisionShape", pybullet.GEOM_PLANE, planeNormal=[0.0, 0.0, 1.0], **place))
-        half = self.scale * PLANE_REACH_M
-        place = place | {"collisionFramePosition": [0.0, 0.0, -half]}
-        return int(self.call("createCollisionShape", pybullet.GEOM_BOX, halfExtents=[half] * 3, flags=flags, **place))
+        mesh: dict[str, Any] = {"vertices": pieces[0].tolist()}
+        if len(pieces) > 1:
+            path = self.folder / f"{len(list(self.folder.iterdir()))}.obj"
+            path.write_text("\n".join(_object_lines(pieces)) + "\n")
+            mesh = {"fileName": str(path)}
+        return {"shapeType": pybullet.GEOM_MESH, "flags": flags, **mesh}
 
     def frame(self, body: RigidBody) -> Frame:
         """Return the mass properties of a body."""
@@ -133,19 +226,49 @@ class BulletWorld:
         """Change dynamic properties of a body or a link."""
         self.call("changeDynamics", handle.body, handle.link, **named)
 
-    def free_joints(self, body: int, count: int, *, spherical: Collection[int]) -> None:
+    def add_multibody(self, base: dict[str, Any], moments: list[float], links: Sequence[Link]) -> int:
+        """Add bodies on joints without friction and motors, and return PyBullet's number of the multibody.
+
+        Args:
+            base: Arguments of `createMultiBody` for the base.
+            moments: Moments of inertia of the base [kg units^2]; empty for a base without mass.
+            links: The links.
+        """
+        number = int(
+            self.call(
+                "createMultiBody",
+                **base,
+                linkMasses=[link.mass_kg for link in links],
+                linkCollisionShapeIndices=[link.shape for link in links],
+                linkVisualShapeIndices=[-1] * len(links),
+                linkPositions=[link.place[0].tolist() for link in links],
+                linkOrientations=[link.place[1].as_quat().tolist() for link in links],
+                linkInertialFramePositions=[link.centre.tolist() for link in links],
+                linkInertialFrameOrientations=[[0.0, 0.0, 0.0, 1.0]] * len(links),
+                linkParentIndices=[row if link.parent is None else link.parent for row, link in enumerate(links)],
+                linkJointTypes=[link.joint for link in links],
+                linkJointAxis=[list(link.axis) for link in links],
+            )
+        )
+        if moments:
+            self.call("changeDynamics", number, -1, mass=base["baseMass"], localInertiaDiagonal=moments)
+        for row, link in enumerate(links):
+            self.call("changeDynamics", number, row, mass=link.mass_kg, localInertiaDiagonal=link.moments)
+        self.free_joints(number, links)
+        return number
+
+    def free_joints(self, body: int, links: Sequence[Link] = ()) -> None:
         """Remove Bullet's damping, speed limit and motors of the joints of a multibody.
 
         Args:
             body: PyBullet's number of the multibody.
-            count: Number of its links.
-            spherical: Links on spherical joints.
+            links: Its links.
         """
-        for link in range(-1, count):
+        for row in range(-1, len(links)):
             self.call(
                 "changeDynamics",
                 body,
-                link,
+                row,
                 jointDamping=0.0,
                 linearDamping=self.settings.linear_damping,
                 angularDamping=self.settings.angular_damping,
@@ -154,8 +277,22 @@ class BulletWorld:
         motor = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": 0.0}
         still = {"targetPosition": [0.0, 0.0, 0.0, 1.0], "positionGain": 0.0, "velocityGain": 0.0}
         position = pybullet.POSITION_CONTROL
-        for link in range(count):
-            if link in spherical:
-                self.call("setJointMotorControlMultiDof", body, link, position, force=[0.0, 0.0, 0.0], **still)
+        for row, link in enumerate(links):
+            if link.joint == pybullet.JOINT_SPHERICAL:
+                self.call("setJointMotorControlMultiDof", body, row, position, force=[0.0, 0.0, 0.0], **still)
             else:
-                self.call("setJointMotorControl2", body, link, **motor)
+                self.call("setJointMotorControl2", body, row, **motor)
+
+
+def _object_lines(pieces: Sequence[NDArray[np.float64]]) -> Iterator[str]:
+    """Yield the lines of an OBJ file, the only form in which PyBullet takes a body of several convex hulls.
+
+    Args:
+        pieces: Vertices of each piece in units, shape [vertex_count, 3]; each piece is an object.
+    """
+    first = 1
+    for index, piece in enumerate(pieces):
+        yield f"o piece{index}"
+        yield from (f"v {x!r} {y!r} {z!r}" for x, y, z in piece.tolist())
+        yield from ("f " + " ".join(str(first + vertex) for vertex in face) for face in hull_faces(piece))
+        first += len(piece)

@@ -1,5 +1,66 @@
-"""Rapier: rigid bodies in single precision, with a native restitution and snapshots."""
+"""Rapier: rigid bodies in single precision, with a native restitution and snapshots. The first build imports it."""
 
-from gauge_envs.backends.rapier.backend import BackendRapier
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
+from gauge_envs.backends.rapier.settings import settings_for
+from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
+from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]
+
+
+class BackendRapier(BundledBackend):
+    """Rapier on the CPU, in single precision: rigid bodies, hinges and strings.
+
+    Trajectories are the same bit for bit in every run on one machine, and after each restored state.
+    """
+
+    name = "rapier"
+    modules = ("rapier3d",)
+    packages = ("rapier3d",)
+    settings_for = staticmethod(settings_for)
+    configurations = MappingProxyType(
+        {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
+    )
+    joins_bodies = True
+    worlds_mix_constants = True
+
+    def unsupported(self, scene: Scene) -> Iterator[str]:
+        """Yield one sentence for each feature of a scene that this backend does not support."""
+        yield from declined_compounds(scene)
+        kinds: dict[str, list[str]] = {}
+        for body in scene.deformables:
+            kind = "cloth" if isinstance(body, Cloth) else "a line" if isinstance(body, Rope | Rod) else "soft"
+            kinds.setdefault(kind, []).append(body.name)
+        for kind, names in kinds.items():
+            yield f"{first_of(names)} is {kind}, and this backend builds rigid bodies only"
+        counts = Counter(joint.body for joint in scene.joints)
+        hinged = [joint.body for joint in scene.joints if isinstance(joint, Hinge) and counts[joint.body] > 1]
+        if hinged:
+            count = counts[hinged[0]]
+            yield f"{hinged[0]!r} hangs on {count} joints, and this backend builds a hinge as the only joint"
+        count = len(colliding_contacts(scene))
+        if count > LARGEST_CONTACT_COUNT:
+            yield (
+                f"the scene has {count} kinds of contact, and the 32 collision groups of Rapier separate "
+                f"{LARGEST_CONTACT_COUNT}"
+            )
+
+    def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
+        """Build a scene; settings are the fields of `SettingsRapier`."""
+        from gauge_envs.backends.rapier.simulation import SimulationRapier
+
+        return SimulationRapier(scene, settings_for(scene, settings))
+
+    def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
+        """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
+        from gauge_envs.backends.rapier.simulation import WorldsRapier
+
+        return WorldsRapier(scenes, settings_for(scenes[0], settings))

@@ -57,8 +57,4 @@ def _sides(contact: Contact, first: int, second: int) -> Iterator[tuple[str, int
     """Yield each body of a contact with the groups to which it belongs and the groups that it meets."""
     for name in dict.fromkeys((*contact.first, *contact.second)):
         in_first, in_second = name in contact.first, name in contact.second
-        yield (
-            name,
-            first * in_first | second * in_second,
-            second * in_first | first * in_second,
-        )
+        yield (name, first * in_first | second * in_second, second * in_first | first * in_second)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     BodyHinge,
@@ -38,30 +38,16 @@ UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
 
 
-@dataclass(frozen=True)
-class BodyLayout:
-    """A body in a Rapier world.
-
-    Attributes:
-        handle: Rapier's handle.
-        centre_m: Centre of mass in the body frame [m], shape [3].
-    """
-
-    handle: rapier.RigidBodyHandle
-    centre_m: NDArray[np.float64]
+Layout = dict[str, tuple[rapier.RigidBodyHandle, NDArray[np.float64]]]
+"""Rapier's handle of each dynamic or driven body of a scene, and its centre of mass in the body frame [m], by name."""
 
 
-def build_world(
-    scenes: Sequence[Scene], settings: SettingsRapier
-) -> tuple[rapier.PhysicsWorld, list[dict[str, BodyLayout]]]:
-    """Return one world with all scenes at their starts, which do not meet each other.
+def build_world(scenes: Sequence[Scene], settings: SettingsRapier) -> tuple[rapier.PhysicsWorld, list[Layout]]:
+    """Return one world with all scenes at their starts, which do not meet each other, and the layout of each scene.
 
     Args:
         scenes: Scenes that differ only in their starts, with at most 16 contacts in all.
         settings: Numerical settings.
-
-    Returns:
-        The world; and for each scene the layout of its dynamic and driven bodies, by name.
     """
     world = rapier.PhysicsWorld(gravity=(0.0, 0.0, -scenes[0].gravity_m_per_s2))
     _set_parameters(world.integration_parameters, settings)
@@ -69,29 +55,26 @@ def build_world(
     return world, [_add_scene(world, scene, index * count, settings) for index, scene in enumerate(scenes)]
 
 
-def _add_scene(
-    world: rapier.PhysicsWorld, scene: Scene, first_contact: int, settings: SettingsRapier
-) -> dict[str, BodyLayout]:
-    """Add a scene to a world and return the layout of its dynamic and driven bodies, by name."""
+def _add_scene(world: rapier.PhysicsWorld, scene: Scene, first_contact: int, settings: SettingsRapier) -> Layout:
     layers = collider_layers(scene, first_contact)
-    layouts = {}
+    layout: Layout = {}
     for body in scene.bodies:
         builder, centre_m = _body_builder(body, settings)
         colliders = [collider for layer in layers[body.name] for collider in _colliders(body.shape, layer)]
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
-            layouts[body.name] = BodyLayout(handle, centre_m)
+            layout[body.name] = handle, centre_m
     for joint in scene.joints:
         body = scene.body(joint.body)
         if isinstance(joint, Hinge):
-            _add_hinge(world, joint, body, layouts[body.name].handle, settings)
+            _add_hinge(world, joint, body, layout[body.name][0], settings)
         else:
             anchor = world.add_body(rapier.RigidBody.fixed().translation(joint.anchor_m))
             string = rapier.RopeJointBuilder(joint.length_m).local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
-            world.impulse_joints.insert(anchor, layouts[body.name].handle, string.build())
+            world.impulse_joints.insert(anchor, layout[body.name][0], string.build())
     for hinge in scene.body_hinges:
-        _add_body_hinge(world, scene, hinge, layouts)
-    return layouts
+        _add_body_hinge(world, scene, hinge, layout)
+    return layout
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
@@ -126,15 +109,12 @@ def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.Rig
     if body.motion is Motion.KINEMATIC:
         return rapier.RigidBody.kinematic_velocity_based().position(isometry(body.pose)), np.zeros(3)
     centre_m, inertia = body_mass_properties(body)
-    spin = np.array(body.angular_velocity_rad_per_s)
-    # Rapier's velocity is that of the centre of mass.
-    speed = body.linear_velocity_m_per_s + np.cross(spin, body.pose.rotation.apply(centre_m))
     builder = (
         rapier.RigidBody.dynamic()
         .position(isometry(body.pose))
         .additional_mass_properties(_rapier_mass(body.mass_kg, centre_m, inertia))
-        .linvel(tuple(speed))
-        .angvel(tuple(spin))
+        .linvel(tuple(centre_velocity(body, centre_m)))
+        .angvel(body.angular_velocity_rad_per_s)
         .gyroscopic_forces(True)
         .can_sleep(settings.sleep)
         .ccd_enabled(settings.ccd)
@@ -191,16 +171,12 @@ def _add_hinge(
     world: rapier.PhysicsWorld, hinge: Hinge, body: RigidBody, handle: rapier.RigidBodyHandle, settings: SettingsRapier
 ) -> None:
     """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
-    turned = Rotation.align_vectors([hinge.axis], [(1.0, 0.0, 0.0)])[0]
-    frame = Pose.from_rotation(hinge.anchor_m, turned)
+    frame = hinge_frame(hinge)
     anchor = world.add_body(rapier.RigidBody.fixed().position(isometry(frame)))
     back = body.pose.rotation.inv()
     arm = back.apply(np.subtract(hinge.anchor_m, body.pose.position_m))
-    joint = (
-        rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-        .local_frame1(rapier.Isometry3.identity())
-        .local_frame2(rapier.Isometry3(tuple(arm), tuple((back * turned).as_quat())))
-        .build()
+    joint = _revolute(
+        rapier.Isometry3.identity(), rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
     )
     if settings.hinge_joint == "impulse":
         world.impulse_joints.insert(anchor, handle, joint)
@@ -216,17 +192,14 @@ def _add_hinge(
         chain.set_generalized_velocity(speeds.tolist())
 
 
-def _add_body_hinge(
-    world: rapier.PhysicsWorld, scene: Scene, hinge: BodyHinge, layouts: Mapping[str, BodyLayout]
-) -> None:
+def _add_body_hinge(world: rapier.PhysicsWorld, scene: Scene, hinge: BodyHinge, layout: Layout) -> None:
     """Add a hinge between two bodies, as a constraint: a free multibody changes its momentum by 0.1 % in 0.5 s."""
-    turned = Rotation.align_vectors([hinge.axis], [(1.0, 0.0, 0.0)])[0]
-    frame = Pose.from_rotation(hinge.anchor_m, turned)
-    one, other = (isometry(frame.relative_to(scene.body(name).pose)) for name in (hinge.first, hinge.second))
-    joint = (
-        rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
-        .local_frame1(one)
-        .local_frame2(other)
-        .build()
-    )
-    world.impulse_joints.insert(layouts[hinge.first].handle, layouts[hinge.second].handle, joint)
+    frame = hinge_frame(hinge)
+    joint = _revolute(*(isometry(frame.relative_to(scene.body(name).pose)) for name in (hinge.first, hinge.second)))
+    world.impulse_joints.insert(layout[hinge.first][0], layout[hinge.second][0], joint)
+
+
+def _revolute(first: rapier.Isometry3, second: rapier.Isometry3) -> Any:
+    """Return a joint of two bodies that keeps two frames together, but for a rotation about x."""
+    joint = rapier.GenericJointBuilder(rapier.JointAxesMask.LOCKED_REVOLUTE_AXES)
+    return joint.local_frame1(first).local_frame2(second).build()

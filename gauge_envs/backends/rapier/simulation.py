@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from importlib.metadata import version
 
 import numpy as np
@@ -11,83 +10,47 @@ import rapier3d as rapier
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.base import Simulation, World, Worlds
+from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
-from gauge_envs.backends.rapier.model import MASS_UNIT_KG, BodyLayout, build_world, isometry
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, Layout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.snapshot import Snapshot, StateOrigin
-from gauge_envs.scene import ConvexUnion, Motion, Pose, Scene, Shape
+from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
+from gauge_envs.backends.shared.states import Snapshot, StateOrigin
+from gauge_envs.scene import ConvexUnion, Pose, Scene
 
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
 
 
-@dataclass(frozen=True)
-class StateRapier:
-    """A state of a simulation.
-
-    Attributes:
-        world: Snapshot of the Rapier world.
-        motions: Motions of driven bodies in the next interval, by name.
-    """
-
-    world: bytes
-    motions: dict[str, DrivenMotion]
-
-
-class _SceneWorld(World):
+class _SceneWorld(PlacedWorld):
     """One scene in a Rapier world, which may hold more of them."""
 
-    def __init__(self, scene: Scene, layouts: dict[str, BodyLayout], settings: SettingsRapier) -> None:
+    def __init__(self, scene: Scene, layout: Layout, settings: SettingsRapier) -> None:
         self.settings = settings.model_dump(mode="json")
-        self._layouts = layouts
-        self._fixed = {
-            body.name: np.array([*body.pose.position_m, *body.pose.quaternion, *np.zeros(6)])
-            for body in scene.bodies
-            if body.motion is Motion.FIXED
-        }
+        self._layout = layout
+        self.placed = placed_states(scene)
         self._bodies: dict[str, rapier.RigidBody] = {}
-        self._motions: dict[str, DrivenMotion] = {}
-        self._velocities: dict[str, list[list[float]]] = {}
+        self.motions: dict[str, DrivenMotion] = {}
 
     def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
         bodies = world.rigid_bodies
-        self._bodies = {name: bodies[layout.handle] for name, layout in self._layouts.items()}
-        self._motions = dict(motions)
+        self._bodies = {name: bodies[handle] for name, (handle, _) in self._layout.items()}
+        self.motions = dict(motions)
 
     def release(self) -> None:
         """Hold no body any more."""
-        self._bodies, self._motions = {}, {}
+        self._bodies, self.motions = {}, {}
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Place a driven body where its interval starts; each step moves it by the mean velocity of the step."""
-        self._motions[body] = DrivenMotion(pose, np.array(velocity), np.array(acceleration))
+        self.motions[body] = DrivenMotion.copied(pose, velocity, acceleration)
         self._bodies[body].position = isometry(pose)
-        self._set_velocity(body, velocity)
+        self.set_velocity(body, velocity)
 
-    @property
-    def is_driven(self) -> bool:
-        """Whether a body is driven in the current interval."""
-        return bool(self._motions)
-
-    def start_interval(self, seconds: float, step_count: int) -> None:
-        """Compute the velocities of driven bodies in the steps of an interval [s]."""
-        self._velocities = {name: _mean_velocities(one, seconds, step_count) for name, one in self._motions.items()}
-
-    def prepare_step(self, index: int) -> None:
-        """Give driven bodies the mean velocity of a step, by which Rapier moves them to its end."""
-        for name, velocities in self._velocities.items():
-            self._set_velocity(name, velocities[index])
-
-    def end_interval(self, seconds: float) -> None:
-        """Give driven bodies the velocity at the end of the interval."""
-        for name, motion in self._motions.items():
-            self._set_velocity(name, motion.velocity_at(seconds))
-        self._motions = {}
-
-    def _set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+    def set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
+        """Give a driven body a velocity, by which Rapier moves it in the next step."""
         held = self._bodies[body]
         held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
@@ -106,19 +69,16 @@ class _SceneWorld(World):
                 return f"Rapier found that the state of {name!r} is not finite, and disabled the body"
         return None
 
-    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities in single precision, shape [len(names), 13]; see `World.body_states`."""
-        states = np.empty((len(names), 13))
-        for row, name in zip(states, names, strict=True):
-            row[:] = self._fixed[name] if name in self._fixed else self._state(name)
-        return states
+    def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
+        """Return poses and velocities in single precision, rows of shape [13]."""
+        return [self._state(name) for name in names]
 
     def _state(self, name: str) -> NDArray[np.float64]:
         body = self._bodies[name]
         place, turned, speed, spin = body.translation, body.rotation, body.linvel, body.angvel
         x, y, z, w = turned.quaternion
         state = np.array([*place.to_tuple(), w, x, y, z, *speed.to_tuple(), *spin.to_tuple()])
-        centre_m = self._layouts[name].centre_m
+        _, centre_m = self._layout[name]
         if centre_m.any():
             # Rapier's velocity is that of the centre of mass.
             arm = turned.transform_vector(tuple(centre_m)).to_tuple()
@@ -135,7 +95,7 @@ def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> l
         Linear [m/s] and angular [rad/s] velocity, shape [step_count, 6].
     """
     times = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
-    travel = (motion.velocity + 0.5 * motion.acceleration * times) * times
+    travel = motion.travel(times)
     linear, angular = np.diff(travel[:, :3], axis=0), np.diff(travel[:, 3:], axis=0)
     if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
         turned = Rotation.from_rotvec(travel[:, 3:])
@@ -144,17 +104,27 @@ def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> l
     return velocities
 
 
+def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
+    world = rapier.PhysicsWorld.restore(snapshot)
+    world.set_num_threads(threads)
+    return world
+
+
 def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: float, step_s: float) -> None:
-    step_count = round(seconds / step_s)
-    for part in parts:
-        part.start_interval(seconds, step_count)
-    driven = [part for part in parts if part.is_driven]
-    for index in range(step_count):
-        for part in driven:
-            part.prepare_step(index)
+    """Step a world; driven bodies have the mean velocity of each step, and that of the end of the interval after it."""
+    count = round(seconds / step_s)
+    driven = [
+        (part, name, motion, _mean_velocities(motion, seconds, count))
+        for part in parts
+        for name, motion in part.motions.items()
+    ]
+    for index in range(count):
+        for part, name, _, velocities in driven:
+            part.set_velocity(name, velocities[index])
         world.step()
-    for part in parts:
-        part.end_interval(seconds)
+    for part, name, motion, _ in driven:
+        part.set_velocity(name, motion.velocity_at(seconds))
+        part.motions = {}
 
 
 class SimulationRapier(_SceneWorld, Simulation):
@@ -166,17 +136,17 @@ class SimulationRapier(_SceneWorld, Simulation):
     """
 
     def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
-        world, (layouts,) = build_world([scene], settings)
-        super().__init__(scene, layouts, settings)
+        world, (layout,) = build_world([scene], settings)
+        super().__init__(scene, layout, settings)
         self._timestep_s = settings.timestep_s
         self._threads = settings.threads
         self._origin = StateOrigin(f"rapier3d {version('rapier3d')}", self.settings, scene)
-        self._start = StateRapier(world.snapshot(), {})
-        self._continue_from(self._start)
+        self._start = world.snapshot()
+        self._continue_from(self._start, {})
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start. Rapier draws no random numbers, so the seed has no effect."""
-        self._continue_from(self._start)
+        self._continue_from(self._start, {})
 
     def advance(self, seconds: float) -> None:
         """Step the world."""
@@ -184,16 +154,15 @@ class SimulationRapier(_SceneWorld, Simulation):
 
     def state(self) -> Snapshot:
         """Return a snapshot of the world and the motions of driven bodies, with their origin."""
-        return self._origin.state(StateRapier(self._world.snapshot(), dict(self._motions)))
+        return self._origin.state((self._world.snapshot(), dict(self.motions)))
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
-        self._continue_from(self._origin.values(state))
+        self._continue_from(*self._origin.values(state))
 
-    def _continue_from(self, state: StateRapier) -> None:
-        self._world = rapier.PhysicsWorld.restore(state.world)
-        self._world.set_num_threads(self._threads)
-        self.hold(self._world, state.motions)
+    def _continue_from(self, world: bytes, motions: dict[str, DrivenMotion]) -> None:
+        self._world = _restored(world, self._threads)
+        self.hold(self._world, motions)
 
     def close(self) -> None:
         """Free the world."""
@@ -211,17 +180,10 @@ def _share_count(scene: Scene) -> int:
     contacts = colliding_contacts(scene)
     if not contacts:
         return LARGEST_SHARE
-    in_pieces = any(
-        _piece_count(scene.body(name).shape) > 1
-        for contact in contacts
-        for pair in scene.colliding_pairs(contact)
-        for name in pair
-    )
+    pairs = (pair for contact in contacts for pair in scene.colliding_pairs(contact))
+    shapes = (scene.body(name).shape for pair in pairs for name in pair)
+    in_pieces = any(isinstance(shape, ConvexUnion) and len(shape.pieces_m) > 1 for shape in shapes)
     return 1 if scene.joints or scene.body_hinges or in_pieces else LARGEST_CONTACT_COUNT // len(contacts)
-
-
-def _piece_count(shape: Shape) -> int:
-    return len(shape.pieces_m) if isinstance(shape, ConvexUnion) else 1
 
 
 class WorldsRapier(Worlds):
@@ -249,11 +211,9 @@ class WorldsRapier(Worlds):
         """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
         self._held = []
         for start, parts in self._shares:
-            world = rapier.PhysicsWorld.restore(start)
-            world.set_num_threads(self._threads)
-            self._held.append(world)
+            self._held.append(_restored(start, self._threads))
             for part in parts:
-                part.hold(world, {})
+                part.hold(self._held[-1], {})
 
     def advance(self, seconds: float) -> None:
         """Step the worlds."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from math import prod
 from typing import Annotated
 
@@ -41,6 +42,17 @@ def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, so
                 f"{engine} setting 'cell_m' is {1e3 * cell_m:.4g} mm, which gives {body.name!r} about {count} nodes, "
                 f"more than {node_limit}: choose a larger cell_m"
             )
+
+
+def common_cell_m(scene: Scene, defaults: Mapping[type[Deformable], float]) -> float | None:
+    """Return the default size of cells [m], or None if the kinds of body in a scene have none in common.
+
+    Args:
+        scene: The scene.
+        defaults: Default size for each kind of body that has one [m].
+    """
+    found = {defaults.get(type(body)) for body in scene.deformables}
+    return found.pop() if len(found) == 1 else None
 
 
 def _sides_m(body: Deformable) -> tuple[float, ...]:

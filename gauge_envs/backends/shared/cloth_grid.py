@@ -22,6 +22,7 @@ class ClothGrid:
     Attributes:
         cell_m: Edge lengths along x and y [m].
         plane_m: Vertices in the cloth's frame [m], shape [vertex_count, 2]; y runs fastest.
+        rest_m: World positions of the vertices at the start [m], shape [vertex_count, 3].
         triangles: Vertex indices, shape [triangle_count, 3].
     """
 
@@ -31,6 +32,7 @@ class ClothGrid:
         self.cell_m = (cloth.size_m[0] / nx, cloth.size_m[1] / ny)
         x, y = (np.linspace(-0.5 * size, 0.5 * size, n + 1) for size, n in zip(cloth.size_m, (nx, ny), strict=True))
         self.plane_m = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.rest_m = cloth.pose.to_world(np.column_stack([self.plane_m, np.zeros(len(self.plane_m))]))
         i, j = (index.ravel() for index in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
         a, b = i * (ny + 1) + j, (i + 1) * (ny + 1) + j
         d, c = a + 1, b + 1

@@ -1,20 +1,42 @@
-"""Rows of bonded soft boxes, for every engine: their order, the grips at their ends, and the free material."""
+"""Rows of bonded soft boxes, for every engine: grips, free material, tetrahedra, and interpolation between points.
+
+Each cell of a regular grid is divided into five tetrahedra, one in the middle and four at corners, mirrored from cell
+to cell. Of the usual divisions this is the least stiff for its number of elements. Linear tetrahedra lock in bending
+and torsion: with cells of a quarter of the width, a clamped bar is 1 % too stiff in tension, 13 to 15 % in shear and
+28 % in torsion. These errors fall with the square of the cell size.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import groupby, pairwise, product
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.attachments import RigidAttachment, attachments_by_body, bonded_soft_bodies
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
-from gauge_envs.scene import Motion, SoftBody
+from gauge_envs.scene import Motion, Scene, SoftBody
 
 TOLERANCE_M = 1e-5
 """Distance below which faces touch and points lie inside [m]."""
+
+FIVE_TETRAHEDRA = np.array(
+    [
+        [(0, 0, 0), (1, 1, 0), (1, 0, 1), (0, 1, 1)],
+        [(1, 0, 0), (0, 0, 0), (1, 1, 0), (1, 0, 1)],
+        [(0, 1, 0), (0, 0, 0), (1, 1, 0), (0, 1, 1)],
+        [(0, 0, 1), (0, 0, 0), (1, 0, 1), (0, 1, 1)],
+        [(1, 1, 1), (1, 1, 0), (1, 0, 1), (0, 1, 1)],
+    ]
+)
+"""Corners of the tetrahedra in a unit cell; every second cell is mirrored so that faces match."""
+
+NEIGHBOURS = 24
+"""Number of material points from which a tracked point is interpolated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +123,11 @@ class SoftRow:
         return cls(axis=axis, blocks=tuple(boxes), ends=ends)
 
     @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the bodies, in their order along the row."""
+        return tuple(block.body.name for block in self.blocks)
+
+    @property
     def low_m(self) -> NDArray[np.float64]:
         """Lowest corner of the free material [m], shape [3]."""
         return self.blocks[0].low_m
@@ -122,6 +149,13 @@ class SoftRow:
                 yield attachment, np.flatnonzero(along < self.low_m[self.axis] + TOLERANCE_M)
             else:
                 yield attachment, np.flatnonzero(along > self.high_m[self.axis] - TOLERANCE_M)
+
+    def nodes_of(self, nodes_m: NDArray[np.float64]) -> dict[str, NDArray[np.intp]]:
+        """Return the indices of each body's nodes among those of the row [m], shape [node_count, 3], by name.
+
+        Nodes on a bonded face belong to both bodies.
+        """
+        return {block.body.name: np.flatnonzero(block.holds(nodes_m)) for block in self.blocks}
 
     def checked(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the points [m], shape [point_count, 3], unchanged if all of them lie in the free material."""
@@ -158,3 +192,162 @@ def _check_joined(first: Block, second: Block, axis: int) -> None:
     if max(np.abs(second.low_m - low).max(), np.abs(second.high_m - high).max()) > TOLERANCE_M:
         names = f"{first.body.name!r} and {second.body.name!r}"
         raise UnsupportedSceneError(f"soft bodies {names} do not join face to face: make equal faces meet")
+
+
+def soft_rows(scene: Scene) -> list[SoftRow]:
+    """Return the soft rows of a scene."""
+    return [SoftRow.of(bodies, attachments_by_body(scene, bodies)) for bodies in bonded_soft_bodies(scene)]
+
+
+def soft_row_problems(scene: Scene) -> Iterator[str]:
+    """Yield one sentence for each group of bonded soft bodies that is no soft row."""
+    for bodies in bonded_soft_bodies(scene):
+        try:
+            SoftRow.of(bodies, attachments_by_body(scene, bodies))
+        except UnsupportedSceneError as error:
+            yield str(error)
+
+
+# --- tetrahedra ------------------------------------------------------------------------------------------------------
+
+
+def lame_constants(body: SoftBody) -> tuple[float, float]:
+    """Return the shear modulus and the first Lame constant [Pa]."""
+    young, poisson = body.young_modulus_pa, body.poisson_ratio
+    shear = young / (2.0 * (1.0 + poisson))
+    return shear, 2.0 * shear * poisson / (1.0 - 2.0 * poisson)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TetrahedralMesh:
+    """Tetrahedra of the elastic blocks of a soft row.
+
+    Attributes:
+        points_m: Nodes at the start [m], shape [node_count, 3].
+        tetrahedra: Node indices of each tetrahedron, positively oriented, shape [tetrahedron_count, 4].
+        volumes_m3: Volumes of the tetrahedra [m^3], shape [tetrahedron_count].
+        blocks: Which block of the row each is part of, shape [tetrahedron_count].
+    """
+
+    points_m: NDArray[np.float64]
+    tetrahedra: NDArray[np.intp]
+    volumes_m3: NDArray[np.float64]
+    blocks: NDArray[np.intp]
+
+    @classmethod
+    def of(cls, soft_row: SoftRow, rigid: Sequence[Block], cell_m: float) -> TetrahedralMesh:
+        """Return the mesh of all elastic blocks; neighbouring elastic blocks share nodes.
+
+        Args:
+            soft_row: The soft row.
+            rigid: Blocks without elements.
+            cell_m: Largest edge of a cell [m].
+        """
+        points, tetrahedra, blocks, count = [], [], [], 0
+        for is_rigid, group in groupby(enumerate(soft_row.blocks), key=lambda item: item[1] in rigid):
+            if is_rigid:
+                continue
+            members = list(group)
+            lines = grid_lines_m([block for _, block in members], soft_row.axis, cell_m)
+            corners = _tetrahedra([len(line) for line in lines])
+            points.append(grid_points_m(lines))
+            tetrahedra.append(count + corners)
+            count += len(points[-1])
+            middles = points[-1][corners].mean(axis=1)
+            owner = np.zeros(len(corners), dtype=np.intp)
+            for index, block in members:
+                owner[block.holds(middles)] = index
+            blocks.append(owner)
+        all_points, all_tetrahedra = np.concatenate(points), np.concatenate(tetrahedra)
+        volumes = np.linalg.det(all_points[all_tetrahedra[:, 1:]] - all_points[all_tetrahedra[:, :1]]) / 6.0
+        flipped = volumes < 0.0
+        all_tetrahedra[flipped] = all_tetrahedra[flipped][:, [1, 0, 2, 3]]
+        return cls(
+            points_m=all_points, tetrahedra=all_tetrahedra, volumes_m3=np.abs(volumes), blocks=np.concatenate(blocks)
+        )
+
+    def masses_kg(self, densities_kg_per_m3: Sequence[float]) -> NDArray[np.float64]:
+        """Return node masses [kg], shape [node_count]: a quarter of each tetrahedron's mass for each of its nodes."""
+        shares = 0.25 * self.volumes_m3 * np.asarray(densities_kg_per_m3)[self.blocks]
+        masses: NDArray[np.float64] = np.zeros(len(self.points_m))
+        np.add.at(masses, self.tetrahedra, shares[:, None])
+        return masses
+
+    def surface(self) -> NDArray[np.intp]:
+        """Return the boundary triangles, counter-clockwise seen from outside, shape [triangle_count, 3]."""
+        faces = self.tetrahedra[:, [[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]]].reshape(-1, 3)
+        _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+        return faces[first[count == 1]]
+
+    def weights(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        """Return four nodes and their barycentric weights for each point [m], both of shape [point_count, 4]."""
+        corner = self.points_m[self.tetrahedra[:, 0]]
+        inverse = np.linalg.inv((self.points_m[self.tetrahedra[:, 1:]] - corner[:, None]).transpose(0, 2, 1))
+        later = np.einsum("tij,ptj->pti", inverse, points_m[:, None] - corner)
+        weights = np.concatenate([1.0 - later.sum(axis=-1, keepdims=True), later], axis=-1)
+        # On shared faces, and just outside the surface, take the tetrahedron that contains the point most deeply.
+        best = np.argmax(weights.min(axis=-1), axis=1)
+        return self.tetrahedra[best], weights[np.arange(len(points_m)), best]
+
+
+def grid_lines_m(blocks: Sequence[Block], axis: int, cell_m: float) -> list[NDArray[np.float64]]:
+    """Return the grid lines along x, y and z [m] of blocks that join along an axis, including their interfaces."""
+    lines = [_line_m(blocks[0].low_m[i], blocks[0].high_m[i], cell_m) for i in range(3)]
+    for block in blocks[1:]:
+        lines[axis] = np.append(lines[axis], _line_m(block.low_m[axis], block.high_m[axis], cell_m)[1:])
+    return lines
+
+
+def grid_points_m(lines_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return the points of a grid with the given lines along x, y and z [m], z fastest, shape [point_count, 3]."""
+    return np.stack(np.meshgrid(*lines_m, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def _line_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
+    return np.linspace(low_m, high_m, max(1, ceil((high_m - low_m) / cell_m - 1e-6)) + 1)
+
+
+def _tetrahedra(counts: Sequence[int]) -> NDArray[np.intp]:
+    """Return five tetrahedra for each cell of a grid with the given numbers of lines, shape [tetrahedron_count, 4]."""
+    cells = np.array(list(product(*(range(count - 1) for count in counts))))
+    mirrored = (cells % 2 == 1)[:, None, None]
+    corners = cells[:, None, None] + np.where(mirrored, 1 - FIVE_TETRAHEDRA, FIVE_TETRAHEDRA)
+    return np.ravel_multi_index(tuple(np.moveaxis(corners, -1, 0)), tuple(counts)).reshape(-1, 4)
+
+
+# --- scattered points ------------------------------------------------------------------------------------------------
+
+
+def points_in_box_m(
+    low_m: NDArray[np.float64], high_m: NDArray[np.float64], spacing_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the centres of the cells of a box [m], shape [point_count, 3], and the size of a cell [m], shape [3].
+
+    Args:
+        low_m: Lowest corner of the box [m], shape [3].
+        high_m: Highest corner [m], shape [3].
+        spacing_m: Largest edge of a cell [m].
+    """
+    counts = np.maximum(1, np.ceil((high_m - low_m) / spacing_m - 1e-6)).astype(int)
+    cell_m = (high_m - low_m) / counts
+    steps = np.meshgrid(*(np.arange(count) + 0.5 for count in counts), indexing="ij")
+    return low_m + cell_m * np.stack(steps, axis=-1).reshape(-1, 3), cell_m
+
+
+def linear_weights(
+    sources_m: NDArray[np.float64], points_m: NDArray[np.float64]
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Return the nearest sources of each point and moving-least-squares weights that reproduce linear functions.
+
+    Returns:
+        Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
+    """
+    distance, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
+    # The weight falls to 2 % at the farthest neighbour.
+    near = np.exp(-4.0 * np.square(distance / distance[:, -1:]))
+    offsets = sources_m[nearest] - points_m[:, None]
+    basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets / distance[:, -1:, None]], axis=-1)
+    moments = np.einsum("pk,pki,pkj->pij", near, basis, basis)
+    # The value at the point itself is the first coefficient.
+    first = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(points_m), 4, 1)))[..., 0]
+    return nearest, near * np.einsum("pki,pi->pk", basis, first)

@@ -1,11 +1,18 @@
-"""Restitution of a penalty contact, for engines that have a spring and a damper in place of it. Needs no engine."""
+"""Impacts for engines without a restitution: that of a spring and a damper, and the speed at which a scene has it."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from gauge_envs.scene import Scene
+
 LARGEST_DAMPING_RATIO = 1e3
 """Damping ratio that stands for no rebound; the spring and damper then gives a restitution of 2.5e-7."""
+
+SLOWEST_IMPACT_M_PER_S = 0.01
+"""Smallest impact speed that a scene gives."""
 
 
 def spring_damper_restitution(damping_ratio: float) -> float:
@@ -35,3 +42,18 @@ def damping_ratio_of(restitution: float) -> float:
     from scipy.optimize import brentq
 
     return float(brentq(lambda z: spring_damper_restitution(z) - restitution, 0.0, LARGEST_DAMPING_RATIO, xtol=1e-12))
+
+
+def impact_speed_m_per_s(scene: Scene) -> float:
+    """Return the speed at which a scene's impacts have its restitution, at least 0.01 m/s.
+
+    It is the largest of the speeds after a fall from the start to the floor, and of the drivers' speeds.
+    """
+    falls = []
+    for body in scene.dynamic_bodies:
+        lowest = float(body.pose.to_world(body.shape.corners_m)[:, 2].min())
+        fall_m = max(lowest - scene.floor_height_m, 0.0)
+        speed = float(np.linalg.norm(body.linear_velocity_m_per_s))
+        falls.append(float(np.sqrt(speed**2 + 2.0 * scene.gravity_m_per_s2 * fall_m)))
+    driven = [driver.speed_limit_m_per_s(scene.body(driver.body)) for driver in scene.drivers]
+    return max([*falls, *driven, SLOWEST_IMPACT_M_PER_S])

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from gauge_envs.backends.base import Support
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import SettingsMuJoCo, settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo

@@ -34,7 +34,7 @@ from gauge_envs.scene import (
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.genesis.contacts import CONTACT_LIMIT, damping_ratio
+from gauge_envs.backends.genesis.document import CONTACT_LIMIT, damping_ratio
 from gauge_envs.backends.genesis.engine import EngineLease, engine
 from gauge_envs.backends.genesis.model import forget_models
 from gauge_envs.backends.genesis.presets import settings_for
@@ -145,7 +145,7 @@ def test_a_scene_whose_contacts_all_lack_friction_has_none() -> None:
 
 def test_out_of_box_has_the_values_of_a_genesis_scene_that_states_nothing() -> None:
     simulation = GENESIS.build(sliding_scene(), {"preset": "out_of_box"})
-    ours, step_s = simulation._model.solver._options, simulation.settings["timestep_s"]
+    ours, step_s = simulation._lent.model.solver._options, simulation.settings["timestep_s"]
     simulation.close()
     forget_models()
     gs = engine()
@@ -237,11 +237,11 @@ def test_the_engine_takes_a_driven_body_to_the_end_of_its_interval() -> None:
     velocity, acceleration = np.array([0.1, 0, 0, 0, 0, 1.0]), np.array([2.0, 0, -1.0, 0, 0, 3.0])
     simulation.drive("plate", plate.pose, velocity, acceleration)
     simulation.advance(1 / 180)
-    place = simulation._model.places["plate"]
-    coordinates = simulation._model.solver.get_qpos().numpy()[0]
+    place = simulation._lent.model.links["plate"]
+    coordinates = simulation._lent.model.solver.get_qpos().numpy()[0]
     end = simulation.body_states(["plate"])[0]
     simulation.close()
-    reached = coordinates[place.coordinates : place.coordinates + 7]
+    reached = coordinates[place.q_start : place.q_start + 7]
     assert reached[:3] == pytest.approx(end[:3], abs=1e-9)
     # Genesis turns a body that nothing touches by the mean of the old and the new rate, which lags by half a step.
     lag = Rotation.from_quat(reached[3:], scalar_first=True).inv() * Rotation.from_quat(end[3:7], scalar_first=True)
@@ -281,13 +281,13 @@ def test_a_model_that_is_used_again_gives_the_same_bits_as_a_new_one() -> None:
     forget_models()
     first = GENESIS.build(moved, FAST)
     new = rollout(first)
-    built = first._model.scene
+    built = first._lent.model.scene
     first.close()
     other = GENESIS.build(scene, FAST)
     rollout(other)
     other.close()
     again = GENESIS.build(moved, FAST)
-    assert again._model.scene is built
+    assert again._lent.model.scene is built
     assert (rollout(again) == new).all()
     again.reset(0)
     assert (rollout(again) == new).all()

@@ -18,14 +18,15 @@ from gauge_envs.scene import Attachment, Cloth, Contact, Motion, Pose, Region, S
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.genesis.deformables import unsupported_deformables
-from gauge_envs.backends.genesis.pbd_settings import SettingsPBD, cloth_cell_m, pbd_presets
-from gauge_envs.backends.genesis.pbd_springs import (
+from gauge_envs.backends.genesis.pbd_settings import (
+    cloth_cell_m,
     grid_springs,
     grid_stiffnesses,
     longest_timestep_s,
+    pbd_presets,
     spring_stiffnesses,
 )
+from gauge_envs.backends.genesis.presets import unsupported_deformables
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.scene_parts import clamped, fabric, sheet
@@ -203,9 +204,9 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
     for contacts in ((contact,), ()):
         scene = Scene(bodies=(), deformables=(lower, upper), contacts=contacts, duration_s=0.2)
         simulation = backend("genesis").build(scene)
-        positions, velocities = simulation._model.parts[0].state()
+        positions, velocities = simulation._lent.model.part.state()
         velocities[len(positions) // 2 :, 2] = -0.2
-        simulation._model.parts[0].restore((positions, velocities))
+        simulation._lent.model.part.restore((positions, velocities))
         for _ in range(18):
             simulation.advance(1 / 180)
         gaps.append((simulation.nodes("upper") - simulation.nodes("lower"))[:, 2])
@@ -216,13 +217,12 @@ def test_sheets_collide_only_in_the_contacts_of_the_scene() -> None:
 
 
 def test_cloth_that_genesis_cannot_simulate_is_declined() -> None:
-    settings = SettingsPBD(preset="default", timestep_s=1 / 3600)
-    loaded = tuple(unsupported_deformables(load_experiment("TableclothPulling-wood").scene, settings))
+    loaded = tuple(unsupported_deformables(load_experiment("TableclothPulling-wood").scene))
     assert len(loaded) == 1
     assert "'cube' is dynamic and touches cloth" in loaded[0]
     scene = load_experiment("TextileFlinging-satin").scene
     dynamic = replace(scene, bodies=(replace(scene.bodies[0], motion=Motion.DYNAMIC), *scene.bodies[1:]), drivers=())
-    assert any("moves under forces" in reason for reason in unsupported_deformables(dynamic, settings))
+    assert any("moves under forces" in reason for reason in unsupported_deformables(dynamic))
     face = Attachment(deformable="textile", region=Region(axis="z", side="high"), to="rod")
     with pytest.raises(UnsupportedSceneError, match="by its face"):
         backend("genesis").build(replace(scene, attachments=(face,)))

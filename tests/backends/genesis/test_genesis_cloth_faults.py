@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends.genesis import cloth
-from gauge_envs.backends.genesis.pbd_kernels import PBDKernels
+from gauge_envs.backends.genesis.kernels import PBDKernels
 from gauge_envs.tools.conformance import Status, run_checks
 
 Patch = pytest.MonkeyPatch

@@ -14,19 +14,15 @@ from gauge_envs.scene import Attachment, Cloth, Contact, Scene
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.genesis.deformables import unsupported_deformables
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.foam_mpm import fitted_voxel_m
-from gauge_envs.backends.genesis.foam_settings import SettingsFEM, longest_mpm_timestep_s, soft_presets, sound_time_s
-from gauge_envs.backends.genesis.presets import settings_for
+from gauge_envs.backends.genesis.foam import fitted_voxel_m
+from gauge_envs.backends.genesis.foam_settings import longest_mpm_timestep_s, soft_presets, sound_time_s
+from gauge_envs.backends.genesis.presets import settings_for, unsupported_deformables
 from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies
-from gauge_envs.backends.shared.point_weights import linear_weights
-from gauge_envs.backends.shared.soft_rows import SoftRow
+from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError, record
 from gauge_envs.tools.conformance import Status, run_checks
-
-SETTINGS = SettingsFEM(preset="default", timestep_s=1 / 900)
 
 
 def soft_row(scene: Scene) -> SoftRow:
@@ -172,17 +168,17 @@ def test_weights_reproduce_linear_functions() -> None:
 
 def test_soft_bodies_that_genesis_cannot_simulate_are_declined() -> None:
     for id in ("RopeWinding-rubber", "StickStack-soft"):
-        reasons = tuple(unsupported_deformables(load_experiment(id).scene, SETTINGS))
+        reasons = tuple(unsupported_deformables(load_experiment(id).scene))
         assert any("is a line" in reason for reason in reasons)
     scene = load_experiment("CantileverBeam-soft").scene
     touching = Contact(first=("cube-1",), second=("cube-3",), friction=0.1, restitution=0.0)
-    reasons = tuple(unsupported_deformables(replace(scene, contacts=(touching,)), SETTINGS))
+    reasons = tuple(unsupported_deformables(replace(scene, contacts=(touching,))))
     assert any("'cube-1' may touch 'cube-3'" in reason for reason in reasons)
     (cloth,) = load_experiment("TextileFlinging-satin").scene.deformables
     assert isinstance(cloth, Cloth)
     both = replace(scene, deformables=(*scene.deformables, cloth))
-    assert any("is beside cloth" in reason for reason in unsupported_deformables(both, SETTINGS))
+    assert any("is beside cloth" in reason for reason in unsupported_deformables(both))
     apart = replace(
         scene, attachments=(Attachment(deformable="cube-9", region=scene.attachments[0].region, to="base"),)
     )
-    assert any("not in the scene" in reason for reason in unsupported_deformables(apart, SETTINGS))
+    assert any("not in the scene" in reason for reason in unsupported_deformables(apart))

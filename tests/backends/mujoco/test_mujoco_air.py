@@ -11,8 +11,7 @@ import pytest
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.air import AirOnCloth
-from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo
+from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene

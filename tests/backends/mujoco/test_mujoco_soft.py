@@ -12,8 +12,10 @@ from hexahedra import extrapolated_end_force
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.mujoco import soft
 from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo, add_soft
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.soft_rows import SoftRow
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Region, SoftBody
 
@@ -21,6 +23,16 @@ from gauge_envs.scene import Motion, Region, SoftBody
 def held(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
     """To a plate at the world's origin: `low` and `high` are their names."""
     return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+
+
+def part_of(
+    spec: mujoco.MjSpec, row: SoftRow, *, cells: tuple[int, int] | None = None, damping_s: float = 1e-4
+) -> SoftPartMuJoCo:
+    """The part of a row, with other numbers of cells along and across each body where they are given."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name in ("LONE_CELLS", "BONDED_CELLS"):
+            patch.setattr(soft, name, cells or getattr(soft, name))
+        return add_soft(spec, row, damping_s=damping_s)
 
 
 class Bench:
@@ -52,7 +64,7 @@ class Bench:
         more(spec)
         attachments = {bodies[0].name: [held("low", Motion.FIXED, depth_m, axis)]}
         attachments.setdefault(bodies[-1].name, []).append(held("high", high, depth_m, axis))
-        self.part: SoftPartMuJoCo = add_soft(spec, bodies, attachments=attachments, damping_s=damping_s, cells=cells)
+        self.part: SoftPartMuJoCo = part_of(spec, SoftRow.of(bodies, attachments), damping_s=damping_s, cells=cells)
         self.part.flex.conaffinity, self.part.flex.condim = conaffinity, 1
         self.model = spec.compile()
         self.part.complete(self.model)
@@ -148,8 +160,8 @@ def test_bonded_blocks_of_unlike_stiffness_in_series() -> None:
     assert force == pytest.approx(1e-3 * AREA_M2 / (0.05 / YOUNG_PA + 0.05 / (100 * YOUNG_PA)), rel=2e-3)
     assert bench.part.names == ("stiff", "soft")
     rest, moved = bench.part.rest_m, bench.part.nodes() - bench.part.rest_m
-    assert rest[bench.part.block_nodes("soft"), 2].min() == pytest.approx(0.0)
-    assert moved[bench.part.block_nodes("stiff"), 2].max() == pytest.approx(1e-3 / 101, rel=2e-3)
+    assert rest[bench.part.node_indices["soft"], 2].min() == pytest.approx(0.0)
+    assert moved[bench.part.node_indices["stiff"], 2].max() == pytest.approx(1e-3 / 101, rel=2e-3)
 
 
 def test_mass_is_that_of_the_free_material() -> None:
@@ -242,7 +254,7 @@ def hanging(cubes: list[SoftBody], **options) -> Bench:
     spec.worldbody.add_body(name="low")
     bench = Bench.__new__(Bench)
     grip = {cubes[0].name: [held("low", Motion.FIXED)]}
-    bench.part = add_soft(spec, cubes[::-1], attachments=grip, **options)
+    bench.part = part_of(spec, SoftRow.of(cubes[::-1], grip), **options)
     bench.model = spec.compile()
     bench.part.complete(bench.model)
     bench.data = mujoco.MjData(bench.model)
@@ -344,4 +356,4 @@ def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict
     for name in ("low", "high"):
         spec.worldbody.add_body(name=name)
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(spec, bodies, attachments=attachments)
+        add_soft(spec, SoftRow.of(bodies, attachments))

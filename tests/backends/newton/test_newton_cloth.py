@@ -30,12 +30,11 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 newton = pytest.importorskip("newton")
 
-from gauge_envs.backends.newton.cloth import ClothPartNewton, add_cloth  # noqa: E402
+from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
+from gauge_envs.backends.newton.particles import ClothPartNewton, add_cloth  # noqa: E402
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
-from gauge_envs.backends.newton.settings import SettingsVBD  # noqa: E402
-from gauge_envs.backends.newton.stability import longest_timestep_s  # noqa: E402
-from gauge_envs.backends.newton.surface import surface_contacts  # noqa: E402
-from gauge_envs.backends.newton.vbd import SelfContact, StepperVBD, apply_contacts, stiffness_ratio  # noqa: E402
+from gauge_envs.backends.newton.settings import SettingsVBD, longest_timestep_s  # noqa: E402
+from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts, stiffness_ratio  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments  # noqa: E402
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
@@ -77,10 +76,11 @@ class Rig:
         cell_m: float = CELL_M,
     ) -> None:
         builder = newton.ModelBuilder(gravity=gravity_m_per_s2)
-        self.part: ClothPartNewton = add_cloth(builder, cloth, attachments=attachments, cell_m=cell_m)
+        settings = SettingsVBD(preset="rig", timestep_s=1 / rate_hz, iterations=iterations, cell_m=cell_m)
+        self.part: ClothPartNewton = add_cloth(builder, cloth, attachments=attachments, bodies={}, settings=settings)
         builder.color(include_bending=True)
         self.model = builder.finalize(device="cpu")
-        self.stepper = StepperVBD(self.model, driven=[], timestep_s=1 / rate_hz, iterations=iterations, predict=True)
+        self.stepper = StepperVBD(self.model, driven=[], settings=settings)
         self.stepper.record()
 
     @property
@@ -112,6 +112,13 @@ class Bench:
     ) -> None:
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, -scene.gravity_m_per_s2))
         contacts = surface_contacts(scene)
+        settings = SettingsVBD(
+            preset="bench",
+            timestep_s=1 / rate_hz,
+            iterations=iterations,
+            cell_m=CELL_M,
+            full_surface=full_surface,
+        )
         self.scene = scene
         self.indices: list[RigidIndex] = []
         self.parts: list[dict[str, ClothPartNewton]] = []
@@ -123,7 +130,7 @@ class Bench:
                 assert isinstance(cloth, Cloth)
                 attachments = rigid_attachments(scene, cloth.name)
                 parts[cloth.name] = add_cloth(
-                    builder, cloth, attachments=attachments, bodies=index.bodies, cell_m=CELL_M
+                    builder, cloth, attachments=attachments, bodies=index.bodies, settings=settings
                 )
             apply_contacts(contacts, builder, index.shapes)
             builder.end_world()
@@ -134,17 +141,13 @@ class Bench:
             builder.finalize(device="cpu"),
             driven=[index.bodies[driver.body] for index in self.indices for driver in scene.drivers],
             pins=[pin for parts in self.parts for part in parts.values() for pin in part.pins],
-            timestep_s=1 / rate_hz,
-            iterations=iterations,
-            predict=True,
+            settings=settings,
             contacts=contacts,
             contact_stiffness_n_per_m=max(
-                SettingsVBD.model_fields["contact_per_stretch"].default * cloth.stretch_stiffness_n_per_m
+                settings.contact_per_stretch * cloth.stretch_stiffness_n_per_m
                 for cloth in scene.deformables
                 if isinstance(cloth, Cloth)
             ),
-            full_surface=full_surface,
-            self_contact=SelfContact(thickness_m=0.002, reach_m=0.008),
         )
         self.stepper.record()
         self.paths = [DriverPath(driver, scene, frame_count=200) for driver in scene.drivers]
@@ -174,7 +177,7 @@ class Bench:
 
 def strains(part: ClothPartNewton, nodes_m: np.ndarray) -> np.ndarray:
     """Strain of each edge of the mesh along warp and weft."""
-    edges = np.unique(np.sort(part.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    edges = np.unique(np.sort(part.grid.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     rest = np.linalg.norm(part.rest_m[edges[:, 1]] - part.rest_m[edges[:, 0]], axis=1)
     edges, rest = edges[rest < 1.2 * rest.min()], rest[rest < 1.2 * rest.min()]
     return np.linalg.norm(nodes_m[edges[:, 1]] - nodes_m[edges[:, 0]], axis=1) / rest - 1.0
@@ -369,7 +372,13 @@ def test_two_worlds_are_alike_and_do_not_touch() -> None:
 def test_a_face_or_a_dynamic_body_cannot_be_attached() -> None:
     for attachment in (pinned("z"), replace(pinned("x"), motion=Motion.DYNAMIC)):
         with pytest.raises(UnsupportedSceneError, match="'frame'"):
-            add_cloth(newton.ModelBuilder(), fabric("satin", (0.1, 0.1)), attachments=[attachment], cell_m=CELL_M)
+            add_cloth(
+                newton.ModelBuilder(),
+                fabric("satin", (0.1, 0.1)),
+                attachments=[attachment],
+                bodies={},
+                settings=SettingsVBD(preset="rig", timestep_s=1 / 1440, cell_m=CELL_M),
+            )
 
 
 # --- contact ---------------------------------------------------------------------------------------------------------

@@ -37,8 +37,8 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
-from gauge_envs.backends.newton.line import LinePartNewton, add_line  # noqa: E402
-from gauge_envs.backends.newton.settings import ROD_SEGMENTS  # noqa: E402
+from gauge_envs.backends.newton.line import add_line  # noqa: E402
+from gauge_envs.backends.newton.settings import ROD_SEGMENTS, SettingsLines  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD  # noqa: E402
 
 ROPE_M, ROPE_RADIUS_M, ROPE_KG = 0.34, 0.002, 0.005
@@ -208,25 +208,14 @@ class Bench:
         )
         body = replace(rod(young_pa), length_m=ROD_M + depth_m)
         body = replace(body, pose=Pose(position_m=(0.0, 0.0, 0.5 * (depth_m - ROD_M))))
-        self.part = self._add(builder, body, grip, top, damping_s)
+        settings = SettingsLines(preset="bench", timestep_s=1 / 3600, rod_damping_s=damping_s)
+        self.part = add_line(builder, body, attachments=[grip], bodies={"top": top}, settings=settings)
         builder.color()
         self.builder = builder
         model = builder.finalize(device="cpu")
         driven = [top] if top >= 0 else []
-        self.stepper = StepperVBD(model, driven=driven, timestep_s=1 / 3600, iterations=40)
+        self.stepper = StepperVBD(model, driven=driven, settings=settings)
         self.stepper.record()
-
-    @staticmethod
-    def _add(builder, body: Rod, grip: RigidAttachment, top: int, damping_s: float) -> LinePartNewton:
-        return add_line(
-            builder,
-            body,
-            attachments=[grip],
-            bodies={"top": top},
-            segments=8,
-            joint_stiffness_n_per_m=2e5,
-            damping_s=damping_s,
-        )
 
     def load(self, force_n: float, seconds: float) -> NDArray[np.float64]:
         """Nodes after a force has pulled the free end along x for a while."""
@@ -490,6 +479,5 @@ def test_what_cannot_be_built_is_named() -> None:
             rod(),
             attachments=[attachment],
             bodies={"top": -1},
-            segments=8,
-            joint_stiffness_n_per_m=1e5,
+            settings=SettingsLines(preset="bench", timestep_s=1 / 3600),
         )

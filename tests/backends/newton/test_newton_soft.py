@@ -17,12 +17,14 @@ newton = pytest.importorskip("newton")
 wp = pytest.importorskip("warp")
 
 
+from gauge_envs.backends.newton.contacts import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
-from gauge_envs.backends.newton.soft import add_soft  # noqa: E402
+from gauge_envs.backends.newton.particles import add_soft  # noqa: E402
+from gauge_envs.backends.newton.settings import SettingsMPM, SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.stepper import warp_transform  # noqa: E402
-from gauge_envs.backends.newton.surface import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts  # noqa: E402
 from gauge_envs.backends.shared.attachments import RigidAttachment  # noqa: E402
+from gauge_envs.backends.shared.soft_rows import SoftRow  # noqa: E402
 from gauge_envs.errors import ShapeError, UnsupportedSceneError  # noqa: E402
 from gauge_envs.scene import Motion, Pose, Region, SoftBody  # noqa: E402
 
@@ -31,6 +33,10 @@ COARSE_M = EDGE_M / 3
 
 def plate(side: str, motion: Motion, depth_m: float = 0.0, axis: str = "z") -> RigidAttachment:
     return RigidAttachment(region=Region(axis=axis, side=side, depth_m=depth_m), body=side, motion=motion, pose=ORIGIN)
+
+
+def vbd(**changes) -> SettingsVBD:
+    return SettingsVBD(preset="bench", starts_from_acceleration=False, **{"timestep_s": 1 / 3600} | changes)
 
 
 class Bench:
@@ -54,6 +60,7 @@ class Bench:
         if high:
             attachments.setdefault(bodies[-1].name, []).append(plate("high", high, depth_m))
         self.parts, self.driven = [], []
+        settings = vbd(timestep_s=step_s, iterations=iterations, full_surface=cube_at_m is not None, **options)
         contacts = None
         for _ in range(worlds):
             if worlds > 1:
@@ -69,9 +76,8 @@ class Bench:
                 shape = builder.add_shape_box(self.driven[-1], hx=0.025, hy=0.025, hz=0.025, cfg=config)
                 contacts = SurfaceContacts(touched=frozenset({"cube"}), shape_friction={"cube": 0.0})
                 apply_contacts(contacts, builder, {"cube": [shape]})
-            self.parts.append(
-                add_soft(builder, bodies, attachments=attachments, indices={"high": self.driven[-1]}, **options)
-            )
+            soft_row = SoftRow.of(bodies, attachments)
+            self.parts.append(add_soft(builder, soft_row, indices={"high": self.driven[-1]}, settings=settings))
             if worlds > 1:
                 builder.end_world()
         self.part = self.parts[0]
@@ -81,10 +87,8 @@ class Bench:
             self.model,
             driven=self.driven,
             pins=[pin for part in self.parts for pin in part.pins],
-            timestep_s=step_s,
-            iterations=iterations,
+            settings=settings,
             contacts=contacts,
-            full_surface=contacts is not None,
         )
         self.stepper.record()
 
@@ -141,7 +145,7 @@ def mesh(*bodies: SoftBody, high: Motion | None = Motion.FIXED, **options) -> tu
     attachments = {bodies[0].name: [plate("low", Motion.FIXED)]}
     if high:
         attachments.setdefault(bodies[-1].name, []).append(plate("high", high))
-    return builder, add_soft(builder, bodies, attachments=attachments, indices={}, **options)
+    return builder, add_soft(builder, SoftRow.of(bodies, attachments), indices={}, settings=vbd(**options))
 
 
 @pytest.mark.parametrize(
@@ -169,13 +173,13 @@ def test_mass_is_that_of_the_material() -> None:
     stiff = block("stiff", length_m=0.1, centre_m=(0, 0, -0.05), density=1000.0)
     soft = block("soft", length_m=0.05, centre_m=(0, 0, 0.025))
     builder = newton.ModelBuilder()
-    part = add_soft(builder, [stiff, soft], attachments={}, indices={})
+    part = add_soft(builder, SoftRow.of([stiff, soft], {}), indices={}, settings=vbd())
     masses = np.array(builder.particle_mass)
     assert masses.sum() == pytest.approx(stiff.mass_kg + soft.mass_kg)
     centre = (stiff.mass_kg * -0.05 + soft.mass_kg * 0.025) / (stiff.mass_kg + soft.mass_kg)
     assert masses @ part.rest_m / masses.sum() == pytest.approx([0.0, 0.0, centre])
     assert part.names == ("stiff", "soft")
-    assert part.rest_m[part.block_nodes("soft"), 2].min() == pytest.approx(0.0)
+    assert part.rest_m[part.node_indices["soft"], 2].min() == pytest.approx(0.0)
 
 
 def test_gripped_material_is_left_out() -> None:
@@ -207,7 +211,7 @@ def test_points_are_those_of_the_elements() -> None:
 )
 def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict, message: str) -> None:
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(newton.ModelBuilder(), bodies, attachments=attachments, indices={})
+        SoftRow.of(bodies, attachments)
 
 
 # --- vertex block descent --------------------------------------------------------------------------------------------
@@ -248,7 +252,7 @@ def test_linear_elasticity_on_the_same_mesh_is_in_balance(gravity: tuple[float, 
 
 def test_damping_of_an_axial_swing() -> None:
     """Kelvin and Voigt's: half the frequency times the relaxation time, to which the implicit step adds itself."""
-    bench = Bench(block(density=1000.0), cell_m=EDGE_M / 2, step_s=1 / 900, iterations=40, damping_s=0.002)
+    bench = Bench(block(density=1000.0), cell_m=EDGE_M / 2, step_s=1 / 900, iterations=40, soft_damping_s=0.002)
     stretched = bench.part.rest_m.copy()
     stretched[:, 2] += 1e-3 * np.sin(0.5 * np.pi * (stretched[:, 2] + 0.1) / 0.2)
     bench.stepper.now.particle_q.assign(stretched)
@@ -365,7 +369,7 @@ def test_droop_of_a_row_of_four_with_rigid_rubber() -> None:
     """The mean over a swing. Cells of a quarter of the width are 11 % too stiff; bonded foam cannot contract, 4 %."""
     bench = cantilever(gravity=(0.0, 0.098, 0.0))
     assert bench.part.names == ("cube-1", "cube-2", "cube-3", "cube-4")
-    assert set(bench.part.rigid) == {"cube-2", "cube-4"}
+    assert {solid.block.body.name for solid in bench.part._solids} == {"cube-2", "cube-4"}
     droops = [0.0]
     for _ in range(90):
         bench.run(1 / 180)
@@ -383,14 +387,14 @@ def test_rigid_blocks_and_soft_ones_stay_together() -> None:
     bench.run(0.15)
     rest, nodes = bench.part.rest_m, bench.nodes()
     for name, face_m in (("cube-2", 0.025), ("cube-2", 0.075), ("cube-4", 0.125)):
-        rigid = bench.part.block_nodes(name)
+        rigid = bench.part.node_indices[name]
         face = rigid[np.abs(rest[rigid, 2] - face_m) < 1e-6]
         _, where = np.unique(rest[face].round(6), axis=0, return_inverse=True)
         spread = max(np.ptp(nodes[face][where == index], axis=0).max() for index in range(where.max() + 1))
         assert len(face) == 2 * (where.max() + 1)
         assert spread < 2e-6
     # A rigid block keeps its shape.
-    own = bench.part.block_nodes("cube-4")
+    own = bench.part.node_indices["cube-4"]
     assert np.linalg.norm(np.ptp(nodes[own], axis=0)) > 0.05
     assert np.linalg.norm(nodes[own[-1]] - nodes[own[-2]]) == pytest.approx(
         np.linalg.norm(rest[own[-1]] - rest[own[-2]]), rel=1e-4
@@ -401,13 +405,13 @@ def test_rigid_blocks_and_soft_ones_stay_together() -> None:
 def test_rigid_rubber_swings_as_stiff_rubber_does() -> None:
     """Rubber that is 20 times as stiff as the foam instead of 107 times, compressible, by short steps."""
     tips = []
-    for options in ({}, {"rigid_ratio": np.inf, "step_s": 1 / 7200, "iterations": 20}):
+    for options in ({}, {"soft_rigid_ratio": np.inf, "step_s": 1 / 7200, "iterations": 20}):
         foam, soft_rubber = {"density": 12.8, "poisson": 0.23}, {"density": 1072.8, "young_pa": 20 * YOUNG_PA}
         kinds = [foam, soft_rubber, foam, soft_rubber]
         cubes = [
             block(f"cube-{k + 1}", length_m=0.05, centre_m=(0.0, 0.0, 0.05 * k), **kind) for k, kind in enumerate(kinds)
         ]
-        bench = Bench(*cubes, gravity=(0.0, 9.81, 0.0), **({"rigid_ratio": 10.0} | options))
+        bench = Bench(*cubes, gravity=(0.0, 9.81, 0.0), **({"soft_rigid_ratio": 10.0} | options))
         bench.run(0.2)
         tips.append(bench.moved([0.0, 0.0, 0.15])[0, 1])
     assert tips[0] == pytest.approx(tips[1], rel=0.08)
@@ -422,22 +426,20 @@ class BenchMPM(Bench):
     def __init__(self, body: SoftBody, *, voxel_m: float, step_s: float) -> None:
         wp.config.log_level = wp.LOG_WARNING
         attachments = {body.name: [plate("low", Motion.FIXED, 0.01285), plate("high", Motion.KINEMATIC, 0.01285)]}
-        self.voxel_m = fitted_voxel_m([body], attachments=attachments, voxel_m=voxel_m)
+        settings = SettingsMPM(preset="bench", timestep_s=step_s, cell_m=voxel_m)
+        soft_row = SoftRow.of([body], attachments)
+        self.voxel_m = fitted_voxel_m(soft_row, settings)
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
         newton.solvers.SolverImplicitMPM.register_custom_attributes(builder)
         self.driven = [builder.add_body(is_kinematic=True, mass=1.0, inertia=wp.mat33(np.eye(3)))]
-        self.part = add_soft_mpm(
-            builder, [body], attachments=attachments, indices={"high": self.driven[0]}, spacing_m=0.5 * self.voxel_m
-        )
+        self.part = add_soft_mpm(builder, soft_row, indices={"high": self.driven[0]}, spacing_m=0.5 * self.voxel_m)
         self.model = builder.finalize(device="cpu")
         self.stepper = StepperMPM(
             self.model,
             driven=self.driven,
             pins=self.part.pins,
-            timestep_s=step_s,
             voxel_m=self.voxel_m,
-            iterations=250,
-            tolerance=1e-4,
+            settings=settings,
         )
         self.stepper.record()
 

@@ -13,9 +13,13 @@ from hypothesis import strategies as st
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.physx.contacts import Constants, constants_of, groups_of_bodies
-from gauge_envs.backends.physx.support import unsupported_features
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.scene import Contact, ContactMode, ConvexUnion, Hinge, Motion, Pose, RigidBody, Scene, Sphere
+
+
+def unsupported(scene: Scene) -> list[str]:
+    return list(backend("physx").unsupported(scene))
+
 
 NAMES = "abcde"
 GROUPS = st.sets(st.sampled_from(NAMES), min_size=1).map(lambda names: tuple(sorted(names)))
@@ -79,25 +83,23 @@ def test_what_physx_cannot_do_is_declined_with_the_part_of_the_scene() -> None:
         contacts=tuple(Contact(first=(names[0],), second=(name,), friction=0.1, restitution=0.0) for name in names[1:]),
         duration_s=1.0,
     )
-    (crowded,) = unsupported_features(many)
+    (crowded,) = unsupported(many)
     assert crowded.startswith("33 contacts have the same friction and restitution") and "32" in crowded
     bouncy = scene_of(Contact(first=("a",), second=("b",), friction=0.1, restitution=1.2))
-    assert [*unsupported_features(bouncy)] == ["'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"]
+    assert unsupported(bouncy) == ["'a' and 'b' rebound with a restitution of 1.2: PhysX takes at most 1"]
     hinges = tuple(Hinge(body="a", anchor_m=(0, 0, 2), axis=axis) for axis in ((1, 0, 0), (0, 1, 0)))
-    assert [*unsupported_features(scene_of(joints=hinges))] == [
-        "'a' hangs on 2 hinges: this backend builds one hinge per body"
-    ]
-    (soft,) = unsupported_features(load_experiment("TextileFlinging-satin").scene)
+    assert unsupported(scene_of(joints=hinges)) == ["'a' hangs on 2 hinges: this backend builds one hinge per body"]
+    (soft,) = unsupported(load_experiment("TextileFlinging-satin").scene)
     assert "is deformable" in soft and "GPU" in soft
 
 
 def test_every_rigid_scene_is_supported() -> None:
     for name in ("WallBreaking-wood", "NewtonsCradle-metal", "Turntable-3-metal", "NonsmoothContact-3-wood"):
-        assert [*unsupported_features(load_experiment(name).scene)] == []
+        assert unsupported(load_experiment(name).scene) == []
 
 
 def test_the_message_without_sapien_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.backends.physx.backend.find_spec", lambda name: None)
+    monkeypatch.setattr("gauge_envs.backends.shared.bundled.find_spec", lambda name: None)
     from gauge_envs.backends.physx import BackendPhysX
 
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[physx\]'"):
@@ -110,10 +112,10 @@ def test_a_hull_that_physx_would_simplify_is_declined() -> None:
     turns, heights = np.pi * (1.0 + 5.0**0.5) * np.arange(count), np.linspace(-0.99, 0.99, count)
     radii = np.sqrt(1.0 - heights**2)
     points = np.column_stack([radii * np.cos(turns), radii * np.sin(turns), heights])
-    (reason,) = unsupported_features(Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0))
+    (reason,) = unsupported(Scene(bodies=(replace(ball("a"), shape=union_of(points)),), duration_s=1.0))
     assert reason == "piece 0 of 'a' has 300 vertices: PhysX simplifies pieces with more than 128; divide it"
     fewer = replace(ball("a"), shape=union_of(points[:: count // 100]))
-    assert [*unsupported_features(Scene(bodies=(fewer,), duration_s=1.0))] == []
+    assert unsupported(Scene(bodies=(fewer,), duration_s=1.0)) == []
 
 
 def union_of(points: np.ndarray) -> ConvexUnion:

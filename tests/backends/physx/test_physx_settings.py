@@ -12,9 +12,10 @@ from published_scores import late_score
 
 pytest.importorskip("sapien")
 
+from sapien import physx
+
 from gauge_envs import load_experiment, variants
 from gauge_envs.backends import backend
-from gauge_envs.backends.physx.engine import physx
 from gauge_envs.backends.physx.settings import PRESETS, settings_for
 from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.references.published import published_baselines

@@ -8,10 +8,11 @@ from importlib.util import find_spec
 import pytest
 
 from gauge_envs import load_experiment
-from gauge_envs.backends.pybullet import backend as backend_module
+from gauge_envs.backends import backend
+from gauge_envs.backends.pybullet import BackendPyBullet
 from gauge_envs.backends.pybullet.contacts import impact_bodies, products, pushing_bodies, surfaces
 from gauge_envs.backends.pybullet.settings import PRESETS, settings_for
-from gauge_envs.backends.pybullet.support import unsupported_features
+from gauge_envs.backends.shared import bundled
 from gauge_envs.errors import MissingExtraError, UnsupportedSceneError
 from gauge_envs.scene import Contact, ContactMode, Motion, Pose, RigidBody, Scene, Sphere
 
@@ -48,7 +49,7 @@ def test_wall_is_representable() -> None:
     assert values["ball"] * values["brick-7"] == pytest.approx(ball.restitution, rel=1e-9)
     assert values["brick-7"] * values["brick-8"] < 1.1e-6
     assert bricks.restitution > 0.0  # The pair is sustained, so that its restitution has no effect.
-    assert list(unsupported_features(scene)) == []
+    assert list(backend("pybullet").unsupported(scene)) == []
 
 
 def pair_contact(first: str, second: str, friction: float) -> Contact:
@@ -85,7 +86,7 @@ def test_bodies_that_contacts_do_not_move_get_a_copy_for_each_surface() -> None:
 
 
 def test_rope_in_contact_is_declined() -> None:
-    missing = list(unsupported_features(load_experiment("RopeWinding-rubber").scene))
+    missing = list(backend("pybullet").unsupported(load_experiment("RopeWinding-rubber").scene))
     assert missing == ["'rope' touches other bodies or itself: chains of light segments in contact diverge in Bullet"]
 
 
@@ -162,15 +163,15 @@ def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> Non
     ],
 )
 def test_deformable_bodies_that_are_not_built_are_declined(name: str, reason: str) -> None:
-    assert any(reason in one for one in unsupported_features(load_experiment(name).scene))
+    assert any(reason in one for one in backend("pybullet").unsupported(load_experiment(name).scene))
 
 
 @pytest.mark.parametrize("version", [(3, 11), (3, 12)])
 def test_missing_engine_names_the_extra_and_the_python_with_wheels(
     monkeypatch: pytest.MonkeyPatch, version: tuple[int, int]
 ) -> None:
-    monkeypatch.setattr(backend_module, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
+    monkeypatch.setattr(bundled, "find_spec", lambda name: None if name == "pybullet" else find_spec(name))
     monkeypatch.setattr(sys, "version_info", (*version, 0, "final", 0))
     with pytest.raises(MissingExtraError, match=r"pip install 'gauge-envs\[pybullet\]'") as found:
-        backend_module.BackendPyBullet()
+        BackendPyBullet()
     assert ("on Python 3.11" in str(found.value)) == (version == (3, 12))

@@ -604,7 +604,7 @@ def test_closed_simulations_free_their_worlds() -> None:
 
 
 def test_the_backend_without_the_engine_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.backends.rapier.backend.find_spec", lambda name: None)
+    monkeypatch.setattr("gauge_envs.backends.shared.bundled.find_spec", lambda name: None)
     with pytest.raises(MissingExtraError, match=r"gauge-envs\[rapier\]"):
         type(RAPIER)()
 

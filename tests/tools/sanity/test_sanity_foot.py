@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.evaluation.metrics.law import fitted_acceleration
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere

@@ -13,7 +13,7 @@ from places import ROOT
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, contact_pairs
+from gauge_envs.backends.mujoco.model_settings import COLUMNS, contact_pairs
 from gauge_envs.backends.mujoco.settings import PRESETS, SettingsMuJoCo
 from gauge_envs.errors import GaugeError, ParameterError, TargetError, UnknownNameError
 from gauge_envs.tools.conformance import run_checks

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gauge_envs.backends import registry
-from gauge_envs.backends.mujoco.backend import BackendMuJoCo
+from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.errors import ParameterError

@@ -10,7 +10,7 @@ import numpy as np
 from pydantic import Field
 from scipy.optimize import brentq
 
-from gauge_envs.backends.drake.impacts import rebound
+from gauge_envs.backends.drake.contacts import rebound
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.recipes.aim import Aim

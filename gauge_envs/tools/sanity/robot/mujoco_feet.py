@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.contact_pairs import ContactPairs, PairKind, can_move
-from gauge_envs.backends.mujoco.model_settings import contact_settings
+from gauge_envs.backends.mujoco.model_settings import ContactPairs, PairKind, can_move, contact_settings
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup

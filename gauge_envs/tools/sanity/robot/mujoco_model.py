@@ -13,8 +13,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.contact_pairs import COLUMNS, ContactPairs, PairKind, can_move, contact_pairs
 from gauge_envs.backends.mujoco.model_settings import (
+    COLUMNS,
+    ContactPairs,
+    PairKind,
+    can_move,
+    contact_pairs,
     contact_settings,
     default_contact_settings,
     effective_constants,

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.contact_pairs import GROUND_TYPES
+from gauge_envs.backends.mujoco.model_settings import GROUND_TYPES
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed, TrainingConfiguration
 from gauge_envs.tools.sanity.probe.mujoco_capture import is_mjx_model

@@ -1,4 +1,7 @@
-"""Kernels beside Genesis's PBD solver: held particles, exact hinges, and friction on rigid bodies."""
+"""Kernels beside Genesis's deformable solvers, for one environment and one substep per step.
+
+Each class reads and writes the arrays of a state, whose shapes are `shapes`, and holds nodes.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,118 @@ SINE_FLOOR = 1e-8
 
 
 @qd.data_oriented
+class FEMKernels:
+    """Kernels for one FEM solver with one environment and one substep per step.
+
+    Args:
+        scene: The built `gs.Scene`.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.fem = scene.sim.fem_solver
+        self.node_count = self.fem.n_vertices
+        self.shapes = ((self.node_count, 3),) * 2
+
+    @qd.kernel
+    def read(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
+        """Copy positions [m] and velocities [m/s] of all nodes, both of shape [node_count, 3]."""
+        for v in range(self.node_count):
+            for i in qd.static(range(3)):
+                positions[v, i] = self.fem.elements_v[0, v, 0].pos[i]
+                velocities[v, i] = self.fem.elements_v[0, v, 0].vel[i]
+
+    @qd.kernel
+    def write(self, positions: qd.types.ndarray(), velocities: qd.types.ndarray()):
+        """Set positions [m] and velocities [m/s] of all nodes, both of shape [node_count, 3]."""
+        for v in range(self.node_count):
+            for i in qd.static(range(3)):
+                self.fem.elements_v[0, v, 0].pos[i] = positions[v, i]
+                self.fem.elements_v[0, v, 0].vel[i] = velocities[v, i]
+
+    @qd.kernel
+    def hold(self, nodes: qd.types.ndarray(), targets: qd.types.ndarray()):
+        """Set where held nodes are at the end of the next step [m], shapes [count] and [count, 3]."""
+        for row in range(nodes.shape[0]):
+            for i in qd.static(range(3)):
+                self.fem.vertex_constraints[nodes[row], 0].target_pos[i] = targets[row, i]
+
+
+@qd.data_oriented
+class MPMKernels:
+    """Kernels for one MPM solver with one environment and one substep per step.
+
+    Args:
+        scene: The built `gs.Scene`.
+    """
+
+    def __init__(self, scene: Any) -> None:
+        self.mpm = scene.sim.mpm_solver
+        self.point_count = self.mpm.n_particles
+        self.shapes = ((self.point_count, 3),) * 2 + ((self.point_count, 3, 3),) * 2
+
+    @qd.kernel
+    def read(
+        self,
+        positions: qd.types.ndarray(),
+        velocities: qd.types.ndarray(),
+        gradients: qd.types.ndarray(),
+        deformations: qd.types.ndarray(),
+    ):
+        """Copy the state of all points: shapes [point_count, 3] twice and [point_count, 3, 3] twice."""
+        for p in range(self.point_count):
+            for i in qd.static(range(3)):
+                positions[p, i] = self.mpm.particles[0, p, 0].pos[i]
+                velocities[p, i] = self.mpm.particles[0, p, 0].vel[i]
+                for j in qd.static(range(3)):
+                    gradients[p, i, j] = self.mpm.particles[0, p, 0].C[i, j]
+                    deformations[p, i, j] = self.mpm.particles[0, p, 0].F[i, j]
+
+    @qd.kernel
+    def write(
+        self,
+        positions: qd.types.ndarray(),
+        velocities: qd.types.ndarray(),
+        gradients: qd.types.ndarray(),
+        deformations: qd.types.ndarray(),
+    ):
+        """Set the state of all points: shapes [point_count, 3] twice and [point_count, 3, 3] twice."""
+        for p in range(self.point_count):
+            self.mpm.particles_ng[0, p, 0].active = True
+            for i in qd.static(range(3)):
+                self.mpm.particles[0, p, 0].pos[i] = positions[p, i]
+                self.mpm.particles[0, p, 0].vel[i] = velocities[p, i]
+                for j in qd.static(range(3)):
+                    self.mpm.particles[0, p, 0].C[i, j] = gradients[p, i, j]
+                    self.mpm.particles[0, p, 0].F[i, j] = deformations[p, i, j]
+
+    @qd.kernel
+    def hold(
+        self,
+        points: qd.types.ndarray(),
+        positions: qd.types.ndarray(),
+        velocities: qd.types.ndarray(),
+        spin: qd.types.ndarray(),
+    ):
+        """Place gripped points and give them the motion of their body.
+
+        Args:
+            points: Indices, shape [count].
+            positions: Positions [m], shape [count, 3].
+            velocities: Velocities [m/s], shape [count, 3].
+            spin: Angular velocity of the body [rad/s], shape [3].
+        """
+        for row in range(points.shape[0]):
+            p = points[row]
+            for i in qd.static(range(3)):
+                self.mpm.particles[0, p, 0].pos[i] = positions[row, i]
+                self.mpm.particles[0, p, 0].vel[i] = velocities[row, i]
+            self.mpm.particles[0, p, 0].F = qd.Matrix.identity(gs.qd_float, 3)
+            self.mpm.particles[0, p, 0].C = qd.Matrix(
+                [[0.0, -spin[2], spin[1]], [spin[2], 0.0, -spin[0]], [-spin[1], spin[0], 0.0]], dt=gs.qd_float
+            )
+
+
+@qd.data_oriented
 class PBDKernels:
     """Kernels for one PBD solver with one environment.
 
@@ -27,6 +142,7 @@ class PBDKernels:
         self.rigid = scene.sim.rigid_solver
         self.hinge_count = self.pbd.n_inner_edges
         self.particle_count = self.pbd.n_particles
+        self.shapes = ((self.particle_count, 3),) * 2
         self.compliance = qd.field(dtype=gs.qd_float, shape=(max(1, self.hinge_count),))
         self.before = qd.Vector.field(3, dtype=gs.qd_float, shape=(self.particle_count,))
         self.friction = qd.field(dtype=gs.qd_float, shape=(max(1, self.rigid.n_geoms),))
@@ -63,7 +179,7 @@ class PBDKernels:
                 self.pbd.particles[particles[row], 0].pos[i] = positions[row, i]
 
     @qd.kernel
-    def carry(self, particles: qd.types.ndarray(), velocities: qd.types.ndarray()):
+    def hold(self, particles: qd.types.ndarray(), velocities: qd.types.ndarray()):
         """Set the velocities [m/s] of some particles, shapes [count] and [count, 3]."""
         for row in range(particles.shape[0]):
             for i in qd.static(range(3)):
@@ -93,11 +209,7 @@ class PBDKernels:
 
     @qd.kernel
     def rub(
-        self,
-        geoms_state: qd.template(),
-        geoms_info: qd.template(),
-        links_state: qd.template(),
-        sdf_info: qd.template(),
+        self, geoms_state: qd.template(), geoms_info: qd.template(), links_state: qd.template(), sdf_info: qd.template()
     ):
         """Apply Coulomb's friction to particles that were moved out of rigid bodies, as far as they were moved."""
         for p in range(self.particle_count):

@@ -1,0 +1,252 @@
+"""Ropes and soft bodies in PyBullet.
+
+A rope is a chain of rigid segments on spherical joints, by Featherstone's algorithm. The joints hold exactly, so that a
+rope cannot stretch. A dynamic body to which an end is attached is part of the chain, which is one multibody in reduced
+coordinates. A soft body consists of linear tetrahedra with Bullet's Neo-Hookean energy, in its deformable world.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
+from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
+from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
+from gauge_envs.backends.shared.soft_rows import lame_constants
+from gauge_envs.errors import ShapeError
+from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
+from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
+
+SEGMENT_M = 0.0125
+"""Default length of a segment [m]."""
+
+GROUND = -1
+"""Number of the body that holds anchors in the world."""
+
+Read = Callable[[int, int], tuple[Any, ...]]
+"""Function of a body and a link that returns their position [units] and quaternion x y z w first."""
+
+
+@dataclass(frozen=True)
+class RopePart:
+    """The segments of a rope in PyBullet.
+
+    Attributes:
+        name: Name of the rope.
+        body: PyBullet's number of the chain.
+        links: Links of the segments, from the low to the high end; -1 is the base.
+        half: Half the length of a segment [units], from its centre to its high end along z. It is negative if z points
+            to the low end.
+        rest_m: Nodes at the start, from the low to the high end [m], shape [segment_count + 1, 3].
+    """
+
+    name: str
+    body: int
+    links: tuple[int, ...]
+    half: float
+    rest_m: NDArray[np.float64]
+
+    def nodes_m(self, read: Read, scale: float) -> NDArray[np.float64]:
+        """Return the nodes, the ends of the segments [m], shape [segment_count + 1, 3]."""
+        centres, rotations = self._segments(read)
+        arms = rotations.apply([0.0, 0.0, self.half])
+        return np.concatenate([centres[:1] - arms[:1], centres + arms]) / scale
+
+    def track(self, points_m: NDArray[np.float64], read: Read, scale: float) -> Callable[[], NDArray[np.float64]]:
+        """Return a reader of material points, each of which moves with its segment."""
+        span = self.rest_m[-1] - self.rest_m[0]
+        length = float(np.linalg.norm(span))
+        along = (points_m - self.rest_m[0]) @ span / length
+        if not np.all((along > -1e-5) & (along < length + 1e-5)):
+            raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
+        count = len(self.links)
+        segment = np.clip(np.floor(along / length * count).astype(int), 0, count - 1)
+        centres_m = 0.5 * (self.rest_m[segment] + self.rest_m[segment + 1])
+        start = self._segments(read)[1]
+        offsets = start[segment].apply(points_m - centres_m, inverse=True)
+
+        def points() -> NDArray[np.float64]:
+            centres, rotations = self._segments(read)
+            return np.asarray(centres[segment] / scale + rotations[segment].apply(offsets))
+
+        return points
+
+    def _segments(self, read: Read) -> tuple[NDArray[np.float64], Rotation]:
+        """Return the centres [units], shape [segment_count, 3], and the rotations of the segments."""
+        states = [read(self.body, link) for link in self.links]
+        return np.array([state[0] for state in states]), Rotation.from_quat([state[1] for state in states])
+
+
+@dataclass(frozen=True)
+class RopeEnds:
+    """Bodies on the ends of a rope.
+
+    Attributes:
+        from_low: Whether the chain starts at the low end.
+        root: Body with which the chain starts, or None if its first segment is free.
+        tip: Dynamic body with which the chain ends, or None.
+    """
+
+    from_low: bool
+    root: RigidBody | None
+    tip: RigidBody | None
+
+
+def rope_ends(scene: Scene, rope: Rope) -> RopeEnds:
+    """Return the bodies on the ends of a rope; the chain starts at a fixed body if there is one."""
+    held = {
+        side: scene.body(attachment.body)
+        for side, attachment in attached_ends(rope, rigid_attachments(scene, rope.name)).items()
+    }
+    low, high = held.get("low"), held.get("high")
+    if low is None or (high is not None and high.motion is Motion.FIXED):
+        return RopeEnds(from_low=high is None, root=high, tip=low)
+    return RopeEnds(from_low=True, root=low, tip=high)
+
+
+def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePart:
+    """Add a rope and the dynamic bodies on its ends, and enter these bodies in `world.handles`.
+
+    A segment has the moments of inertia of its cylinder across the rope about all axes. The spin of a thin cylinder
+    about its own axis has no effect on a limp rope, and its small inertia would only make the chain less stable.
+
+    Args:
+        world: The world.
+        rope: The rope.
+        cell_m: Desired length of a segment [m], or None for the default.
+    """
+    ends = rope_ends(world.scene, rope)
+    count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
+    length_m = rope.length_m / count
+    nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
+    start_m, end_m = (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
+    # All segments have the same rotation at the start; z points from the first to the last one.
+    rotation = Rotation.align_vectors([(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]])[0]
+    length, mass_kg = world.scale * length_m, rope.mass_kg / count
+    across = mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[1][0, 0]
+    moments = [world.scale**2 * float(across)] * 3
+    root = ends.root if ends.root is not None and ends.root.motion is Motion.DYNAMIC else None
+    if root is not None:
+        frame = world.frame(root)
+        base, base_moments = world.base_arguments(root, frame), frame.moments
+        turn = root.pose.rotation * frame.axes
+        arm = turn.inv().apply(start_m - root.pose.to_world(frame.centre_m))
+        place = (world.scale * arm, turn.inv() * rotation)
+    elif ends.root is not None:
+        base, base_moments = _base(world, start_m, rotation), []
+        place = (np.zeros(3), Rotation.identity())
+    else:
+        base, base_moments = _base(world, start_m + 0.5 / count * (end_m - start_m), rotation), moments
+        base["baseMass"] = mass_kg
+        place = (np.array([0.0, 0.0, 0.5 * length]), Rotation.identity())
+    first = -1 if ends.root is None else 0
+    links = []
+    for _ in range(count + first):
+        centre = np.array([0.0, 0.0, 0.5 * length])
+        spherical = pybullet.JOINT_SPHERICAL
+        links.append(Link(joint=spherical, place=place, mass_kg=mass_kg, moments=moments, centre=centre))
+        place = (np.array([0.0, 0.0, length]), Rotation.identity())
+    if ends.tip is not None:
+        frame = world.frame(ends.tip)
+        turn = ends.tip.pose.rotation * frame.axes
+        arm = turn.inv().apply(ends.tip.pose.to_world(frame.centre_m) - end_m)
+        links.append(
+            Link(
+                joint=pybullet.JOINT_SPHERICAL,
+                place=(place[0], rotation.inv() * turn),
+                mass_kg=ends.tip.mass_kg,
+                moments=frame.moments,
+                centre=world.scale * arm,
+                shape=world.shape(
+                    ends.tip.shape, turn.inv().apply(np.subtract(ends.tip.pose.position_m, end_m)), frame
+                ),
+            )
+        )
+    body = world.add_multibody(base, base_moments, links)
+    if root is not None:
+        world.add_handle(root, body, -1)
+    if ends.tip is not None:
+        world.add_handle(ends.tip, body, len(links) - 1)
+    segments = tuple(range(first, first + count))
+    if ends.from_low:
+        return RopePart(rope.name, body, segments, 0.5 * length, nodes_m)
+    return RopePart(rope.name, body, segments[::-1], -0.5 * length, nodes_m)
+
+
+def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
+    """Return the arguments of a base without mass and shape."""
+    position = (world.scale * place_m).tolist()
+    return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}
+
+
+# --- soft bodies ------------------------------------------------------------------------------------------------------
+
+
+def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> int:
+    """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
+
+    Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
+    lambda' = lambda + 5/6 mu.
+
+    Args:
+        world: The world.
+        body: The soft body.
+        file: File to write its mesh to, the only form in which PyBullet takes tetrahedra.
+        cell_m: Desired edge of the cells [m], or None for the default.
+    """
+    attachments = rigid_attachments(world.scene, body.name)
+    nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
+    shear, lame = lame_constants(body)
+    number = world.call(
+        "loadSoftBody",
+        str(file),
+        simFileName=str(file),
+        basePosition=(world.scale * np.asarray(body.pose.position_m)).tolist(),
+        baseOrientation=body.pose.rotation.as_quat().tolist(),
+        mass=body.mass_kg,
+        useNeoHookean=1,
+        # A pressure is a force over an area: its number falls with the unit of length.
+        NeoHookeanMu=4.0 / 3.0 * shear / world.scale,
+        NeoHookeanLambda=(lame + 5.0 / 6.0 * shear) / world.scale,
+        NeoHookeanDamping=0.0,
+        useSelfCollision=0,
+    )
+    for attachment in attachments:
+        # An anchor keeps the node where it now is in the frame of the body.
+        held_by = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
+        for node in nodes_in(nodes_m, attachment.region).tolist():
+            world.call("createSoftBodyAnchor", number, node, held_by, -1)
+    return int(number)
+
+
+def _places_m(edge_m: float, axis: str, regions: Sequence[Region], cell_m: float) -> NDArray[np.float64]:
+    """Return the places of nodes along an edge [m], with a layer of cells for each attached region of some depth."""
+    depth = {region.side: region.depth_m for region in regions if region.axis == axis}
+    low, high = -0.5 * edge_m + depth.get("low", 0.0), 0.5 * edge_m - depth.get("high", 0.0)
+    inner = np.linspace(low, high, max(1, round((high - low) / cell_m)) + 1)
+    return np.unique(np.concatenate([[-0.5 * edge_m], inner, [0.5 * edge_m]]))
+
+
+def _write_mesh(
+    file: Path, body: SoftBody, regions: Sequence[Region], cell_m: float, scale: float
+) -> NDArray[np.float64]:
+    """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
+    axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
+    nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    cells = tetrahedra((len(axes[0]), len(axes[1]), len(axes[2])))
+    lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
+    lines.append(f"POINTS {len(nodes_m)} double")
+    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in (scale * nodes_m).tolist()]
+    lines.append(f"CELLS {len(cells)} {5 * len(cells)}")
+    lines += ["4 " + " ".join(map(str, cell)) for cell in cells.tolist()]
+    lines.append(f"CELL_TYPES {len(cells)}")
+    lines += ["10"] * len(cells)
+    file.write_text("\n".join(lines) + "\n")
+    return nodes_m

@@ -1,0 +1,108 @@
+"""Rigid bodies, for every engine: their states as rows of 13 numbers, their hinges, and strings as springs."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import World
+from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import parent_hinges
+
+
+def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> NDArray[np.float64]:
+    """Return the state of a body with a pose and a velocity, shape [13]; see `World.body_states`."""
+    return np.array([*pose.position_m, *pose.quaternion, *velocity])
+
+
+def placed_states(scene: Scene, *motions: Motion) -> dict[str, NDArray[np.float64]]:
+    """Return the states at the start of the fixed bodies of a scene, or of those with other motions, by name."""
+    return {body.name: body_state(body.pose) for body in scene.bodies if body.motion in (motions or (Motion.FIXED,))}
+
+
+class PlacedWorld(World):
+    """A world that knows the states of some bodies, and reads those of the others from the engine.
+
+    Attributes:
+        placed: States of the known bodies, by name.
+    """
+
+    placed: dict[str, NDArray[np.float64]]
+
+    @abstractmethod
+    def moving_states(self, names: Sequence[str]) -> Any:
+        """Return the states of bodies that the engine moves, an array or rows of shape [len(names), 13]."""
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""
+        states = np.empty((len(names), 13))
+        moving = []
+        for row, name in enumerate(names):
+            if name in self.placed:
+                states[row] = self.placed[name]
+            else:
+                moving.append(row)
+        if moving:
+            states[moving] = self.moving_states([names[row] for row in moving])
+        return states
+
+
+def centre_velocity(body: RigidBody, centre_m: ArrayLike) -> NDArray[np.float64]:
+    """Return the start velocity of a body's centre of mass [m/s], shape [3], which many engines take as the body's.
+
+    Args:
+        body: The body, whose velocity is that of its origin.
+        centre_m: Centre of mass in the body frame [m], shape [3].
+    """
+    arm_m = body.pose.rotation.apply(centre_m)
+    return body.linear_velocity_m_per_s + np.cross(body.angular_velocity_rad_per_s, arm_m)
+
+
+def world_hinges(scene: Scene) -> dict[str, Hinge]:
+    """Return the hinge between each hinged body and the world, by name of the body."""
+    return {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
+
+
+def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
+    """Return the hinge of each body that hangs on the world or on another body, by its name."""
+    return world_hinges(scene) | parent_hinges(scene.body_hinges)
+
+
+def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:
+    """Return a frame in the world on a hinge's axis, along which its x axis points.
+
+    Args:
+        hinge: The hinge.
+        along_m: Distance of the frame from the anchor [m].
+    """
+    point_m = vector(np.asarray(hinge.anchor_m) + along_m * np.asarray(hinge.axis)) if along_m else hinge.anchor_m
+    return Pose.from_rotation(point_m, Rotation.align_vectors([hinge.axis], [[1.0, 0.0, 0.0]])[0])
+
+
+def tether_pull(
+    tether: Tether, state: NDArray[np.float64], mass_kg: float, frequency_per_s: float
+) -> NDArray[np.float64] | None:
+    """Return the force of a string on the origin of its body [N], shape [3], or None if the string is slack.
+
+    For engines without strings: a taut string is a stiff spring with critical damping, which only pulls.
+
+    Args:
+        tether: The string.
+        state: State of the body, shape [13].
+        mass_kg: Mass of the body.
+        frequency_per_s: Angular frequency of the spring [1/s].
+    """
+    arm = np.asarray(tether.anchor_m) - state[:3]
+    length = float(np.linalg.norm(arm))
+    if length <= tether.length_m:
+        return None
+    along = arm / length
+    lengthening = -float(along @ state[7:10])
+    size = mass_kg * (frequency_per_s**2 * (length - tether.length_m) + 2.0 * frequency_per_s * lengthening)
+    return size * along if size > 0.0 else None
