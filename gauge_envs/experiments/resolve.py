@@ -6,7 +6,7 @@ from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, chosen
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
 from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
@@ -133,7 +133,7 @@ def resolve_experiment(
         if path is not None:
             raise ParameterError(f"{subject} names its own USD layer; remove asset={str(asset)!r}")
         _check_stated(Path(subject), parameters, drivers)
-        if DataSource.of(reference, "reference") is not DataSource.BUNDLED:
+        if chosen(DataSource, reference, "reference") is not DataSource.BUNDLED:
             raise ParameterError(f"reference {str(reference)!r} with {subject}: the file states its own band")
         return load_experiment_file(subject)
     if path is None:
@@ -148,12 +148,12 @@ def _check_stated(path: Path, parameters: Parameters, drivers: DataSource | str)
         raise ParameterError(
             f"parameters {parameters!r} with {path.name}: the file states the constants; edit them there"
         )
-    if DataSource.of(drivers, "drivers") is not DataSource.BUNDLED:
+    if chosen(DataSource, drivers, "drivers") is not DataSource.BUNDLED:
         raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the file states the motion of driven bodies")
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
-    source = DataSource.of(value, name)
+    source = chosen(DataSource, value, name)
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
             f"{variant.name}: {name}='imported', but no trials of it were imported; "

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.errors import ParameterError, ShapeError
+from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
@@ -32,14 +32,6 @@ class MarkerProxy(StrEnum):
     """The material point of the marker, interpolated between the nodes of its element; the default."""
     NODE = "node"
     """The nearest node, each used once (Hungarian algorithm), as in the paper."""
-
-
-def checked_proxy(name: str) -> MarkerProxy:
-    """Return the marker proxy of a name."""
-    if name not in list(MarkerProxy):
-        known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
-        raise ParameterError(f"marker_proxy {name!r}: choose {known}")
-    return MarkerProxy(name)
 
 
 class Observer(Protocol):

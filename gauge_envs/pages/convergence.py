@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from typing import Any
 
 from gauge_envs.pages.text import quantity_text
-from gauge_envs.references.convergence import RefinedSetting, convergence_table
+from gauge_envs.references.convergence import RefinedSetting, convergence_of
 
 NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell"}
 
 
 def convergence_rows(engine: str, variant: str) -> dict[str, dict[str, Any]]:
     """Return the measured convergence of a variant on an engine, JSON-ready, by the setting that was halved."""
-    return {setting: row.model_dump() for setting, row in convergence_table(engine).of(variant).items()}
+    return {setting: row.model_dump() for setting, row in convergence_of(engine, variant).items()}
 
 
 def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False) -> str:

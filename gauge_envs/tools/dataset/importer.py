@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,7 @@ from gauge_envs.tools.dataset.observation import (
     trial_markers_m,
     trial_trajectory,
 )
-from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
+from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialStatistics
 from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
@@ -71,7 +72,7 @@ class BaselineRow:
 
     metric: str
     unit: str
-    own: TrialSpread | None
+    own: SpreadRecord | None
     published: Baseline | None
 
     @property
@@ -94,7 +95,7 @@ class BaselineRow:
                 "unit": self.unit,
                 "own_mean": self.own and self.own.mean,
                 "own_std": self.own and self.own.std,
-                "own_trial_count": self.own.count if self.own else 0,
+                "own_trial_count": self.own.trial_count if self.own else 0,
                 "published_mean": self.published and self.published.mean,
                 "published_std": self.published and self.published.std,
                 "difference": self.difference,
@@ -153,7 +154,7 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
     seen: dict[str, str] = {}
     for variant, files in layout.files.items():
         importer = _VariantImporter(variant, layout, seen)
-        with importer.spool:
+        with closing(importer.spool):
             for path in files:
                 importer.read(path)
                 if advance is not None:
@@ -176,7 +177,7 @@ class _VariantImporter:
         self._layout = layout
         self._seen = seen
         self._coordinates = self._experiment.coordinates
-        self.spool = TrialSpool(self._experiment.frame_count, len(self._coordinates))
+        self.spool = TrialSpool((self._experiment.frame_count, len(self._coordinates)))
         self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
         self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
         self._solid = marked_solid(self._experiment.scene)
@@ -219,7 +220,7 @@ class _VariantImporter:
 
     def finish(self) -> ImportedTrials:
         """Store the variant."""
-        used, left_out = self.spool.trial_count, sum(finding.left_out for finding in self._findings)
+        used, left_out = len(self.spool), sum(finding.left_out for finding in self._findings)
         statistics = self.spool.statistics() if used else None
         rows = self._rows(statistics)
         record = None
@@ -263,14 +264,11 @@ class _VariantImporter:
         """Return mean and scatter of the statistics that some frame of at least two trials has."""
         if not self._statistics:
             return None
-        values = np.stack(self._statistics)
-        mean = CoordinateMean(values.shape[1:])
-        for trial in values:
+        mean = CoordinateMean(self._statistics[0].shape)
+        for trial in self._statistics:
             mean.add(trial)
-        often = (mean.counts > 1) & (2 * mean.counts >= len(values))
-        squares = np.nansum(np.square(values - mean.mean), axis=0)
-        sigma = np.sqrt(np.divide(squares, mean.counts - 1, out=np.full(often.shape, np.nan), where=often))
-        known = np.flatnonzero(often.any(axis=0))
+        sigma = mean.scatter(self._statistics)
+        known = np.flatnonzero(np.isfinite(sigma).any(axis=0))
         if not known.size:
             return None
         return DeformationReference(
@@ -278,7 +276,7 @@ class _VariantImporter:
             markers=None,
             mean=mean.mean[:, known],
             sigma=sigma[:, known],
-            trial_count=len(values),
+            trial_count=len(self._statistics),
             source="import",
         )
 
@@ -316,26 +314,26 @@ class _VariantImporter:
 
     def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
         published = published_baselines(self._experiment.name)
-        own: dict[str, TrialSpread | None] = {}
+        values = {metric: np.array(found) for metric, found in self._events.items()}
         if statistics is not None:
-            own = {"rmse": TrialSpread.of(statistics.rmse), "dtw": TrialSpread.of(statistics.dtw)}
-        own |= {metric: TrialSpread.of(np.array(values)) for metric, values in self._events.items()}
+            values = {"rmse": statistics.rmse, "dtw": statistics.dtw, **values}
         unit = self._experiment.score.observable.unit
+        units = {metric: METRICS[metric].unit_of(unit) for metric in (*values, *published)}
         return tuple(
             BaselineRow(
                 metric=metric,
-                unit=METRICS[metric].unit_of(unit),
-                own=own.get(metric),
+                unit=units[metric],
+                own=SpreadRecord.of(values[metric], units[metric]) if metric in values else None,
                 published=published.get(metric),
             )
-            for metric in dict.fromkeys([*own, *published])
+            for metric in units
         )
 
     def _trials(self) -> FloatArray | None:
         """Return the trials, which intervals of scores resample; None if they are too many numbers to keep."""
-        if self.spool.trial_count * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
+        if len(self.spool) * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
             return None
-        return np.stack(list(self.spool.trials()))
+        return np.stack(list(self.spool))
 
     def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
         experiment = self._experiment
@@ -347,7 +345,7 @@ class _VariantImporter:
             mean=statistics.mean,
             sigma=statistics.sigma,
             measured=statistics.measured,
-            trial_count=self.spool.trial_count,
+            trial_count=len(self.spool),
             source="import",
             trials=self._trials(),
         )
@@ -360,7 +358,7 @@ class _VariantImporter:
             files=tuple(self._files),
             files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
             task_sha256=experiment.file_sha256,
-            metrics=_spread_records(rows),
+            metrics={row.metric: row.own for row in rows if row.own is not None},
             drivers=tuple(mean.record() for mean in drivers.values()),
             statistics=() if deformation is None else deformation.statistics,
         )
@@ -443,14 +441,6 @@ def _largest(values: FloatArray) -> float | None:
 
 def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
     return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
-
-
-def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
-    return {
-        row.metric: SpreadRecord(unit=row.unit, mean=row.own.mean, std=row.own.std, trial_count=row.own.count)
-        for row in rows
-        if row.own is not None
-    }
 
 
 def _is_doubled(trajectory: FloatArray) -> bool:
