@@ -8,7 +8,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import Picture, opencv
+from gauge_envs.tools.video.grid import Picture, cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 Region: TypeAlias = tuple[int, int, int, int]
@@ -44,14 +44,12 @@ class Background:
 
     def difference(self, picture: Picture) -> NDArray[np.float32]:
         """Return the largest difference of the three colour channels at each pixel, shape [480, 832], smoothed."""
-        cv2 = opencv()
         blue, green, red = cv2.split(cv2.absdiff(picture.astype(np.float32), self._picture))
         difference = cv2.max(cv2.max(blue, green), red)
         return np.asarray(cv2.GaussianBlur(difference, (5, 5), 0), dtype=np.float32)
 
     def follow(self, picture: Picture, moving: NDArray[np.bool_]) -> None:
         """Take over a share of a picture where nothing moves."""
-        cv2 = opencv()
         cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=(~moving).astype(np.uint8))
 
 
@@ -66,7 +64,6 @@ def background(pictures: Iterator[Picture], frame_count: int, occupied: Region) 
         frame_count: Their number.
         occupied: Part of the first frame that the object and its shadow may hide.
     """
-    cv2 = opencv()
     left, top, right, bottom = occupied
     stride = max(1, frame_count // MOST_SAMPLED)
     first: Picture | None = None
@@ -100,7 +97,6 @@ def background(pictures: Iterator[Picture], frame_count: int, occupied: Region) 
 
 def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return the mean of the three colour channels of a picture, shape [height, width]."""
-    cv2 = opencv()
     return np.asarray(cv2.transform(picture, np.full((1, 3), 1.0 / 3.0, dtype=np.float32)), dtype=np.float32)
 
 

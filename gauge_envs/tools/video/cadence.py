@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video.frames import Frames
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.tools.video.grid import cv2
 
 SMALL_PX = (208, 120)
 """Width and height to which pictures are averaged before they are compared [px]."""
@@ -62,7 +62,6 @@ def read_cadence(frames: Frames) -> Cadence:
     Args:
         frames: The video.
     """
-    cv2 = opencv()
     differences: list[float] = []
     before: NDArray[np.float32] | None = None
     for picture in frames.native():

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video.background import Background, brightness, noise_level
-from gauge_envs.tools.video.grid import Picture, opencv
+from gauge_envs.tools.video.grid import Picture, cv2
 
 LEAST_DIFFERENCE = 14.0
 """Smallest difference from the background that counts as an object, in grey values of 255."""
@@ -97,7 +97,6 @@ class PatchFollower:
 
     def see(self, picture: Picture) -> Sight:
         """Return where the object is in the next frame."""
-        cv2 = opencv()
         difference = self._background.difference(picture)
         threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * noise_level(difference))
         mask = (difference > threshold).astype(np.uint8)
@@ -223,7 +222,6 @@ class DiskFollower:
 
     def see(self, picture: Picture) -> Sight:
         """Return where the disk is in the next frame."""
-        cv2 = opencv()
         light_grey = np.ascontiguousarray(self._background.grey[self._part])
         grey = brightness(picture[self._part].astype(np.float32))
         valid = (light_grey > self._dark + self.LIGHT).astype(np.float32)
@@ -312,7 +310,6 @@ class FaceFollower:
 
     def _cut(self, picture: Picture, place: NDArray[np.float64], angle_deg: float) -> NDArray[np.float32]:
         """Return the surroundings of a place, turned back by an angle."""
-        cv2 = opencv()
         matrix = cv2.getRotationMatrix2D((float(place[0]), float(place[1])), angle_deg, 1.0)
         matrix[:, 2] += self._half - place
         side = 2 * self._half + 1
@@ -323,7 +320,6 @@ class FaceFollower:
 
     def _turned(self, angle_deg: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the remembered face turned by an angle, and the mask of its pixels."""
-        cv2 = opencv()
         centre = (float(self._half), float(self._half))
         matrix = cv2.getRotationMatrix2D(centre, -angle_deg, 1.0)
         side = 2 * self._half + 1
@@ -337,7 +333,6 @@ class FaceFollower:
 
 def _window(picture: Picture, place: NDArray[np.float64], side: int) -> NDArray[np.float32]:
     """Return the part of a picture around a place with fractions of pixels, shape [2 side + 1, 2 side + 1, 3]."""
-    cv2 = opencv()
     matrix = np.array([[1.0, 0.0, side - place[0]], [0.0, 1.0, side - place[1]]])
     size = (2 * side + 1, 2 * side + 1)
     cut = cv2.warpAffine(picture.astype(np.float32), matrix, size, borderMode=cv2.BORDER_REPLICATE)
@@ -348,7 +343,6 @@ def _centred_correlation(
     window: NDArray[np.float32], face: NDArray[np.float32], mask: NDArray[np.float32]
 ) -> NDArray[np.float64]:
     """Return the normalized correlation of a face with each place of a window, without means, all channels."""
-    cv2 = opencv()
     count = float(mask.sum())
     product = np.zeros((window.shape[0] - face.shape[0] + 1, window.shape[1] - face.shape[1] + 1))
     square, energy = product.copy(), 0.0

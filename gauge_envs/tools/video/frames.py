@@ -1,4 +1,4 @@
-"""Read the frames of a video, on the grid of the first frames.
+"""Read the frames of a video, on the grid of the first frames, and write pictures as a video.
 
 A source is read more than once, so frames are decoded again instead of being kept: ten seconds of video at full size
 would take gigabytes.
@@ -7,7 +7,7 @@ would take gigabytes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
-from gauge_envs.files import MEGABYTE
-from gauge_envs.tools.video.grid import Picture, Registration, opencv, stretched
+from gauge_envs.files import MEGABYTE, os_errors
+from gauge_envs.tools.video.grid import Picture, Registration, cv2, stretched
 
 MOST_BYTES = 2000 * MEGABYTE
 """Largest size of a video file."""
@@ -96,7 +96,6 @@ class FileFrames(Frames):
             raise VideoError(f"{path}: there is no such file")
         if path.stat().st_size > MOST_BYTES:
             raise VideoError(f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event")
-        cv2 = opencv()
         capture = self._opened()
         try:
             if not capture.isOpened():
@@ -121,7 +120,6 @@ class FileFrames(Frames):
 
     def native(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all pictures in their own size."""
-        cv2 = opencv()
         capture = self._opened()
         times: list[float] = []
         try:
@@ -140,7 +138,6 @@ class FileFrames(Frames):
         self._times_s = times
 
     def _opened(self) -> Any:
-        cv2 = opencv()
         logging = cv2.utils.logging
         level = logging.getLogLevel()
         # The error of this package says more than the warnings of OpenCV.
@@ -189,8 +186,23 @@ def read_picture(path: Path) -> NDArray[np.uint8]:
         raise VideoError(f"{path}: there is no such file")
     if path.stat().st_size > MOST_PICTURE_BYTES:
         raise VideoError(f"{path}: it is larger than {MOST_PICTURE_BYTES // MEGABYTE} MB; give the first frame as PNG")
-    cv2 = opencv()
     picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise VideoError(f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG")
     return np.asarray(picture)
+
+
+def write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
+    """Write pictures in blue, green and red as MP4; the folder is created."""
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    writer = None
+    for picture in pictures:
+        if writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+            if not writer.isOpened():
+                raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
+        writer.write(picture)
+    if writer is not None:
+        writer.release()

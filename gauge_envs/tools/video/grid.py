@@ -55,7 +55,6 @@ class Registration:
         Args:
             picture: Picture of the video, shape [height, width, 3].
         """
-        cv2 = opencv()
         height, width = picture.shape[:2]
         plain = stretched((width, height))
         place = (self.scale_x, self.scale_y, self.offset_x_px, self.offset_y_px)
@@ -76,17 +75,21 @@ def stretched(size_px: tuple[int, int]) -> Registration:
     return Registration(scale_x=width / size_px[0], scale_y=height / size_px[1])
 
 
-def opencv() -> Any:
-    """Return OpenCV."""
-    try:
-        import cv2
-    except ImportError as error:
-        raise MissingExtraError("OpenCV", "video", error) from error
-    return cv2
+class _OpenCV:
+    """OpenCV, which is imported when one of its names is used: it is optional, and slow to import."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            import cv2
+        except ImportError as error:
+            raise MissingExtraError("OpenCV", "video", error) from error
+        return getattr(cv2, name)
+
+
+cv2: Any = _OpenCV()
 
 
 def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
-    cv2 = opencv()
     if (picture.shape[1], picture.shape[0]) == size_px:
         return np.ascontiguousarray(picture)
     method = cv2.INTER_AREA if picture.shape[1] >= size_px[0] else cv2.INTER_LINEAR

@@ -12,7 +12,7 @@ import numpy as np
 from gauge_envs.errors import ResultFileError, VideoError
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.tools.video.grid import cv2
 from gauge_envs.tools.video.overlay import drawn_frames
 from gauge_envs.tools.video.published import published_results
 from gauge_envs.tools.video.words import TITLES, short_text
@@ -188,7 +188,6 @@ def _clip(model: str, result: VideoScore, file: Path) -> str:
 
 def _pictures(result: VideoScore, file: Path) -> list[str]:
     """Return frames of a video with the track drawn into them, as elements of a page."""
-    cv2 = opencv()
     first, last = result.interval_frames or (0, len(result.track.frames) - 1)
     wanted = set(np.linspace(first, last, PICTURES).astype(int).tolist())
     images = []

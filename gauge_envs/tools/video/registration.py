@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import Registration, opencv, stretched
+from gauge_envs.tools.video.grid import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
 
 CLOSE_PX = 2.0
@@ -100,7 +100,6 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
         picture: First frame of the video in its own size, shape [height, width, 3].
         first_frame: The known first frame; it fills the reference grid.
     """
-    cv2 = opencv()
     plain = stretched((picture.shape[1], picture.shape[0]))
     finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
     small, factor = _shrunk(picture)
@@ -151,7 +150,6 @@ class _Scene:
     """First frame of a video, and the outline of the objects that the task knows in it."""
 
     def __init__(self, picture: NDArray[np.uint8], task: VideoTask) -> None:
-        cv2 = opencv()
         small, self._shrinkage = _shrunk(picture)
         self._size = (picture.shape[1], picture.shape[0])
         blur = max(small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1])
@@ -175,7 +173,6 @@ class _Scene:
 
     def _profiles(self, one: Registration) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
         """Return distances along the normals, the strength of the edge there, and which points are in the picture."""
-        cv2 = opencv()
         distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
         places = self.points[:, None, :] + distances[None, :, None] * self.normals[:, None, :]
         native = (places - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)
@@ -263,7 +260,6 @@ def _square(
 
 def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     """Return a picture that is small enough for edges and points, and its factor."""
-    cv2 = opencv()
     factor = MOST_SIDE_PX / max(picture.shape[:2])
     if factor >= 1.0:
         return picture, 1.0

@@ -22,12 +22,12 @@ from gauge_envs.envs.rendering.flat import FlatView
 from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import write_whole
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.scene import Hinge, RigidBody, Scene
 from gauge_envs.scene import Motion as BodyMotion
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.tools.video.frames import write_mp4
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 
@@ -48,19 +48,6 @@ COLORS = {"wood": (0.80, 0.62, 0.42, 1.0), "plastic": (0.16, 0.17, 0.20, 1.0), "
 
 
 @dataclass(frozen=True, kw_only=True)
-class FilmFrame:
-    """One frame of a film.
-
-    Attributes:
-        picture: Picture in red, green and blue, shape [480, 832, 3].
-        place_px: Centre of the tracked object, the mean over the exposure [px], shape [2].
-    """
-
-    picture: NDArray[np.uint8]
-    place_px: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
 class Film:
     """A filmed episode.
 
@@ -78,25 +65,12 @@ class Film:
 
     def save(self, path: Path) -> Path:
         """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track."""
-        cv2 = opencv()
-        size = (self.pictures[0].shape[1], self.pictures[0].shape[0])
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise VideoError(f"{path}: cannot be written: {error.strerror or error}") from error
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), self.fps, size)
-        if not writer.isOpened():
-            raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
-        for picture in self.pictures:
-            writer.write(picture[:, :, ::-1])
-        writer.release()
+        write_mp4(path, (picture[:, :, ::-1] for picture in self.pictures), self.fps)
         places = zip(self.track.frames, self.track.points_px, strict=True)
         rows = [f"{frame},{x:.4f},{y:.4f}" for frame, (x, y) in places]
         table = path.with_suffix(".track.csv")
-        try:
+        with os_errors(lambda cause: VideoError(f"{table}: cannot be written: {cause}")):
             write_whole(table, ("\n".join(["frame,x,y", *rows]) + "\n").encode())
-        except OSError as error:
-            raise VideoError(f"{table}: cannot be written: {error.strerror or error}") from error
         return table
 
 
@@ -143,21 +117,20 @@ def film(
         frames = list(_frames(simulation, scene, chosen, held, round(lasts_s * SAMPLE_RATE_HZ), int(samples_per_frame)))
     finally:
         simulation.close()
-    points = np.array([one.place_px for one in frames])
     track = Track(
         frames=np.arange(len(frames)),
         fps=float(fps),
-        points_px=points,
+        points_px=np.array([place for _, place in frames]),
         confidence=np.ones(len(frames)),
         size_ratio=np.ones(len(frames)),
     )
-    return Film(task=chosen, fps=float(fps), pictures=tuple(one.picture for one in frames), track=track)
+    return Film(task=chosen, fps=float(fps), pictures=tuple(picture for picture, _ in frames), track=track)
 
 
 def _frames(
     simulation: Simulation, scene: Scene, task: VideoTask, held: int, count: int, samples_per_frame: int
-) -> Iterator[FilmFrame]:
-    """Yield the frames; each is exposed during the first half of its time."""
+) -> Iterator[tuple[NDArray[np.uint8], FloatArray]]:
+    """Yield pictures, and the place of the object in each [px]; a frame is exposed in the first half of its time."""
     view = _view(scene, task)
     tracked = _tracked(scene, task).name
     renderer = SceneRenderer(scene, {}, *REFERENCE_SIZE_PX, view=view)
@@ -179,7 +152,7 @@ def _frames(
                 places.append(_pixel(view, states[names.index(tracked), :3]))
             if sample % samples_per_frame == exposed - 1:
                 mean = np.mean(pictures, axis=0, dtype=np.float32)
-                yield FilmFrame(picture=np.asarray(mean.round(), dtype=np.uint8), place_px=np.mean(places, axis=0))
+                yield np.asarray(mean.round(), dtype=np.uint8), np.mean(places, axis=0)
                 if sample >= held:
                     pictures.clear()
                 else:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import Picture, opencv
+from gauge_envs.tools.video.grid import Picture, cv2
 from gauge_envs.tools.video.track import Event
 
 STRIDE = 3
@@ -55,7 +55,6 @@ class SceneWatch:
     """
 
     def __init__(self, first: Picture, ignored: NDArray[np.bool_]) -> None:
-        cv2 = opencv()
         self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
         self._counted = ~self._small(ignored.astype(np.float32)).astype(bool)
         self._first = self._small(self._grey.astype(np.float32))
@@ -90,7 +89,6 @@ class SceneWatch:
         return found
 
     def _compare(self, picture: Picture) -> _Look:
-        cv2 = opencv()
         grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
         difference = np.abs(self._small(grey.astype(np.float32)) - self._first)
         share = float((difference[self._counted] > CHANGED).mean()) if self._counted.any() else 0.0
@@ -99,7 +97,6 @@ class SceneWatch:
 
     def _camera(self, grey: NDArray[np.uint8]) -> tuple[float, float]:
         """Return the shift at the centre of the picture [px] and the relative change of the scale."""
-        cv2 = opencv()
         if len(self._points) < LEAST_POINTS:
             return 0.0, 0.0
         moved, status, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3)
@@ -125,7 +122,6 @@ class SceneWatch:
 
     @staticmethod
     def _small(picture: NDArray[np.float32]) -> NDArray[np.float32]:
-        cv2 = opencv()
         height, width = picture.shape[:2]
         size = (width // SHRINKAGE, height // SHRINKAGE)
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
