@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import islice
 from typing import TypeAlias
 
 import numpy as np
@@ -53,38 +54,32 @@ class Background:
         cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=(~moving).astype(np.uint8))
 
 
-def background(pictures: Iterator[Picture], frame_count: int, occupied: Region) -> tuple[Background, bool]:
-    """Return the background of a video, and whether the object ever leaves its first place.
+def background(first: Picture, pictures: Iterator[Picture], frame_count: int, occupied: Region) -> Background:
+    """Return the background of a video.
 
     The first frame shows the scene; only the object hides a part of it. That part is the median of the frames in which
     the middle of it has changed.
 
     Args:
-        pictures: Pictures of the video.
+        first: The first frame.
+        pictures: Pictures of the video, the first one included.
         frame_count: Their number.
         occupied: Part of the first frame that the object and its shadow may hide.
     """
     left, top, right, bottom = occupied
     stride = max(1, frame_count // MOST_SAMPLED)
-    first: Picture | None = None
-    parts = []
-    for number, picture in enumerate(pictures):
-        if first is None:
-            first = picture.copy()
-        elif number % stride == 0:
-            parts.append(picture[top:bottom, left:right].copy())
-    assert first is not None
+    sampled = islice(pictures, stride, None, stride)
+    parts = [picture[top:bottom, left:right].copy() for picture in sampled]
     if len(parts) < LEAST_CHANGED:
-        return Background(first), False
+        return Background(first)
     stack = np.stack(parts)
     hidden = first[top:bottom, left:right]
     has_changed = np.abs(stack.astype(np.int16) - hidden).max(axis=3) > CHANGED
     height, width = has_changed.shape[1:]
     core = has_changed[:, height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].mean(axis=(1, 2))
     left_at = np.flatnonzero(core > 0.5)
-    leaves = len(left_at) >= LEAST_CHANGED
     result = first.copy()
-    if leaves:
+    if len(left_at) >= LEAST_CHANGED:
         # The object passes other pixels for a moment only, so the median after its start shows what it hid.
         result[top:bottom, left:right] = np.median(stack[left_at], axis=0).astype(np.uint8)
     else:
@@ -92,7 +87,7 @@ def background(pictures: Iterator[Picture], frame_count: int, occupied: Region) 
         mask = np.zeros(REFERENCE_SIZE_PX[::-1], dtype=np.uint8)
         mask[top:bottom, left:right] = 255
         result = np.asarray(cv2.inpaint(first, mask, 3, cv2.INPAINT_TELEA))
-    return Background(result), leaves
+    return Background(result)
 
 
 def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -92,10 +92,7 @@ class FileFrames(Frames):
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
         self.name = str(path)
         self._path = path
-        if not path.is_file():
-            raise VideoError(f"{path}: there is no such file")
-        if path.stat().st_size > MOST_BYTES:
-            raise VideoError(f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event")
+        _check_size(path, MOST_BYTES, "cut the clip to the event")
         capture = self._opened()
         try:
             if not capture.isOpened():
@@ -180,12 +177,16 @@ class ArrayFrames(Frames):
             yield np.ascontiguousarray(np.asarray(frame)[:, :, ::-1])
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
+def _check_size(path: Path, most_bytes: int, advice: str) -> None:
     if not path.is_file():
         raise VideoError(f"{path}: there is no such file")
-    if path.stat().st_size > MOST_PICTURE_BYTES:
-        raise VideoError(f"{path}: it is larger than {MOST_PICTURE_BYTES // MEGABYTE} MB; give the first frame as PNG")
+    if path.stat().st_size > most_bytes:
+        raise VideoError(f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}")
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
+    _check_size(path, MOST_PICTURE_BYTES, "give the first frame as PNG")
     picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise VideoError(f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG")

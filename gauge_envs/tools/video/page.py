@@ -14,7 +14,7 @@ from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.grid import cv2
 from gauge_envs.tools.video.overlay import drawn_frames
-from gauge_envs.tools.video.published import published_results
+from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.words import TITLES, short_text
 
 SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")

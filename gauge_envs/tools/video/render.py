@@ -132,7 +132,7 @@ def _frames(
 ) -> Iterator[tuple[NDArray[np.uint8], FloatArray]]:
     """Yield pictures, and the place of the object in each [px]; a frame is exposed in the first half of its time."""
     view = _view(scene, task)
-    tracked = _tracked(scene, task).name
+    tracked = scene.dynamic_bodies[-1].name
     renderer = SceneRenderer(scene, {}, *REFERENCE_SIZE_PX, view=view)
     names = [body.name for body in scene.bodies if body.motion is not BodyMotion.FIXED]
     paths = DriverPaths(scene, (count + 1) * SAMPLE_INTERVAL_S)
@@ -163,18 +163,15 @@ def _frames(
 
 
 # --- where the first frame was taken ---------------------------------------------------------------------------------
-
-
-def _tracked(scene: Scene, task: VideoTask) -> RigidBody:
-    """Return the body that the task follows: the last ball of a cradle, the only dynamic body elsewhere."""
-    return scene.dynamic_bodies[-1]
+# A task follows the last ball of a cradle, and the only dynamic body elsewhere.
 
 
 def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
     """Return a scene that starts as the first frame shows it: its pendulum is held at a smaller angle."""
     if task.motion is not Motion.PENDULUM:
         return scene
-    body, hinge = _tracked(scene, task), _hinge(scene, _tracked(scene, task))
+    body = scene.dynamic_bodies[-1]
+    hinge = _hinge(scene, body)
     assert task.pivot_px is not None
     across, down = np.subtract(task.centre_px, task.pivot_px)
     right = _sideways(hinge)
@@ -189,7 +186,7 @@ def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
 
 def _view(scene: Scene, task: VideoTask) -> FlatView:
     """Return the parallel projection in which the scene starts where the first frame of the task shows it."""
-    body = _tracked(scene, task)
+    body = scene.dynamic_bodies[-1]
     seen_m, seen_px = np.asarray(body.pose.position_m), np.array(task.centre_px)
     down = np.array([0.0, 0.0, -1.0])
     if task.motion is Motion.SLIDE:
@@ -241,7 +238,7 @@ def _pixel(view: FlatView, point_m: FloatArray) -> FloatArray:
 def _colors(scene: Scene, task: VideoTask) -> tuple[dict[str, tuple[float, float, float, float]], frozenset[str]]:
     """Return the colours of the moving bodies, and the names of those with a grain, by which a turning face is seen."""
     if task.motion in (Motion.SLIDE, Motion.TURN):
-        body = _tracked(scene, task).name
+        body = scene.dynamic_bodies[-1].name
         return {body: COLORS[task.id.rsplit("-", 1)[1]]}, frozenset({body})
     return dict.fromkeys((body.name for body in scene.dynamic_bodies), DARK), frozenset()
 

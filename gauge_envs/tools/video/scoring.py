@@ -136,32 +136,16 @@ def score_track(
     Raises:
         VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
     """
-    if camera is not None and track.is_found.any():
-        return _score_in_plane(track, task, camera, name, seed)
-    return _score(track, task, name, seed)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Oblique:
-    """A recording as it was seen: the track on the reference grid, and the view that makes metres of it."""
-
-    track: Track
-    view: PlaneView
-
-
-def _score_in_plane(track: Track, task: VideoTask, view: PlaneView, name: str, seed: int) -> VideoScore:
-    """Judge a track in the plane of its motion."""
-    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
-    if swings and view.pivot_m is None:
-        raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: the pivot about which it swings")
-    if task.motion is Motion.CRADLE and view.length_m is None:
-        raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
-    frontal = frontal_task(view, track, task)
-    result = _score(frontal_track(view, track, frontal), frontal, name, seed, _Oblique(track=track, view=view))
-    return replace(result, track=track)
-
-
-def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Oblique | None = None) -> VideoScore:
+    view = camera if track.is_found.any() else None
+    seen = track
+    if view is not None:
+        if task.motion in (Motion.PENDULUM, Motion.CRADLE) and view.pivot_m is None:
+            what = "the pivot about which it swings"
+            raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: {what}")
+        if task.motion is Motion.CRADLE and view.length_m is None:
+            raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
+        task = frontal_task(view, seen, task)
+        track = frontal_track(view, seen, task)
     span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
     metrics: Metrics = {}
     details: Metrics = {}
@@ -176,7 +160,7 @@ def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Obliqu
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, oblique)
+    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view)
     return VideoScore(
         video=name,
         task=task.id,
@@ -187,7 +171,7 @@ def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Obliqu
         interval_frames=None if span is None else (int(track.frames[span[0]]), int(track.frames[span[1]])),
         scale_m_per_px=task.scale_m_per_px,
         details=details,
-        track=track,
+        track=seen,
     )
 
 
@@ -221,7 +205,6 @@ def _metrics(
             "release_s": fit.release_s,
         }
     if task.motion is Motion.TURN:
-        assert task.friction is not None
         error = dynamic_error(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
@@ -285,28 +268,27 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     guess: tuple[float, float] | None,
-    oblique: _Oblique | None,
+    view: PlaneView | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
-    seen = track if oblique is None else oblique.track
-    noise = noise_px(seen, span)
+    noise = noise_px(track, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):
-        points = seen.points_px + rng.normal(0.0, noise, seen.points_px.shape) + _slow_noise(seen, rng)
-        sample = replace(seen, points_px=points, size_ratio=np.full(len(points), np.nan))
+        points = track.points_px + rng.normal(0.0, noise, track.points_px.shape) + _slow_noise(track, rng)
+        sample = replace(track, points_px=points, size_ratio=np.full(len(points), np.nan))
         judged = task
-        if oblique is not None:
+        if view is not None:
             # Calibration and pivot replace the stated scale: they are drawn anew within their uncertainty.
-            view = oblique.view.drawn(rng)
-            judged = frontal_task(view, sample, task, scale_m_per_px=task.scale_m_per_px)
-            sample = frontal_track(view, sample, judged)
+            drawn = view.drawn(rng)
+            judged = frontal_task(drawn, sample, task, scale_m_per_px=task.scale_m_per_px)
+            sample = frontal_track(drawn, sample, judged)
         elif task.pivot_px is not None and task.motion is not Motion.TURN:
             sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
-        scale = judged.scale_m_per_px * (1.0 if oblique is not None else 1.0 + rng.normal(0.0, scale_sigma))
+        scale = judged.scale_m_per_px * (1.0 if view is not None else 1.0 + rng.normal(0.0, scale_sigma))
         try:
             metrics, _ = _metrics(sample, judged, (first, last), scale, guess)
         except ParameterError:
@@ -323,7 +305,7 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
-    if oblique is not None and "de_n" in intervals:
+    if view is not None and "de_n" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de_n"][1]
         intervals["de_n"] = (max(0.0, min(nominal["de_n"], 2.0 * nominal["de_n"] - high)), high)

@@ -100,7 +100,7 @@ def _follower(pictures: Callable[[], Iterator[Picture]], count: int, first: Pict
     centre = np.array(task.centre_px)
     if task.motion is Motion.TURN:
         return FaceFollower(first, centre_px=centre, size_px=task.size_px)
-    scene, _ = background(pictures(), count, _surroundings(centre, task.size_px))
+    scene = background(first, pictures(), count, _surroundings(centre, task.size_px))
     if task.motion in (Motion.SLIDE, Motion.FALL):
         is_cube = task.motion is Motion.SLIDE
         area = task.size_px**2 * (1.08 if is_cube else math.pi / 4.0)
