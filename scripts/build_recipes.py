@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe

@@ -16,9 +16,8 @@ from gauge_envs.envs.trial_start import TrialStart, trial_scene
 from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError, chosen
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.single_shot import shots_of, with_trial
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band

@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.contact_faces import blocked_directions, face_normal
-from gauge_envs.scene.geometry import Pose, Sphere, vector
+from gauge_envs.scene.geometry import Pose, Sphere, Vector, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
@@ -267,3 +267,42 @@ def _faster(body: RigidBody, linear: NDArray[np.float64], angular: NDArray[np.fl
 def _rotated(pose: Pose, rotation: Rotation, point_m: NDArray[np.float64]) -> Pose:
     position = rotation.apply(np.asarray(pose.position_m) - point_m) + point_m
     return Pose.from_rotation(vector(position), rotation * pose.rotation)
+
+
+# --- tilt ----------------------------------------------------------------------------------------------------------
+# A scene that leans as a whole is the same as another direction of gravity.
+
+
+def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
+    """Return a scene that is rotated as a whole about a point.
+
+    Gravity stays vertical. In the rotated frame, the motion is that of the original scene with leaning gravity.
+
+    Args:
+        scene: The scene.
+        rotation_rad: Rotation vector [rad], shape [3].
+        about_m: Fixed point of the rotation [m], shape [3].
+    """
+    rotation, centre = Rotation.from_rotvec(rotation_rad), np.asarray(about_m, dtype=np.float64)
+
+    def place(point_m: ArrayLike) -> Vector:
+        moved: NDArray[np.float64] = rotation.apply(np.asarray(point_m) - centre) + centre
+        return vector(moved)
+
+    def turned(part: Any) -> Any:
+        """Return a joint or a motion after the rotation."""
+        changes = {name: place(getattr(part, name)) for name in ("anchor_m", "point_m") if hasattr(part, name)}
+        if hasattr(part, "axis"):
+            changes["axis"] = vector(rotation.apply(part.axis))
+        return replace(part, **changes)
+
+    markers = scene.markers
+    return replace(
+        scene,
+        bodies=tuple(swung(body, rotation, centre) for body in scene.bodies),
+        deformables=tuple(replace(body, pose=_rotated(body.pose, rotation, centre)) for body in scene.deformables),
+        joints=tuple(map(turned, scene.joints)),
+        body_hinges=tuple(map(turned, scene.body_hinges)),
+        drivers=tuple(replace(one, motions=tuple(map(turned, one.motions))) for one in scene.drivers),
+        markers=None if markers is None else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
+    )

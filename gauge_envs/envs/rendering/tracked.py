@@ -12,7 +12,7 @@ from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, Overlay, OverlayPath
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.single_shot import shots_of
+from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

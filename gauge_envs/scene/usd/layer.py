@@ -30,6 +30,16 @@ TEXT = "text"
 KINDS: dict[type[Deformable], str] = {Cloth: "cloth", SoftBody: "soft_body", Rope: "rope", Rod: "rod"}
 """Values of `gauge:kind`."""
 
+OMNI_MATERIAL = {
+    "thickness_m": "surfaceThickness",
+    "young_modulus_pa": "youngsModulus",
+    "poisson_ratio": "poissonsRatio",
+}
+"""Attributes of Omniverse's deformable material, by the constants of a body that they hold in single precision."""
+
+MARKER_INDICES = {"faces": "int3[]", "lines": "int2[]", "corner": "int[]", "edge": "int[]"}
+"""Type in USD of each kind of marker indices."""
+
 DIGEST_DECIMALS = 9
 """Number of decimals in digests, so that the last digit of a sine, which differs between machines, has no effect."""
 

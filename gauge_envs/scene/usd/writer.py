@@ -40,13 +40,15 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
-from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose, Shape, Sphere
+from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose, Shape, Sphere, vector
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.air import write_air
 from gauge_envs.scene.usd.layer import (
     KINDS,
+    MARKER_INDICES,
+    OMNI_MATERIAL,
     TEXT,
     digest,
     hinge_axis,
@@ -81,13 +83,6 @@ ISAAC_ATTRIBUTES = {
     "surfaceBendStiffness": "surfaceBendStiffness",
 }
 """Attributes of Omniverse's deformable material, by the names of `gauge_envs.scene.fabrics.isaac_surface`."""
-
-Token = Sdf.ValueTypeNames.Token
-Double = Sdf.ValueTypeNames.Double
-Double3 = Sdf.ValueTypeNames.Double3
-Float = Sdf.ValueTypeNames.Float
-String = Sdf.ValueTypeNames.String
-Int3Array = Sdf.ValueTypeNames.Int3Array
 
 
 def to_usd(scene: Scene, path: str | Path) -> None:
@@ -149,11 +144,10 @@ class _Writer:
         physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
         physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
         magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        record_written(_custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2), magnitude.Get())
+        _custom(physics, "gravity_m_per_s2", self.scene.gravity_m_per_s2, written=magnitude.Get())
         if self.scene.air is not None:
             write_air(physics.GetPrim(), self.scene.air)
-        duration = _custom(physics, "duration_s", Double, self.scene.duration_s)
-        record_written(duration, (self.frame_count - 1) / FRAME_RATE_HZ)
+        _custom(physics, "duration_s", self.scene.duration_s, written=(self.frame_count - 1) / FRAME_RATE_HZ)
         materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
         for body in self.scene.bodies:
             self._body(body)
@@ -162,7 +156,7 @@ class _Writer:
             self._drive(index, driver)
         for deformable in self.scene.deformables:
             self._deformable(deformable)
-        _custom(physics, "colliding_pairs", String, self._filtered_pairs())
+        _custom(physics, "colliding_pairs", self._filtered_pairs(), "string")
         for index, joint in enumerate(self.scene.joints):
             path = f"{self._group('Joints')}/joint_{index}"
             if isinstance(joint, Hinge):
@@ -200,9 +194,9 @@ class _Writer:
         prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
         for side, names in (("first", contact.first), ("second", contact.second)):
             prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
-        friction = _custom(prim, "friction", Double, contact.friction)
-        restitution = _custom(prim, "restitution", Double, contact.restitution)
-        _custom(prim, "mode", Token, contact.mode.value)
+        friction = _custom(prim, "friction", contact.friction)
+        restitution = _custom(prim, "restitution", contact.restitution)
+        _custom(prim, "mode", contact.mode.value, "token")
         material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
         constants = _friction(material.GetPrim(), contact)
         record_written(friction, constants.GetDynamicFrictionAttr().Get())
@@ -246,15 +240,15 @@ class _Writer:
         xform = UsdGeom.Xform.Define(self.stage, self.paths[body.name])
         prim = xform.GetPrim()
         self._place(xform, body.name, body.pose)
-        record_written(_custom(prim, "motion", Token, body.motion.value), body.motion.value)
-        mass = _custom(prim, "mass_kg", Double, body.mass_kg)
+        _custom(prim, "motion", body.motion.value, "token", written=body.motion.value)
+        mass = _custom(prim, "mass_kg", body.mass_kg)
         if body.motion is not Motion.FIXED:
             rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
             rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
             api = UsdPhysics.MassAPI.Apply(prim)
             record_written(mass, api.CreateMassAttr(body.mass_kg).Get())
             if body.inertia_kg_m2 is not None:
-                _custom(prim, "inertia_kg_m2", Double, body.inertia_kg_m2)
+                _custom(prim, "inertia_kg_m2", body.inertia_kg_m2)
                 api.CreateDiagonalInertiaAttr(Gf.Vec3f(body.inertia_kg_m2))
             if not body.starts_at_rest:
                 write_velocities(rigid, body)
@@ -266,7 +260,7 @@ class _Writer:
         precision = UsdGeom.XformOp.PrecisionDouble
         xform.AddTranslateOp(precision).Set(Gf.Vec3d(*pose.position_m))
         xform.AddOrientOp(precision).Set(_quatd(pose.quaternion))
-        _custom(xform, "name", String, name)
+        _custom(xform, "name", name, "string")
 
     def _drive(self, index: int, driver: Driver) -> None:
         """Write the exact motion and its time samples; a constant position or rotation has a single value."""
@@ -287,9 +281,9 @@ class _Writer:
                 # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
                 last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
                 orient.Set(_quatd(last.tolist()), code)
-        _custom(xform, "driver_provenance", String, driver.provenance)
+        _custom(xform, "driver_provenance", driver.provenance, "string")
         text = motions_to_json(driver.motions, index)
-        attribute = _custom(xform, "driver", String, text)
+        attribute = _custom(xform, "driver", text, "string")
         attribute.SetCustomDataByKey(TEXT, motions_digest(text))
         if translates or rotates:
             positions = np.array([pose.position_m for pose in poses])
@@ -324,8 +318,8 @@ class _Writer:
 
     def _piece(self, path: str, points_m: NDArray[np.float64]) -> UsdGeom.Mesh:
         mesh = self._mesh(path, points_m, hull_faces(points_m))
-        exact = _custom(mesh, "points_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(points_m))
-        record_written(exact, digest(mesh.GetPointsAttr().Get()))
+        written = digest(mesh.GetPointsAttr().Get())
+        _custom(mesh, "points_m", Vt.Vec3dArray.FromNumpy(points_m), "double3[]", written=written)
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
         return mesh
 
@@ -350,20 +344,19 @@ class _Writer:
             geometry, api = self._line(path, body), None
         prim = geometry.GetPrim()
         self._place(geometry, body.name, body.pose)
-        _custom(prim, "kind", Token, KINDS[type(body)])
+        _custom(prim, "kind", KINDS[type(body)], "token")
         _constants(prim, body)
         # usd-core does not have these schemas; Omniverse recognizes their names.
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
-        _omni(prim, "deformableBodyEnabled", Sdf.ValueTypeNames.Bool, True)
-        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", Float, body.mass_kg).Get())
+        _omni(prim, "deformableBodyEnabled", "bool", True)
+        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", "float", body.mass_kg).Get())
         size = f"gauge:{'length_m' if api is None else 'size_m'}"
         points = UsdGeom.PointBased(prim).GetPointsAttr()
         record_follower(points, size)
         if api is not None:
             prim.AddAppliedSchema(api)
-            rest = _omni(prim, "restShapePoints", Sdf.ValueTypeNames.Point3fArray, points.Get())
-            record_follower(rest, size)
+            record_follower(_omni(prim, "restShapePoints", "point3f[]", points.Get()), size)
             collision = UsdPhysics.CollisionAPI.Apply(prim)
             collision.CreateCollisionEnabledAttr(body.name in self.collides)
         self._bind(path, self._deformable_material(body))
@@ -376,8 +369,8 @@ class _Writer:
         self.points[cloth.name] = nodes
         mesh = self._mesh(path, nodes, triangles.tolist())
         record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTriVtxIndices", Int3Array, _integers(triangles)), "gauge:size_m")
-        _custom(mesh, "size_m", Sdf.ValueTypeNames.Double2, Gf.Vec2d(*cloth.size_m))
+        record_follower(_omni(mesh, "restTriVtxIndices", "int3[]", _integers(triangles)), "gauge:size_m")
+        _custom(mesh, "size_m", cloth.size_m, "double2")
         return mesh
 
     def _soft_body(self, path: str, body: SoftBody) -> UsdGeom.TetMesh:
@@ -390,8 +383,8 @@ class _Writer:
         mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
         _extent(mesh)
         record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTetVtxIndices", Sdf.ValueTypeNames.Int4Array, indices), "gauge:size_m")
-        _custom(mesh, "size_m", Double3, Gf.Vec3d(*body.shape.size_m))
+        record_follower(_omni(mesh, "restTetVtxIndices", "int4[]", indices), "gauge:size_m")
+        _custom(mesh, "size_m", body.shape.size_m, "double3")
         return mesh
 
     def _line(self, path: str, body: Rope | Rod) -> UsdGeom.BasisCurves:
@@ -421,28 +414,23 @@ class _Writer:
         contact = self._first_contact(body.name)
         if contact is not None:
             _friction(prim, contact)
-            _omni(prim, "staticFriction", Float, contact.friction)
-            _omni(prim, "dynamicFriction", Float, contact.friction)
+            _omni(prim, "staticFriction", "float", contact.friction)
+            _omni(prim, "dynamicFriction", "float", contact.friction)
         if isinstance(body, Cloth):
             prim.AddAppliedSchema("OmniPhysicsSurfaceDeformableMaterialAPI")
-            density = _omni(prim, "density", Float, body.areal_density_kg_per_m2 / body.thickness_m)
+            density = _omni(prim, "density", "float", body.areal_density_kg_per_m2 / body.thickness_m)
             record_follower(density, "gauge:areal_density_kg_per_m2")
-            thickness = _omni(prim, "surfaceThickness", Float, body.thickness_m)
-            record_written(gauge.GetAttribute("gauge:thickness_m"), thickness.Get())
+        for name, attribute in OMNI_MATERIAL.items():
+            if hasattr(body, name):
+                written = _omni(prim, attribute, "float", getattr(body, name)).Get()
+                record_written(gauge.GetAttribute(f"gauge:{name}"), written)
+        if isinstance(body, Cloth):
             isaac = isaac_surface(Fabric.of(body))
             for name, attribute in ISAAC_ATTRIBUTES.items():
-                for one in (
-                    _omni(prim, attribute, Float, isaac.constants[name]),
-                    _custom(prim, f"isaac:{name}", Double, isaac.constants[name]),
-                ):
+                value = isaac.constants[name]
+                for one in (_omni(prim, attribute, "float", value), _custom(prim, f"isaac:{name}", value)):
                     record_follower(one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_...")
-            _custom(prim, "isaac:notes", Sdf.ValueTypeNames.StringArray, [*isaac.fallbacks, *isaac.lost])
-        else:
-            young = _omni(prim, "youngsModulus", Float, body.young_modulus_pa)
-            record_written(gauge.GetAttribute("gauge:young_modulus_pa"), young.Get())
-        if isinstance(body, SoftBody | Rod):
-            poisson = _omni(prim, "poissonsRatio", Float, body.poisson_ratio)
-            record_written(gauge.GetAttribute("gauge:poisson_ratio"), poisson.Get())
+            _custom(prim, "isaac:notes", [*isaac.fallbacks, *isaac.lost], "string[]")
         if isinstance(body, Rope | Rod):
             (width,) = UsdGeom.BasisCurves(gauge).GetWidthsAttr().Get()
             record_written(gauge.GetAttribute("gauge:radius_m"), 0.5 * width)
@@ -458,7 +446,7 @@ class _Writer:
         world = joint.CreateLocalRot0Attr(rotation)
         local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
         record_written(local, local.Get())
-        record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
+        _custom(joint, "axis", hinge.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
         self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
 
     def _body_hinge(self, path: str, hinge: BodyHinge) -> None:
@@ -477,13 +465,13 @@ class _Writer:
             along = turn(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * rotation))
             for one in (at, along):
                 record_written(one, one.Get())
-        _custom(joint, "anchor_m", Double3, Gf.Vec3d(*hinge.anchor_m))
-        _custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis))
+        _custom(joint, "anchor_m", hinge.anchor_m, "double3")
+        _custom(joint, "axis", hinge.axis, "double3")
 
     def _tether(self, path: str, tether: Tether) -> None:
         joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
         longest = joint.CreateMaxDistanceAttr(tether.length_m)
-        record_written(_custom(joint, "length_m", Double, tether.length_m), longest.Get())
+        _custom(joint, "length_m", tether.length_m, written=longest.Get())
         self._anchor(joint, self.scene.body(tether.body), np.asarray(tether.anchor_m), np.zeros(3))
 
     def _anchor(
@@ -494,7 +482,7 @@ class _Writer:
         world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
         local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
         record_written(local, local.Get())
-        record_written(_custom(joint, "anchor_m", Double3, Gf.Vec3d(*world_m.tolist())), world.Get())
+        _custom(joint, "anchor_m", vector(world_m), "double3", written=world.Get())
 
     # --- attachments and markers ---
 
@@ -509,23 +497,23 @@ class _Writer:
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
         local = pose.to_body(body.pose.to_world(nodes[attached]))
         if other is None:
-            follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
+            follows = [_omni(prim, "localPositionsSrc1", "point3f[]", _points(local))]
         else:
             partners = self.points[attachment.to]
             distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
             touching = distance.min(axis=1) < TOUCHING_M
             attached = attached[touching]
             nearest = distance.argmin(axis=1)[touching]
-            follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
-        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(attached.tolist())))
+            follows = [_omni(prim, "vtxIndicesSrc1", "int[]", nearest.tolist())]
+        follows.append(_omni(prim, "vtxIndicesSrc0", "int[]", attached.tolist()))
         for one in follows:
             record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
-        _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
+        _omni(prim, "attachmentEnabled", "bool", True)
         for name, target in (("src0", attachment.deformable), ("src1", attachment.to)):
             prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets([self.paths[target]])
-        _custom(prim, "region_axis", Token, attachment.region.axis)
-        _custom(prim, "region_side", Token, attachment.region.side)
-        _custom(prim, "region_depth_m", Double, attachment.region.depth_m)
+        _custom(prim, "region_axis", attachment.region.axis, "token")
+        _custom(prim, "region_side", attachment.region.side, "token")
+        _custom(prim, "region_depth_m", attachment.region.depth_m)
 
     def _markers(self, markers: Markers) -> None:
         positions = np.asarray(markers.positions_m)
@@ -538,12 +526,10 @@ class _Writer:
         prim = points.GetPrim()
         bodies = prim.CreateRelationship("gauge:bodies", custom=True)
         bodies.SetTargets([self.paths[name] for name in markers.bodies])
-        exact = _custom(prim, "positions_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(positions))
-        record_written(exact, digest(points.GetPointsAttr().Get()))
-        _custom(prim, "faces", Int3Array, [Gf.Vec3i(*face) for face in markers.faces])
-        _custom(prim, "lines", Sdf.ValueTypeNames.Int2Array, [Gf.Vec2i(*line) for line in markers.lines])
-        _custom(prim, "corner", Sdf.ValueTypeNames.IntArray, list(markers.corner))
-        _custom(prim, "edge", Sdf.ValueTypeNames.IntArray, list(markers.edge))
+        written = digest(points.GetPointsAttr().Get())
+        _custom(prim, "positions_m", Vt.Vec3dArray.FromNumpy(positions), "double3[]", written=written)
+        for name, kind in MARKER_INDICES.items():
+            _custom(prim, name, list(getattr(markers, name)), kind)
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
@@ -561,17 +547,31 @@ def _paths(names: Sequence[str]) -> dict[str, str]:
     return paths
 
 
-def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
-    prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    attribute = prim.CreateAttribute(f"gauge:{name}", kind, custom=True)
-    attribute.Set(value)
+def _custom(schema: Any, name: str, value: Any, kind: str = "double", *, written: Any = None) -> Usd.Attribute:
+    """Write a `gauge:` attribute.
+
+    Args:
+        schema: Prim or schema.
+        name: Name without the prefix.
+        value: Its value.
+        kind: Name of its type in USD.
+        written: Written value of its standard counterpart, if it has one.
+    """
+    attribute = _set(schema, f"gauge:{name}", kind, value)
+    if written is not None:
+        record_written(attribute, written)
     return attribute
 
 
-def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
+def _omni(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     """Write an attribute of the deformable schema, which is not custom for tools with that schema."""
+    return _set(schema, f"omniphysics:{name}", kind, value)
+
+
+def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    attribute = prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False)
+    is_custom = name.startswith("gauge:")
+    attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Find(kind), custom=is_custom)
     attribute.Set(value)
     return attribute
 
@@ -581,7 +581,7 @@ def _constants(prim: Usd.Prim, body: Deformable) -> None:
     for field in fields(body):
         value = getattr(body, field.name)
         if isinstance(value, float):
-            _custom(prim, field.name, Double, value)
+            _custom(prim, field.name, value)
 
 
 def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:

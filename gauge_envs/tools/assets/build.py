@@ -24,8 +24,7 @@ from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder
 from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.tools.assets.mjcf import mjcf_text
-from gauge_envs.tools.assets.usd_layer import usd_layer_text
+from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 
 FOLDERS = ("mjcf", "obj", "usd")
 

@@ -16,7 +16,7 @@ from gauge_envs.cli.output import (
     print_table,
     stderr_console,
 )
-from gauge_envs.experiments.patterns import matching_variants
+from gauge_envs.experiments.variants import matching_variants
 
 assets_app = typer.Typer(help="Scenes as USD, MJCF and OBJ for other tools.", no_args_is_help=True)
 

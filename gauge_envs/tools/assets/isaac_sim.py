@@ -22,7 +22,7 @@ from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import record_follower
 from gauge_envs.scene.usd.writer import export_stage
-from gauge_envs.tools.assets.usd_layer import experiment_stage
+from gauge_envs.tools.assets.export import experiment_stage
 
 RIGID_AND_CLOTH_HZ = 180
 """Steps per second of rigid bodies and cloth (paper, section on physics engines)."""

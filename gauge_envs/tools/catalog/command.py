@@ -16,7 +16,7 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
-from gauge_envs.experiments.patterns import matching_variants
+from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.references.imported import DataSource
 
 

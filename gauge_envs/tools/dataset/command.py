@@ -20,7 +20,7 @@ from gauge_envs.cli.output import (
     stderr_console,
     stdout_console,
 )
-from gauge_envs.experiments.patterns import matching_variants
+from gauge_envs.experiments.variants import matching_variants
 
 data_app = typer.Typer(help="The dataset of real trials: bands and drivers from motion capture.", no_args_is_help=True)
 

@@ -141,7 +141,7 @@ def _list_materials(json_lines: bool) -> None:
 
 
 def _fabrics() -> Mapping[str, Fabric]:
-    from gauge_envs.experiments.fabrics import fabrics
+    from gauge_envs.experiments.task_files import fabrics
 
     return fabrics()
 

@@ -11,7 +11,7 @@ from gauge_envs.cli.output import (
 
 def materials(json_lines: Json = False, wide: Wide = False) -> None:
     """Show the six fabrics in every engine's constants, the stiffness that these give, and what is lost."""
-    from gauge_envs.experiments.fabrics import fabrics
+    from gauge_envs.experiments.task_files import fabrics
     from gauge_envs.tools.recipes.fabric_words import material_values, material_view
 
     if json_lines:

@@ -31,7 +31,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.experiments.patterns import is_glob, matching_subjects
+from gauge_envs.experiments.variants import is_glob, matching_subjects
 from gauge_envs.references.imported import DataSource
 from gauge_envs.scene.jitter import Jitter
 

@@ -27,8 +27,8 @@ from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.writer import scene_stage
+from gauge_envs.tools.assets.export import SOURCE
 from gauge_envs.tools.assets.urdf import body_files
-from gauge_envs.tools.assets.usd_layer import SOURCE
 from gauge_envs.tools.sanity import export_loop
 from gauge_envs.tools.sanity.export_manifest import DRIVERS, FORMAT, MANIFEST, ExportedScene, manifest, scenes
 

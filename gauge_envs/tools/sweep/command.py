@@ -29,7 +29,7 @@ from gauge_envs.cli.output import (
     stdout_console,
 )
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.patterns import is_glob
+from gauge_envs.experiments.variants import is_glob
 from gauge_envs.tools.sweep.progress import SweepProgress
 
 if TYPE_CHECKING:

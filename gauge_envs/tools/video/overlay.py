@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.tools.video.frames import FileFrames, Frames, write_mp4
-from gauge_envs.tools.video.grid import Picture, cv2
+from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.scoring import VideoScore
 
 COUNTED = (80, 200, 80)

@@ -11,8 +11,7 @@ import numpy as np
 
 from gauge_envs.errors import ResultFileError, VideoError
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
-from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.grid import cv2
+from gauge_envs.tools.video.frames import FileFrames, cv2
 from gauge_envs.tools.video.overlay import drawn_frames
 from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.words import TITLES, short_text

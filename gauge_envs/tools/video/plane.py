@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
-from gauge_envs.tools.video.grid import cv2
+from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Track
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import Registration, cv2, stretched
+from gauge_envs.tools.video.frames import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
 
 CLOSE_PX = 2.0

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, read_regular
-from gauge_envs.tools.video.grid import Registration
+from gauge_envs.tools.video.frames import Registration
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 MOST_TRACK_BYTES = 16 * MEGABYTE
