@@ -1,4 +1,4 @@
-"""Reader of deformable bodies, attachments and markers of USD layers that this package wrote."""
+"""Reader of deformable bodies, attachments, markers and air of USD layers that this package wrote."""
 
 from __future__ import annotations
 
@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, SoftBody
 from gauge_envs.scene.geometry import Box, vector
-from gauge_envs.scene.usd.layer import KINDS, MARKER_INDICES, OMNI_MATERIAL, FloatArray
+from gauge_envs.scene.usd.layer import AIR_KINDS, KINDS, MARKER_INDICES, OMNI_MATERIAL, FloatArray
 from gauge_envs.scene.usd.source import Source, single
 
 POINT_TYPES = ("Points", "Mesh")
@@ -74,6 +76,30 @@ def _size(source: Source, prim: Usd.Prim, count: int) -> tuple[Any, ...]:
     if size is None or not (size > 0.0).all():
         raise source.fault(prim, f"gauge:size_m is missing or not positive: {count} lengths are expected")
     return tuple(size.tolist())
+
+
+def read_air(source: Source, prim: Usd.Prim) -> Air | None:
+    """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
+    prefix, known = "gauge:air:", [field.name for field in fields(Air)]
+    values: dict[str, Any] = {}
+    for attribute in prim.GetAuthoredAttributes():
+        if not attribute.GetName().startswith(prefix):
+            continue
+        name = attribute.GetName().removeprefix(prefix)
+        if name not in known:
+            raise source.fault(attribute, f"is no property of air; known are {', '.join(known)}")
+        value = source.numbers(attribute, (3,) if name in AIR_KINDS else ())
+        if value is not None:
+            values[name] = vector(value) if name in AIR_KINDS else float(value)
+    if not values:
+        return None
+    missing = [name for name in ("density_kg_per_m3", "normal_coefficient") if name not in values]
+    if missing:
+        raise source.fault(prim, f"states air without {prefix}{missing[0]}: add it, or remove all {prefix} attributes")
+    try:
+        return Air(**values)
+    except ParameterError as error:
+        raise source.fault(prim, str(error)) from None
 
 
 def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:

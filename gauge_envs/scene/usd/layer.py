@@ -37,6 +37,9 @@ OMNI_MATERIAL = {
 }
 """Attributes of Omniverse's deformable material, by the constants of a body that they hold in single precision."""
 
+AIR_KINDS = {"wind_m_per_s": "double3"}
+"""Type in USD of the fields of the air that are no double."""
+
 MARKER_INDICES = {"faces": "int3[]", "lines": "int2[]", "corner": "int[]", "edge": "int[]"}
 """Type in USD of each kind of marker indices."""
 

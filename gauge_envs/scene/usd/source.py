@@ -359,6 +359,10 @@ class Source:
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         return material.GetPrim() if material and material.GetPrim().HasAPI(UsdPhysics.MaterialAPI) else None
 
+    def collides(self, prim: Usd.Prim) -> bool:
+        """Return whether a collider is enabled."""
+        return self.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
+
     def is_rigid(self, prim: Usd.Prim) -> bool:
         """Return whether a prim is an enabled rigid body of UsdPhysics."""
         enabled = UsdPhysics.RigidBodyAPI(prim).GetRigidBodyEnabledAttr()

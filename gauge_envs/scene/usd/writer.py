@@ -13,7 +13,7 @@ as the mesh of a cloth, contains its written value and the names of the attribut
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -44,8 +44,8 @@ from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scene.usd.air import write_air
 from gauge_envs.scene.usd.layer import (
+    AIR_KINDS,
     KINDS,
     MARKER_INDICES,
     OMNI_MATERIAL,
@@ -138,41 +138,30 @@ class _Writer:
         self.points: dict[str, NDArray[np.float64]] = {}
 
     def write(self) -> None:
-        self._metadata()
-        world = UsdGeom.Xform.Define(self.stage, "/World")
-        self.stage.SetDefaultPrim(world.GetPrim())
-        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
-        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
-        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        _custom(physics, "gravity_m_per_s2", self.scene.gravity_m_per_s2, written=magnitude.Get())
-        if self.scene.air is not None:
-            write_air(physics.GetPrim(), self.scene.air)
-        _custom(physics, "duration_s", self.scene.duration_s, written=(self.frame_count - 1) / FRAME_RATE_HZ)
-        materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
-        for body in self.scene.bodies:
+        scene, physics = self.scene, self._physics()
+        materials = [self._contact_material(index, contact) for index, contact in enumerate(scene.contacts)]
+        for body in scene.bodies:
             self._body(body)
-            self._bind(self.paths[body.name], self._own(body.name, materials))
-        for index, driver in enumerate(self.scene.drivers):
+            if (index := self._first_contact(body.name)) is not None:
+                self._bind(self.paths[body.name], materials[index])
+        for index, driver in enumerate(scene.drivers):
             self._drive(index, driver)
-        for deformable in self.scene.deformables:
+        for deformable in scene.deformables:
             self._deformable(deformable)
         _custom(physics, "colliding_pairs", self._filtered_pairs(), "string")
-        for index, joint in enumerate(self.scene.joints):
-            path = f"{self._group('Joints')}/joint_{index}"
-            if isinstance(joint, Hinge):
-                self._hinge(path, joint)
-            else:
-                self._tether(path, joint)
-        for index, hinge in enumerate(self.scene.body_hinges):
+        for index, joint in enumerate(scene.joints):
+            self._joint(f"{self._group('Joints')}/joint_{index}", joint)
+        for index, hinge in enumerate(scene.body_hinges):
             self._body_hinge(f"{self._group('Joints')}/body_hinge_{index}", hinge)
-        for index, attachment in enumerate(self.scene.attachments):
+        for index, attachment in enumerate(scene.attachments):
             self._attachment(index, attachment)
-        if self.scene.markers is not None:
-            self._markers(self.scene.markers)
+        if scene.markers is not None:
+            self._markers(scene.markers)
 
     # --- stage ---
 
-    def _metadata(self) -> None:
+    def _physics(self) -> UsdPhysics.Scene:
+        """Write the units and rates of the stage, and the scene prim with gravity, air and duration."""
         UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
         UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
@@ -180,6 +169,15 @@ class _Writer:
         self.stage.SetFramesPerSecond(FRAME_RATE_HZ)
         self.stage.SetStartTimeCode(0)
         self.stage.SetEndTimeCode(self.frame_count - 1)
+        self.stage.SetDefaultPrim(UsdGeom.Xform.Define(self.stage, "/World").GetPrim())
+        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
+        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
+        _custom(physics, "gravity_m_per_s2", self.scene.gravity_m_per_s2, written=magnitude.Get())
+        for name, value in (asdict(self.scene.air) if self.scene.air else {}).items():
+            _custom(physics, f"air:{name}", value, AIR_KINDS.get(name, "double"))
+        _custom(physics, "duration_s", self.scene.duration_s, written=(self.frame_count - 1) / FRAME_RATE_HZ)
+        return physics
 
     def _group(self, name: str) -> str:
         """Return the path of a group below the world, which is created if it does not exist."""
@@ -201,24 +199,18 @@ class _Writer:
         constants = _friction(material.GetPrim(), contact)
         record_written(friction, constants.GetDynamicFrictionAttr().Get())
         record_written(restitution, constants.GetRestitutionAttr().Get())
-        deformable = [name for name in self.deformables if self._first_contact(name) is contact]
+        deformable = [name for name in self.deformables if self._first_contact(name) == index]
         targets = [material.GetPath(), *map(self._deformable_material_path, deformable)]
         prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
         return material
 
-    def _first_contact(self, name: str) -> Contact | None:
-        """Return the first contact of a body."""
-        return next((c for c in self.scene.contacts if name in c.first or name in c.second), None)
+    def _first_contact(self, name: str) -> int | None:
+        """Return the index of the first contact of a body: UsdPhysics has materials per body and not per pair."""
+        return next((i for i, c in enumerate(self.scene.contacts) if name in c.first or name in c.second), None)
 
-    def _own(self, name: str, materials: Sequence[UsdShade.Material]) -> UsdShade.Material | None:
-        """Return the material of a body's first contact, since UsdPhysics has materials per body and not per pair."""
-        contact = self._first_contact(name)
-        return next((m for c, m in zip(self.scene.contacts, materials, strict=True) if c is contact), None)
-
-    def _bind(self, path: str, material: UsdShade.Material | None) -> None:
-        if material is not None:
-            binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
-            binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+    def _bind(self, path: str, material: UsdShade.Material) -> None:
+        binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
+        binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def _filtered_pairs(self) -> str:
         """Filter all pairs without a contact, since UsdPhysics lets all collide; return a hash of the other pairs."""
@@ -411,8 +403,8 @@ class _Writer:
         prim, gauge = material.GetPrim(), self.stage.GetPrimAtPath(self.paths[body.name])
         prim.AddAppliedSchema("OmniPhysicsBaseMaterialAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableMaterialAPI")
-        contact = self._first_contact(body.name)
-        if contact is not None:
+        if (index := self._first_contact(body.name)) is not None:
+            contact = self.scene.contacts[index]
             _friction(prim, contact)
             _omni(prim, "staticFriction", "float", contact.friction)
             _omni(prim, "dynamicFriction", "float", contact.friction)
@@ -438,16 +430,29 @@ class _Writer:
 
     # --- joints ---
 
-    def _hinge(self, path: str, hinge: Hinge) -> None:
-        body = self.scene.body(hinge.body)
-        joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
-        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        rotation = hinge_frame(hinge.axis)
-        world = joint.CreateLocalRot0Attr(rotation)
-        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
+    def _joint(self, path: str, stated: Hinge | Tether) -> None:
+        """Write a joint of a body and the world; a joint without a first body is one to the world."""
+        pose, anchor_m = self.scene.body(stated.body).pose, stated.anchor_m
+        local_m = (0.0, 0.0, 0.0)
+        joint: UsdPhysics.Joint
+        if isinstance(stated, Hinge):
+            local_m = vector(pose.to_body(np.asarray(anchor_m)))
+            joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
+            joint.CreateAxisAttr(UsdPhysics.Tokens.x)
+            rotation = hinge_frame(stated.axis)
+            world = joint.CreateLocalRot0Attr(rotation)
+            local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
+            record_written(local, local.Get())
+            _custom(joint, "axis", stated.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
+        else:
+            joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
+            longest = joint.CreateMaxDistanceAttr(stated.length_m)
+            _custom(joint, "length_m", stated.length_m, written=longest.Get())
+        joint.CreateBody1Rel().SetTargets([self.paths[stated.body]])
+        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*anchor_m))
+        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m))
         record_written(local, local.Get())
-        _custom(joint, "axis", hinge.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
-        self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
+        _custom(joint, "anchor_m", anchor_m, "double3", written=world.Get())
 
     def _body_hinge(self, path: str, hinge: BodyHinge) -> None:
         """Write a joint of two bodies, with its frame in each, and the exact anchor and axis in the world."""
@@ -467,22 +472,6 @@ class _Writer:
                 record_written(one, one.Get())
         _custom(joint, "anchor_m", hinge.anchor_m, "double3")
         _custom(joint, "axis", hinge.axis, "double3")
-
-    def _tether(self, path: str, tether: Tether) -> None:
-        joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
-        longest = joint.CreateMaxDistanceAttr(tether.length_m)
-        _custom(joint, "length_m", tether.length_m, written=longest.Get())
-        self._anchor(joint, self.scene.body(tether.body), np.asarray(tether.anchor_m), np.zeros(3))
-
-    def _anchor(
-        self, joint: UsdPhysics.Joint, body: RigidBody, world_m: NDArray[np.float64], local_m: NDArray[np.float64]
-    ) -> None:
-        """Join the body to the world; a joint without a first body is a joint to the world."""
-        joint.CreateBody1Rel().SetTargets([self.paths[body.name]])
-        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
-        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
-        record_written(local, local.Get())
-        _custom(joint, "anchor_m", vector(world_m), "double3", written=world.Get())
 
     # --- attachments and markers ---
 
