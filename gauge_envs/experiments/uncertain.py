@@ -92,15 +92,11 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
 
 
 def _contacts(builder: SceneBuilder) -> Iterator[UncertainParameter]:
-    known = input_uncertainties()
-    subtask, contacts = builder.subtask, builder.spec.contacts
-    if subtask and subtask.contacts is not None:
-        contacts = subtask.contacts
     for constant in ("friction", "restitution"):
-        entry = getattr(known, constant)
+        entry = getattr(input_uncertainties(), constant)
         owners = dict.fromkeys(
             contact.constants_of
-            for contact in contacts
+            for contact in builder.contacts
             if contact.constants_of
             and getattr(contact, constant) is None
             and (constant == "friction" or contact.mode is ContactMode.IMPACT)

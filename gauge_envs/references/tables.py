@@ -7,19 +7,29 @@ import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
+from gauge_envs.scene.geometry import Vector
 
 FloatArray = NDArray[np.float64]
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
 """Largest size of a table."""
+
+
+def _unit(axis: Vector) -> Vector:
+    if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+        raise ValueError(f"{list(axis)} is not a unit vector: normalize it")
+    return axis
+
+
+UnitVector = Annotated[Vector, AfterValidator(_unit)]
 
 
 class FileModel(BaseModel):

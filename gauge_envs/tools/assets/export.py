@@ -1,4 +1,4 @@
-"""Write variants as USD layers, with parameters and sources in the header."""
+"""Write variants as USD layers and MJCF files, with parameters and sources in the header."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ from gauge_envs.errors import ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import task_path
+from gauge_envs.files import os_errors
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.scene.usd.writer import export_stage, scene_stage
@@ -84,10 +85,8 @@ def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
     """
     text = mjcf_text(experiment)
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}: choose another path")):
         path.write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}: choose another path") from error
 
 
 def mjcf_text(experiment: TaskExperiment) -> str:

@@ -17,6 +17,7 @@ from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade, Vt
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -61,10 +62,8 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
         path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`). Its folder is created.
     """
     stage = isaac_sim_stage(experiment)
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{path.parent}: cannot be created: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ResultFileError(f"{path.parent}: cannot be created: {error.strerror or error}") from error
     export_stage(stage, path)
 
 
