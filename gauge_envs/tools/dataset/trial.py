@@ -74,6 +74,10 @@ class TrialError(Exception):
         self.problem = printable(problem)
         self.expected = expected
 
+    def finding(self, file: str, *, left_out: bool) -> ImportFinding:
+        """Return the problem as one of a file."""
+        return ImportFinding(file=file, key=self.key, problem=self.problem, expected=self.expected, left_out=left_out)
+
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
