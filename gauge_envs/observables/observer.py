@@ -7,8 +7,9 @@ default mesh; its scores then measure the mesh.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -19,7 +20,7 @@ from gauge_envs.backends.base import Simulation, World
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
+from gauge_envs.scene import Cloth, Deformable, Markers, Scene
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
@@ -92,10 +93,10 @@ class ObserverMarkers:
         if scene.markers is None:
             raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
         self._markers = scene.markers
-        self._observable = observable
+        self._observed = partial(observe_markers, markers=scene.markers, observable=observable)
         rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self._read = _tracker(world, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
+        self._read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
             self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
@@ -127,13 +128,9 @@ class ObserverMarkers:
         nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
         return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
 
-    def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return g(t) of marker positions, shape [sample_count, width]."""
-        return observe_markers(markers_m, self._markers, self._observable)
-
 
 def _tracker(
-    world: World, names: Sequence[str], targets_m: NDArray[np.float64]
+    world: World, names: Iterable[str], targets_m: NDArray[np.float64]
 ) -> Callable[[], NDArray[np.float64]] | None:
     """Return the engine's tracker of all markers, or None if the engine has none."""
     refusal = None
@@ -183,12 +180,9 @@ def material_points(
     best = np.full(len(targets_m), np.inf)
     first = 0
     for name, nodes in rest.items():
-        flat = (
-            _sheet_coordinates(deformables[name].pose, nodes, targets_m)
-            if isinstance(deformables[name], Cloth)
-            else None
-        )
-        points, queries = (nodes, targets_m) if flat is None else flat
+        points, queries, body = nodes, targets_m, deformables[name]
+        if isinstance(body, Cloth):
+            points, queries = body.pose.to_body(nodes)[:, :2], body.pose.to_body(targets_m)[:, :2]
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
             missed = float(np.linalg.norm(share @ nodes[simplex] - targets_m[marker]))
             if missed < best[marker]:
@@ -202,12 +196,6 @@ def material_points(
             f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
         )
     return indices, weights
-
-
-def _sheet_coordinates(
-    pose: Pose, nodes: NDArray[np.float64], targets_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return pose.to_body(nodes)[:, :2], pose.to_body(targets_m)[:, :2]
 
 
 def _barycentric(
