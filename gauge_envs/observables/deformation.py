@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Scene, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 STATISTICS = (
     "strain.xx",

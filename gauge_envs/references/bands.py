@@ -20,7 +20,6 @@ from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.references.tables import (
     FileModel,
-    FloatArray,
     FrameRow,
     csv_header,
     faults_of,
@@ -30,7 +29,7 @@ from gauge_envs.references.tables import (
     read_toml,
     scoring_folder,
 )
-from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
 from gauge_envs.scene.timing import MOST_FRAMES
 
 MOST_COORDINATES = 10_000
@@ -96,16 +95,16 @@ class Band:
     grade: BandGrade
     unit: str
     coordinates: tuple[str, ...]
-    projection: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    projection: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
     measured: NDArray[np.bool_]
     trial_count: int | None
     source: str
     sigma_source: SigmaSource = SigmaSource.TRIALS
-    uncertainty: NDArray[np.float64] | None = None
+    uncertainty: FloatArray | None = None
     withheld: str | None = None
-    trials: NDArray[np.float64] | None = None
+    trials: FloatArray | None = None
     normalized_by_baseline: bool = True
 
     def __post_init__(self) -> None:
@@ -130,7 +129,7 @@ class Band:
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
-    def project(self, g: ArrayLike) -> NDArray[np.float64]:
+    def project(self, g: ArrayLike) -> FloatArray:
         """Map a generalized trajectory to the band's coordinates.
 
         Args:

@@ -16,13 +16,13 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 from gauge_envs.errors import ReferenceFileError, ShapeError
 from gauge_envs.references.tables import (
     FileModel,
-    FloatArray,
     FrameRow,
     frame_table,
     read_frames,
     read_toml,
     scoring_folder,
 )
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -30,8 +30,9 @@ from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
-from gauge_envs.references.tables import FileModel, FloatArray, read_content
+from gauge_envs.references.tables import FileModel, read_content
 from gauge_envs.scene.drivers import Driver, SampledProfile
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MOST_RECORD_BYTES = 8 * MEGABYTE

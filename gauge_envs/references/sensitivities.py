@@ -18,8 +18,8 @@ from pydantic_core import core_schema
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import os_errors, write_whole
 from gauge_envs.references.imported import user_data_folder
-from gauge_envs.references.tables import FileModel, FloatArray, faults_of, read_content, read_toml, scoring_folder
-from gauge_envs.scene.geometry import Positive
+from gauge_envs.references.tables import FileModel, faults_of, read_content, read_toml, scoring_folder
+from gauge_envs.scene.geometry import FloatArray, Positive
 
 FALLBACK_ENGINE = "mujoco"
 """Engine whose sensitivities serve others without their own: to first order they are those of the physics."""

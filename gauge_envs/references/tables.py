@@ -10,14 +10,11 @@ from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
-from gauge_envs.scene.geometry import Vector
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray, Vector
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
 """Largest size of a table."""

@@ -12,8 +12,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdShade
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.air import Air
 from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, SoftBody
-from gauge_envs.scene.geometry import Box, vector
-from gauge_envs.scene.usd.layer import AIR_KINDS, KINDS, MARKER_INDICES, OMNI_MATERIAL, FloatArray
+from gauge_envs.scene.geometry import Box, FloatArray, vector
+from gauge_envs.scene.usd.layer import AIR_KINDS, KINDS, MARKER_INDICES, OMNI_MATERIAL
 from gauge_envs.scene.usd.source import Source, single
 
 POINT_TYPES = ("Points", "Mesh")

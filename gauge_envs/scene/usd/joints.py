@@ -8,8 +8,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import BodyHinge, Hinge, Motion, RigidBody, Tether
-from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
+from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.usd.layer import WRITTEN, hinge_axis, hinge_frame, wxyz
 from gauge_envs.scene.usd.source import Source, StoredValue
 
 GAP_M = 1e-4

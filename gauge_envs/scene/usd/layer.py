@@ -7,15 +7,14 @@ import json
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pxr import Gf, Usd
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
 from gauge_envs.scene.drivers import DriverMotion
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 WRITTEN = "written"
 """Custom data key of a `gauge:` attribute with the written value of its standard counterpart: a number, a vector, a

@@ -19,7 +19,7 @@ from pxr import Sdf, Tf, Usd, UsdPhysics
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import Pose, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 from gauge_envs.scene.usd.deformables import (
     is_deformable,
@@ -31,7 +31,7 @@ from gauge_envs.scene.usd.deformables import (
 )
 from gauge_envs.scene.usd.driven import driven_body
 from gauge_envs.scene.usd.joints import is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
-from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
+from gauge_envs.scene.usd.layer import WRITTEN
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason

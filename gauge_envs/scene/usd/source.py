@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
 from gauge_envs.files import MEGABYTE, child_refusal, file_folders, outside_reason, read_regular
-from gauge_envs.scene.geometry import Pose, vector
-from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, digest, wxyz
 
 SINGLE_RELATIVE = 3e-7
 """Largest difference, relative to the largest number, at which numbers agree in single precision."""

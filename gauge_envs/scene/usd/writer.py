@@ -40,7 +40,7 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
-from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose, Shape, Sphere, vector
+from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, FloatArray, Pose, Shape, Sphere, vector
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -135,7 +135,7 @@ class _Writer:
         self.paths = _paths(names)
         self.deformables = {body.name: body for body in self.scene.deformables}
         self.collides = {name for contact in self.scene.contacts for name in (*contact.first, *contact.second)}
-        self.points: dict[str, NDArray[np.float64]] = {}
+        self.points: dict[str, FloatArray] = {}
 
     def write(self) -> None:
         scene, physics = self.scene, self._physics()
@@ -308,14 +308,14 @@ class _Writer:
         _extent(geometry)
         return [geometry]
 
-    def _piece(self, path: str, points_m: NDArray[np.float64]) -> UsdGeom.Mesh:
+    def _piece(self, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
         mesh = self._mesh(path, points_m, hull_faces(points_m))
         written = digest(mesh.GetPointsAttr().Get())
         _custom(mesh, "points_m", Vt.Vec3dArray.FromNumpy(points_m), "double3[]", written=written)
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
         return mesh
 
-    def _mesh(self, path: str, points_m: NDArray[np.float64], faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
+    def _mesh(self, path: str, points_m: FloatArray, faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
         mesh = UsdGeom.Mesh.Define(self.stage, path)
         mesh.CreatePointsAttr(_points(points_m))
         mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
@@ -590,7 +590,7 @@ def _quatd(quaternion: Iterable[float]) -> Gf.Quatd:
     return Gf.Quatd(w, x, y, z)
 
 
-def _points(points_m: NDArray[np.float64]) -> Vt.Vec3fArray:
+def _points(points_m: FloatArray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points_m, dtype=np.float32))
 
 

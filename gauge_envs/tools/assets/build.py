@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.mjcf_writer import NUMBER, expanded
 from gauge_envs.errors import ParameterError, ResultFileError
@@ -23,6 +22,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import data_folder, os_errors
 from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 
@@ -185,7 +185,7 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-Polyhedron = tuple[NDArray[np.float64], list[tuple[int, ...]]]
+Polyhedron = tuple[FloatArray, list[tuple[int, ...]]]
 
 
 def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
@@ -211,5 +211,5 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
     raise ParameterError(f"{kind} has no OBJ file")
 
 
-def _polyhedron(points_m: NDArray[np.float64]) -> Polyhedron:
+def _polyhedron(points_m: FloatArray) -> Polyhedron:
     return points_m, hull_faces(points_m)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.experiments.resolve import load_experiment
@@ -31,6 +30,7 @@ from gauge_envs.references.imported import (
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (
@@ -54,8 +54,6 @@ LEAST_TRIALS = 2
 
 MOST_TRIAL_NUMBERS = 4_000_000
 """Largest count of numbers of single trials that an import keeps, 32 MB: 20 trials of 1,000 frames of 200 areas."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

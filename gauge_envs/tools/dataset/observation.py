@@ -6,7 +6,6 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
@@ -20,9 +19,8 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, TrialError
-
-FloatArray = NDArray[np.float64]
 
 START_RANGE_MM = 300.0
 """Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""

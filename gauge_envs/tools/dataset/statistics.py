@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics import trajectory_dtw, trajectory_rmse
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

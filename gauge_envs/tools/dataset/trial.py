@@ -14,12 +14,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.files import MEGABYTE, check_json_size, printable
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-FloatArray = NDArray[np.float64]
 Lengths = dict[str, int]
 """Number of samples of each list of an asset, by its place; all have as many as the first."""
 

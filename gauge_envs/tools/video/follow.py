@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Picture, cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
@@ -153,14 +154,14 @@ class Sight:
 class _Motion:
     """Last place and velocity of an object, which predict where it is looked for."""
 
-    place: NDArray[np.float64]
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    place: FloatArray
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
     lost_count: int = 0
 
-    def predicted(self) -> NDArray[np.float64]:
+    def predicted(self) -> FloatArray:
         return self.place + self.velocity * (self.lost_count + 1)
 
-    def update(self, place: NDArray[np.float64] | None) -> None:
+    def update(self, place: FloatArray | None) -> None:
         if place is None:
             self.lost_count += 1
             return
@@ -179,14 +180,12 @@ class PatchFollower:
         area_px: Area of the object [px^2].
     """
 
-    def __init__(
-        self, background: Background, *, centre_px: NDArray[np.float64], size_px: float, area_px: float
-    ) -> None:
+    def __init__(self, background: Background, *, centre_px: FloatArray, size_px: float, area_px: float) -> None:
         self._background = background
         self._size_px = size_px
         self._area_px = area_px
         self._motion = _Motion(place=centre_px.astype(float))
-        self._colour: NDArray[np.float64] | None = None
+        self._colour: FloatArray | None = None
         self._areas: list[float] = []
 
     def see(self, picture: Picture) -> Sight:
@@ -250,13 +249,11 @@ class PatchFollower:
         return at_border and bool(self._areas) and area < CUT * float(np.median(self._areas))
 
 
-def _mean_colour(
-    picture: Picture, labels: NDArray[np.int32], box: NDArray[np.int32], label: int
-) -> NDArray[np.float64]:
+def _mean_colour(picture: Picture, labels: NDArray[np.int32], box: NDArray[np.int32], label: int) -> FloatArray:
     """Return the mean colour of a component, from its bounding box: left, top, width, height, area."""
     left, top, width, height = (int(value) for value in box[:4])
     part = np.s_[top : top + height, left : left + width]
-    colour: NDArray[np.float64] = picture[part][labels[part] == label].mean(axis=0)
+    colour: FloatArray = picture[part][labels[part] == label].mean(axis=0)
     return colour
 
 
@@ -286,8 +283,8 @@ class DiskFollower:
         background: Background,
         *,
         diameter_px: float,
-        centre_px: NDArray[np.float64],
-        pivot_px: NDArray[np.float64],
+        centre_px: FloatArray,
+        pivot_px: FloatArray,
         reach_px: tuple[float, float],
         sector_rad: tuple[float, float] = (-math.pi, math.pi),
     ) -> None:
@@ -368,7 +365,7 @@ class FaceFollower:
     RENEWAL = 0.15
     """Share of the sight of each frame that the remembered face takes over."""
 
-    def __init__(self, picture: Picture, *, centre_px: NDArray[np.float64], size_px: float) -> None:
+    def __init__(self, picture: Picture, *, centre_px: FloatArray, size_px: float) -> None:
         self._half = math.ceil(0.64 * size_px)
         self._size_px = size_px
         self._motion = _Motion(place=centre_px.astype(float))
@@ -382,7 +379,7 @@ class FaceFollower:
         reach += int(np.linalg.norm(self._motion.velocity))
         side = self._half + reach
         window = _window(picture, predicted, side)
-        best: tuple[float, float, NDArray[np.float64]] = (-1.0, 0.0, predicted)
+        best: tuple[float, float, FloatArray] = (-1.0, 0.0, predicted)
         turns = self.TURNS_DEG if self._motion.lost_count < 3 else tuple(np.arange(-45.0, 45.0, 6.0))
         for turn in turns:
             face, mask = self._turned(self._angle_deg + turn)
@@ -402,7 +399,7 @@ class FaceFollower:
         self._face = (1.0 - self.RENEWAL) * self._face + self.RENEWAL * seen
         return Sight(x_px=float(place[0]), y_px=float(place[1]), confidence=max(0.0, value), size_ratio=1.0)
 
-    def _cut(self, picture: Picture, place: NDArray[np.float64], angle_deg: float) -> NDArray[np.float32]:
+    def _cut(self, picture: Picture, place: FloatArray, angle_deg: float) -> NDArray[np.float32]:
         """Return the surroundings of a place, turned back by an angle."""
         matrix = cv2.getRotationMatrix2D((float(place[0]), float(place[1])), angle_deg, 1.0)
         matrix[:, 2] += self._half - place
@@ -425,7 +422,7 @@ class FaceFollower:
         return np.asarray(face, dtype=np.float32), np.asarray(mask, dtype=np.float32)
 
 
-def _window(picture: Picture, place: NDArray[np.float64], side: int) -> NDArray[np.float32]:
+def _window(picture: Picture, place: FloatArray, side: int) -> NDArray[np.float32]:
     """Return the part of a picture around a place with fractions of pixels, shape [2 side + 1, 2 side + 1, 3]."""
     matrix = np.array([[1.0, 0.0, side - place[0]], [0.0, 1.0, side - place[1]]])
     size = (2 * side + 1, 2 * side + 1)
@@ -435,7 +432,7 @@ def _window(picture: Picture, place: NDArray[np.float64], side: int) -> NDArray[
 
 def _centred_correlation(
     window: NDArray[np.float32], face: NDArray[np.float32], mask: NDArray[np.float32]
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the normalized correlation of a face with each place of a window, without means, all channels."""
     count = float(mask.sum())
     product = np.zeros((window.shape[0] - face.shape[0] + 1, window.shape[1] - face.shape[1] + 1))
@@ -447,11 +444,11 @@ def _centred_correlation(
         total = cv2.matchTemplate(part, mask, cv2.TM_CCORR)
         square += cv2.matchTemplate(part * part, mask, cv2.TM_CCORR) - total**2 / count
         energy += float((centred**2).sum())
-    correlation: NDArray[np.float64] = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
+    correlation: FloatArray = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
     return correlation
 
 
-def _refined(response: NDArray[np.floating], row: int, column: int) -> NDArray[np.float64]:
+def _refined(response: NDArray[np.floating], row: int, column: int) -> FloatArray:
     """Return a peak with fractions of pixels, by a parabola in each direction, as x and y."""
     place = np.array([float(column), float(row)])
     for axis, (r, c) in enumerate(((0, 1), (1, 0))):

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import MissingExtraError, VideoError
 from gauge_envs.files import MEGABYTE, os_errors
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 Picture: TypeAlias = NDArray[np.uint8]
@@ -146,7 +147,7 @@ class Frames(ABC):
         """Yield all pictures in their own size: blue, green and red, shape [height, width, 3]."""
 
     @property
-    def times_s(self) -> NDArray[np.float64] | None:
+    def times_s(self) -> FloatArray | None:
         """Times at which a file shows its frames [s], shape [frame_count]; None when they follow from the rate."""
         return None
 
@@ -197,7 +198,7 @@ class FileFrames(Frames):
         self._check()
 
     @property
-    def times_s(self) -> NDArray[np.float64] | None:
+    def times_s(self) -> FloatArray | None:
         """Times at which the file shows its frames [s], shape [frame_count], known once it has been read.
 
         None when the rate was given instead.
@@ -340,7 +341,7 @@ class Cadence:
     """
 
     is_new: NDArray[np.bool_]
-    times_s: NDArray[np.float64]
+    times_s: FloatArray
     fps: float
     text: str = ""
 
@@ -361,7 +362,7 @@ def read_cadence(frames: Frames) -> Cadence:
     return cadence_of(np.array(differences), frames.fps, frames.times_s)
 
 
-def cadence_of(differences: NDArray[np.float64], fps: float, times_s: NDArray[np.float64] | None = None) -> Cadence:
+def cadence_of(differences: FloatArray, fps: float, times_s: FloatArray | None = None) -> Cadence:
     """Return when pictures were taken, from their differences and the times that the file states.
 
     Args:
@@ -393,7 +394,7 @@ def cadence_of(differences: NDArray[np.float64], fps: float, times_s: NDArray[np
     return Cadence(is_new=is_new, times_s=np.arange(int(is_new.sum())) / rate, fps=rate, text=text)
 
 
-def _rhythm(differences: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
     """Return which frames of one period repeat the one before, shape [period]; None without a rhythm."""
     values = np.array(differences)
     values[0] = 0.0

@@ -9,18 +9,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Track
-
-FloatArray: TypeAlias = NDArray[np.float64]
 
 ORIGIN_PX = 0.5 * np.array(REFERENCE_SIZE_PX)
 """Place of the origin of the plane in the frontal picture [px]."""

@@ -25,13 +25,12 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import os_errors, write_whole
 from gauge_envs.scene import Hinge, RigidBody, Scene
 from gauge_envs.scene import Motion as BodyMotion
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.video.frames import write_mp4
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
-
-FloatArray = NDArray[np.float64]
 
 SAMPLE_RATE_HZ = round(1.0 / SAMPLE_INTERVAL_S)
 """Rate at which an engine is read [Hz]."""

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
 from gauge_envs.tools.video.interval import WINDOW, apices, displacement_px, retained, swing_angles_rad
 from gauge_envs.tools.video.laws import (
@@ -115,7 +116,6 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 # --- score ------------------------------------------------------------------------------------------------------------
 
-FloatArray: TypeAlias = NDArray[np.float64]
 Metrics: TypeAlias = dict[str, float]
 
 METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n")

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import DiskFollower, FaceFollower, PatchFollower, Region, Sight, background
 from gauge_envs.tools.video.frames import (
     LEAST_FRAMES,
@@ -131,7 +132,7 @@ def _follower(pictures: Callable[[], Iterator[Picture]], count: int, first: Pict
     )
 
 
-def _surroundings(centre: NDArray[np.float64], size_px: float) -> Region:
+def _surroundings(centre: FloatArray, size_px: float) -> Region:
     """Return the part of the first frame that an object and its shadow may hide."""
     half = 1.1 * size_px
     low, high = np.floor(centre - half), np.ceil(centre + half)
