@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault
-from gauge_envs.experiments.task_format import JointSpec, MarkersSpec, Placement, TaskSpec
+from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
@@ -168,6 +168,7 @@ class SceneBuilder:
             provenance = origin if isinstance(origin, str) else origin[self.variant.material]
             drivers.append(stated.build(driven.name, driven.pose, provenance))
         markers = self.spec.markers
+        carriers = tuple(name for name in markers.bodies if name in self.present) if markers else ()
         return Scene(
             bodies=bodies,
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
@@ -182,7 +183,7 @@ class SceneBuilder:
             ),
             contacts=tuple(self._contacts(names)),
             drivers=tuple(drivers),
-            markers=None if markers is None else self._markers(markers),
+            markers=None if markers is None else Markers(**(markers.model_dump() | {"bodies": carriers})),
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
             air=self._air(),
         )
@@ -190,10 +191,6 @@ class SceneBuilder:
     def _is_present(self, body: str) -> bool:
         """Return whether a body of the scene is part of the subtask. Counted bodies share one entry of the file."""
         return body in self.present or self.spec_name(body) in self.present
-
-    def _markers(self, spec: MarkersSpec) -> Markers:
-        carriers = tuple(name for name in spec.bodies if name in self.present)
-        return Markers(**(spec.model_dump() | {"bodies": carriers}))
 
     def _bodies(self, name: str) -> Iterator[RigidBody]:
         body = self.spec.bodies[name]

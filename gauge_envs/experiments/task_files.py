@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -221,11 +220,7 @@ def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
     """
     spec = task_spec(family)
     return {
-        material: _fabric(ClothConstants.model_validate(spec.constants_of(cloth, material, None)))
+        material: Fabric.of(ClothConstants.model_validate(spec.constants_of(cloth, material, None)))
         for cloth in spec.cloths
         for material in spec.constants[cloth]
     }
-
-
-def _fabric(constants: ClothConstants) -> Fabric:
-    return Fabric(**{field.name: getattr(constants, field.name) for field in fields(Fabric)})

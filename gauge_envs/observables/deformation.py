@@ -91,16 +91,12 @@ def marked_solid(scene: Scene) -> MarkedSolid | None:
     solids = [body for body in blocks if isinstance(body, SoftBody)]
     if not solids or len(solids) < len(blocks):
         return None
-    axes = [_axes(solid) for solid in solids]
+    axes = [(one.pose.to_world(np.eye(3)) - np.asarray(one.pose.position_m)).T for one in solids]
     if any(np.abs(other - axes[0]).max() > 1e-9 for other in axes):
         return None
     sizes = np.max([solid.shape.size_m for solid in solids], axis=0)
     longest = np.flatnonzero(sizes > 0.999 * sizes.max())
     return MarkedSolid(axes=axes[0], long_axis=int(longest[0]) if len(longest) == 1 else None)
-
-
-def _axes(solid: SoftBody) -> FloatArray:
-    return (solid.pose.to_world(np.eye(3)) - np.asarray(solid.pose.position_m)).T
 
 
 def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:

@@ -275,20 +275,15 @@ def _bundled_band(folder: Path, variant: str) -> Band | None:
     if not trials_file.is_file():
         return band
     with faults_of(trials_file):
-        return replace(band, trials=_read_trials(trials_file, sidecar.coordinates, sidecar.trial_count or 0))
+        columns = [f"trial.{n + 1}.{name}" for n in range(sidecar.trial_count or 0) for name in sidecar.coordinates]
+        values = frame_table(read_frames(trials_file, ["frame", *columns], _TrialsRow), "trial")
+        return replace(band, trials=values.reshape(len(values), -1, len(sidecar.coordinates)).transpose(1, 0, 2))
 
 
 class _TrialsRow(FrameRow):
     """One row of the table of single trials; values are keyed `<trial>.<coordinate>`."""
 
     trial: dict[str, float | None]
-
-
-def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> FloatArray:
-    """Return the trials of a table (format: scoring/README.md), shape [trial_count, T, C]."""
-    columns = [f"trial.{number + 1}.{coordinate}" for number in range(trial_count) for coordinate in coordinates]
-    values = frame_table(read_frames(file, ["frame", *columns], _TrialsRow), "trial")
-    return values.reshape(len(values), trial_count, len(coordinates)).transpose(1, 0, 2)
 
 
 def bundled_sidecar(variant: str) -> BandSidecar | None:

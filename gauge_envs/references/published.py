@@ -187,7 +187,8 @@ def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
     """
     if "rmse" not in published_baselines(variant):
         return None
-    return next((law for law in _all_laws(scoring_folder("bands")) if fnmatchcase(variant, law.variants)), None)
+    laws = read_toml(scoring_folder("bands") / "laws.toml", _Laws).law
+    return next((law for law in laws if fnmatchcase(variant, law.variants)), None)
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
@@ -263,11 +264,6 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
     )
 
 
-@cache
-def _all_laws(folder: Path) -> tuple[CarriedLaw | FlightLaw | SlideLaw, ...]:
-    return read_toml(folder / "laws.toml", _Laws).law
-
-
 # --- events ----------------------------------------------------------------------------------------------------------
 
 
@@ -308,9 +304,5 @@ class _Events(FileModel):
 
 def recorded_events(variant: str) -> tuple[RecordedEvents, ...]:
     """Return the recorded events of a variant, which may be none."""
-    return tuple(events for events in _all_events(scoring_folder("bands")) if events.variant == variant)
-
-
-@cache
-def _all_events(folder: Path) -> tuple[RecordedEvents, ...]:
-    return read_toml(folder / "events.toml", _Events).events
+    known = read_toml(scoring_folder("bands") / "events.toml", _Events).events
+    return tuple(events for events in known if events.variant == variant)

@@ -52,19 +52,16 @@ class StandardUncertainties(FileModel):
 
 def input_uncertainties() -> StandardUncertainties:
     """Return the standard uncertainties of inputs."""
-    return _uncertainties(scoring_folder("uncertainties.toml"))
-
-
-@lru_cache(maxsize=4)
-def _uncertainties(file: Path) -> StandardUncertainties:
-    return read_toml(file, StandardUncertainties)
+    return read_toml(scoring_folder("uncertainties.toml"), StandardUncertainties)
 
 
 def _table_schema(source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
     return core_schema.no_info_after_validator_function(
         lambda rows: np.array(rows, dtype=np.float64),
         handler.generate_schema(tuple[tuple[float, ...], ...]),
-        serialization=core_schema.plain_serializer_function_ser_schema(lambda table: _rounded(table).tolist()),
+        serialization=core_schema.plain_serializer_function_ser_schema(
+            lambda table: [[float(f"{value:.4g}") for value in row] for row in table.tolist()]
+        ),
     )
 
 
@@ -153,10 +150,6 @@ def _read(file: Path, mtime_ns: int) -> Sensitivities:
     if len({entry.change.shape for entry in table.inputs}) > 1:
         raise ReferenceFileError(file, None, "the inputs disagree in the number of frames or coordinates")
     return table
-
-
-def _rounded(change: FloatArray) -> FloatArray:
-    return np.array([[float(f"{value:.4g}") for value in row] for row in change.tolist()])
 
 
 def sensitivities_text(table: Sensitivities) -> str:

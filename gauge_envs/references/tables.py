@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -73,8 +74,9 @@ def faults_of(file: Path, line: int | None = None) -> Iterator[None]:
         raise ReferenceFileError(file, line, str(error)) from None
 
 
+@cache
 def read_toml(file: Path, model: type[Model]) -> Model:
-    """Read a TOML file."""
+    """Read a TOML file, once."""
     with faults_of(file):
         return model.model_validate(toml_document(read_content(file)))
 

@@ -58,15 +58,15 @@ def sampled_motions(
             replace(motion, profiles=(SampledProfile(times_s=tuple(times_s), values=tuple(column)),))
             for motion, column in zip(template, values.T.tolist(), strict=True)
         )
-        if _reproduces(motions, start, times_s, poses):
-            return motions if template == tuple(like) else tuple(filter(_matters, motions))
+        driver = Driver(body="", motions=motions, provenance="")
+        if all(pose_distance(driver.pose(start, t), pose) <= SAME_POSE for t, pose in zip(times_s, poses, strict=True)):
+            if template == tuple(like):
+                return motions
+            # Actions are part of the largest rate.
+            return tuple(one for one in motions if one.largest_rate > 0.0 or abs(one.value(0.0)) > SAME_POSE)
     raise ShapeError(
         "no three successive rotations describe its rotation: keep it closer to a rotation about a fixed axis"
     )
-
-
-def _matters(motion: DriverMotion) -> bool:
-    return motion.residual_rate > 0.0 or motion.largest_rate > 0.0 or abs(motion.value(0.0)) > SAME_POSE
 
 
 def _templates(
@@ -180,10 +180,3 @@ def motion_coordinates(
         values[:, linear] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
         missing = missing - (columns @ values[:, linear, None])[:, :, 0]
     return values, np.linalg.norm(missing, axis=1), (rotations * made.inv()).magnitude()
-
-
-def _reproduces(
-    motions: tuple[DriverMotion, ...], start: Pose, times_s: Sequence[float], poses: Sequence[Pose]
-) -> bool:
-    driver = Driver(body="", motions=motions, provenance="")
-    return all(pose_distance(driver.pose(start, t), pose) <= SAME_POSE for t, pose in zip(times_s, poses, strict=True))

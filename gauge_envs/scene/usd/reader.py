@@ -146,7 +146,10 @@ class _Reader:
         source = self.source
         for prim in source.prims():
             source.check_followers(prim)
-        self.physics = self._physics()
+        scenes = [UsdPhysics.Scene(prim) for prim in source.prims() if prim.IsA(UsdPhysics.Scene)]
+        if len(scenes) != 1:
+            raise source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
+        (self.physics,) = scenes
         self.joints = joint_prims(source)
         found = self._find()
         deformable = [prim for prim in source.prims() if is_deformable(prim)]
@@ -190,12 +193,6 @@ class _Reader:
         )
 
     # --- stage ---
-
-    def _physics(self) -> UsdPhysics.Scene:
-        scenes = [UsdPhysics.Scene(prim) for prim in self.source.prims() if prim.IsA(UsdPhysics.Scene)]
-        if len(scenes) != 1:
-            raise self.source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
-        return scenes[0]
 
     def _gravity(self) -> float:
         source, physics = self.source, self.physics

@@ -337,7 +337,9 @@ class _Writer:
         prim = geometry.GetPrim()
         self._place(geometry, body.name, body.pose)
         _custom(prim, "kind", KINDS[type(body)], "token")
-        _constants(prim, body)
+        for field in fields(body):
+            if isinstance(value := getattr(body, field.name), float):
+                _custom(prim, field.name, value)
         # usd-core does not have these schemas; Omniverse recognizes their names.
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
@@ -563,14 +565,6 @@ def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Find(kind), custom=is_custom)
     attribute.Set(value)
     return attribute
-
-
-def _constants(prim: Usd.Prim, body: Deformable) -> None:
-    """Write every number of a deformable body as a double under its name in the scene."""
-    for field in fields(body):
-        value = getattr(body, field.name)
-        if isinstance(value, float):
-            _custom(prim, field.name, value)
 
 
 def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:

@@ -159,7 +159,12 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.P
             material = materials[values]
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
         _write_coefficients(material.GetPrim(), *values, is_deformable=body in deformable)
-        _relate(stage, scene, body, material)
+        # The material's constants follow from those of the contacts of the body.
+        for index, contact in enumerate(scene.contacts):
+            if body in (*contact.first, *contact.second):
+                prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
+                prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
+                prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
 
 
 def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, is_deformable: bool) -> None:
@@ -173,15 +178,6 @@ def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, 
     for attribute, value in attributes:
         attribute.Set(value)
         record_follower(attribute, "the constants in /World/Contacts")
-
-
-def _relate(stage: Usd.Stage, scene: Scene, body: str, material: UsdShade.Material) -> None:
-    """Record the material of a body on its contacts as one whose constants follow from theirs."""
-    for index, contact in enumerate(scene.contacts):
-        if body in (*contact.first, *contact.second):
-            prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
-            prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
-            prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
 
 
 def _write_material_points(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:

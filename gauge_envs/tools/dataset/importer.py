@@ -189,7 +189,10 @@ class _VariantImporter:
         """Add one trial file, or a finding that says why it is left out."""
         file = self._layout.relative(path)
         try:
-            content = self._content(path)
+            if not self._layout.holds(path):
+                raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of it is expected")
+            with os_errors(lambda cause: TrialError("(file)", f"it cannot be read: {cause}", "a file is expected")):
+                content = read_regular(path, MOST_TRIAL_BYTES)
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
@@ -231,12 +234,6 @@ class _VariantImporter:
             rows=rows,
             findings=tuple(self._findings),
         )
-
-    def _content(self, path: Path) -> bytes:
-        if not self._layout.holds(path):
-            raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of the file is expected")
-        with os_errors(lambda cause: TrialError("(file)", f"it cannot be read: {cause}", "a file is expected")):
-            return read_regular(path, MOST_TRIAL_BYTES)
 
     def _add_statistics(self, trial: Trial) -> None:
         """Add the statistics of deformation at the frames of the experiment; rest is the first frame of the trial."""
@@ -311,14 +308,10 @@ class _VariantImporter:
             for metric in units
         )
 
-    def _trials(self) -> FloatArray | None:
-        """Return the trials, which intervals of scores resample; None if they are too many numbers to keep."""
-        if len(self.spool) * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
-            return None
-        return np.stack(list(self.spool))
-
     def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
         experiment = self._experiment
+        # Intervals of scores resample the trials, if they are not too many numbers to keep.
+        is_small = len(self.spool) * experiment.frame_count * len(self._coordinates) <= MOST_TRIAL_NUMBERS
         band = Band(
             grade=BandGrade.TRIALS,
             unit=experiment.score.observable.unit,
@@ -329,7 +322,7 @@ class _VariantImporter:
             measured=statistics.measured,
             trial_count=len(self.spool),
             source="import",
-            trials=self._trials(),
+            trials=np.stack(list(self.spool)) if is_small else None,
         )
         drivers = {body: driven for body, driven in self._drivers.items() if driven.is_usable}
         deformation = self._deformation()

@@ -113,7 +113,11 @@ def parse_trial(content: bytes) -> Trial:
         content: The file's bytes.
     """
     values = _json_object(content)
-    _check_header(values)
+    rate, unit = values.get("FPS"), values.get("translation unit")
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
+        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
+    if unit != UNIT:
+        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
@@ -156,14 +160,6 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
         raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
     return values
-
-
-def _check_header(values: Mapping[str, Any]) -> None:
-    rate, unit = values.get("FPS"), values.get("translation unit")
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
-        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
-    if unit != UNIT:
-        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
 
 
 def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths) -> FloatArray:

@@ -148,7 +148,8 @@ def _frames(
                     pictures.append(pictures[-1])
                 else:
                     pictures.append(renderer.picture(dict(zip(names, states[:, :7], strict=True)), {}))
-                places.append(_pixel(view, states[names.index(tracked), :3]))
+                away = (states[names.index(tracked), :3] - view.centre_m) / view.scale_m_per_px
+                places.append(np.array([away @ view.right, away @ view.down]) + MIDDLE_PX)
             if sample % samples_per_frame == exposed - 1:
                 mean = np.mean(pictures, axis=0, dtype=np.float32)
                 yield np.asarray(mean.round(), dtype=np.uint8), np.mean(places, axis=0)
@@ -226,12 +227,6 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
         colors=colors,
         grain=grain,
     )
-
-
-def _pixel(view: FlatView, point_m: FloatArray) -> FloatArray:
-    """Return where a world point is in the picture [px], shape [2]; the centre of the first pixel is at 0."""
-    away = (point_m - view.centre_m) / view.scale_m_per_px
-    return np.array([away @ view.right, away @ view.down]) + MIDDLE_PX
 
 
 def _colors(scene: Scene, task: VideoTask) -> tuple[dict[str, tuple[float, float, float, float]], frozenset[str]]:

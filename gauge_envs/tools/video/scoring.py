@@ -234,7 +234,10 @@ def score_track(
             raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
+    span = retained(track, task)
+    if task.motion is Motion.CRADLE:
+        found = np.flatnonzero(track.is_found)
+        span = (int(found[0]), int(found[-1])) if len(found) else None
     metrics: Metrics = {}
     details: Metrics = {}
     problem = ""
@@ -263,11 +266,6 @@ def score_track(
     )
 
 
-def _all_found(track: Track) -> tuple[int, int] | None:
-    rows = np.flatnonzero(track.is_found)
-    return (int(rows[0]), int(rows[-1])) if len(rows) else None
-
-
 def _metrics(
     track: Track,
     task: VideoTask,
@@ -284,10 +282,14 @@ def _metrics(
         # The release falls between two frames, within one of the first retained.
         fit = fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
         fixed = fit_constant_acceleration(times_s, along_m)
-        found = {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}
-        return found, {
+        late = {}
+        if len(times_s) >= WINDOW + LEAST_RETAINED:
+            # The paper does not state where rest ends: with a start that is one window later.
+            later = fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:])
+            late["a_one_window_later_m_s2"] = later.a_m_per_s2
+        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            **_late_start(times_s, along_m),
+            **late,
             "qfi_at_first_frame": fixed.qfi,
             "linear_r2": fit.r2,
             "release_s": fit.release_s,
@@ -317,13 +319,6 @@ def _metrics(
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }
-
-
-def _late_start(times_s: FloatArray, along_m: FloatArray) -> Metrics:
-    """Return the acceleration with a start that is one window later: the paper does not state where rest ends."""
-    if len(times_s) < WINDOW + LEAST_RETAINED:
-        return {}
-    return {"a_one_window_later_m_s2": fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:]).a_m_per_s2}
 
 
 # --- uncertainty -----------------------------------------------------------------------------------------------------

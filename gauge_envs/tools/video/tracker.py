@@ -19,7 +19,6 @@ from gauge_envs.tools.video.frames import (
     Cadence,
     Frames,
     Picture,
-    Registration,
     cv2,
     read_cadence,
     read_picture,
@@ -58,7 +57,11 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    registration = _registration(frames, task, first_frame)
+    start = next(frames.native())
+    if first_frame is None:
+        registration = registration_by_outline(start, task)
+    else:
+        registration = registration_by_first_frame(start, read_picture(first_frame))
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
@@ -94,13 +97,6 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
 def _is_cut(frames: Frames, cadence: Cadence) -> bool:
     """Return whether a file holds fewer frames than it states."""
     return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
-
-
-def _registration(frames: Frames, task: VideoTask, first_frame: Path | None) -> Registration:
-    picture = next(frames.native())
-    if first_frame is None:
-        return registration_by_outline(picture, task)
-    return registration_by_first_frame(picture, read_picture(first_frame))
 
 
 def _follower(pictures: Callable[[], Iterator[Picture]], count: int, first: Picture, task: VideoTask) -> _Follower:
