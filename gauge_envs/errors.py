@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
     from pydantic import ValidationError
+
+Choice = TypeVar("Choice", bound=StrEnum)
 
 
 class GaugeError(Exception):
@@ -27,20 +30,26 @@ class ActionError(GaugeError, ValueError):
     """An action has the wrong shape, lies outside its space, or is not a number."""
 
 
-class AssetError(GaugeError, ValueError):
-    """An asset cannot be used.
+class FileError(GaugeError, ValueError):
+    """A file is wrong.
 
     Args:
-        file: The USD, MJCF or experiment file.
-        place: Prim path, name of a body, or key; empty for the file as a whole.
+        file: The file.
+        place: Where in the file: a dotted key, a prim path, the name of a body, or the number of a line; empty or None
+            for the file as a whole.
         reason: What is wrong, and what to do.
     """
 
-    def __init__(self, file: Path | str, place: str, reason: str) -> None:
-        super().__init__(": ".join(part for part in (str(file), place, reason) if part))
+    def __init__(self, file: Path | str, place: str | int | None, reason: str) -> None:
+        where = f"line {place}" if isinstance(place, int) else place
+        super().__init__(": ".join(part for part in (str(file), where, reason) if part))
         self.file = Path(file)
         self.place = place
         self.reason = reason
+
+
+class AssetError(FileError):
+    """A USD layer, an MJCF file or an experiment file cannot be used."""
 
 
 class BackendError(GaugeError, RuntimeError):
@@ -94,36 +103,12 @@ class TargetError(GaugeError, ValueError):
     """The target of a sanity check cannot be read; the message names it and lists what can be read."""
 
 
-class TaskFileError(GaugeError, ValueError):
-    """A task file or an experiment file is wrong.
-
-    Args:
-        file: The file.
-        key: Dotted key; `(file)` for the file as a whole.
-        reason: What is wrong, and what to do.
-    """
-
-    def __init__(self, file: Path | str, key: str, reason: str) -> None:
-        super().__init__(f"{file}: {key}: {reason}")
-        self.file = Path(file)
-        self.key = key
-        self.reason = reason
+class TaskFileError(FileError):
+    """A task file or an experiment file is wrong; the place is a dotted key, `(file)` for the file as a whole."""
 
 
-class SweepFileError(GaugeError, ValueError):
-    """A sweep file is wrong.
-
-    Args:
-        file: The file.
-        key: Dotted key; `(file)` for the file as a whole.
-        reason: What is wrong, and what to do.
-    """
-
-    def __init__(self, file: Path | str, key: str, reason: str) -> None:
-        super().__init__(f"{file}: {key}: {reason}")
-        self.file = Path(file)
-        self.key = key
-        self.reason = reason
+class SweepFileError(FileError):
+    """A sweep file is wrong; the place is a dotted key, `(file)` for the file as a whole."""
 
 
 class ResultFileError(GaugeError, OSError):
@@ -160,20 +145,24 @@ class UnknownNameError(GaugeError, LookupError):
         self.name = name
 
 
-class ReferenceFileError(GaugeError, ValueError):
-    """A file of reference data is damaged: a band, published baselines, laws or an import.
+class ReferenceFileError(FileError):
+    """A file of reference data is damaged: a band, published baselines, laws or an import."""
+
+
+def chosen(kind: type[Choice], value: str, name: str) -> Choice:
+    """Return the member of a closed set for the value of an argument.
 
     Args:
-        file: The file.
-        line: Line of the file; None for the file as a whole.
-        reason: What is wrong, and what to do.
-    """
+        kind: The set.
+        value: The value.
+        name: Name of the argument, as `drivers`.
 
-    def __init__(self, file: Path, line: int | None, reason: str) -> None:
-        super().__init__(f"{file}: {reason}" if line is None else f"{file}: line {line}: {reason}")
-        self.file = file
-        self.line = line
-        self.reason = reason
+    Raises:
+        ParameterError: The set has no such member; the message lists those that it has.
+    """
+    if value not in tuple(kind):
+        raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(one.value) for one in kind)}")
+    return kind(value)
 
 
 def first_fault(error: ValidationError, *, noun: str = "key") -> tuple[str, str]:

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
 from importlib.metadata import version
@@ -72,6 +72,19 @@ def data_folder(name: str) -> Path:
 def printable(text: str) -> str:
     """Return the text with escapes for characters that a terminal or a JSON file cannot hold."""
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+@contextmanager
+def os_errors(raised: Callable[[str], Exception]) -> Iterator[None]:
+    """Raise an error of this package in place of an OSError.
+
+    Args:
+        raised: Function that returns the error for a cause, as `No such file or directory`.
+    """
+    try:
+        yield
+    except OSError as error:
+        raise raised(error.strerror or str(error)) from error
 
 
 # --- files of strangers ----------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -38,7 +38,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
-from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, ConvergenceTable, RefinedSetting
+from gauge_envs.references.convergence import REFINED_SETTINGS, Convergence, RefinedSetting, read_convergence
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Rod, SoftBody
 
@@ -51,6 +51,47 @@ CHECK_TOLERANCE = 0.05
 
 class TooSlowError(Exception):
     """The episode exceeded its limit of wall time."""
+
+
+@dataclass(frozen=True)
+class ConvergenceTable:
+    """Measured convergence of one engine.
+
+    Attributes:
+        notes: Texts of the head of the file by key: `engine` with its version, and `date`.
+        rows: Measured rows, by variant and setting.
+    """
+
+    notes: Mapping[str, str]
+    rows: Mapping[tuple[str, RefinedSetting], Convergence]
+
+    def of(self, variant: str) -> dict[RefinedSetting, Convergence]:
+        """Return the rows of a variant by setting; a setting that was not measured is absent."""
+        return {setting: row for setting in REFINED_SETTINGS if (row := self.rows.get((variant, setting)))}
+
+    @classmethod
+    def read(cls, file: Path) -> ConvergenceTable:
+        """Read a table."""
+        head = [line for line in file.read_text(encoding="utf-8").splitlines() if line.startswith("#")]
+        notes = dict(line.removeprefix("#").strip().partition(": ")[::2] for line in head if ": " in line)
+        read_convergence.cache_clear()
+        return cls(notes=notes, rows=read_convergence(file))
+
+    def text(self) -> str:
+        """Return the table as the text of its file, sorted by variant and setting."""
+        lines = [f"# {key}: {note}" for key, note in self.notes.items()]
+        lines.append(",".join(Convergence.model_fields))
+        ordered = sorted(self.rows.values(), key=lambda row: (row.variant, REFINED_SETTINGS.index(row.setting)))
+        return "\n".join([*lines, *(_line(row) for row in ordered)]) + "\n"
+
+    def with_rows(self, rows: Iterable[Convergence]) -> ConvergenceTable:
+        """Return the table with further rows, which replace those of the same variant and setting."""
+        return ConvergenceTable(self.notes, {**self.rows, **{(row.variant, row.setting): row for row in rows}})
+
+
+def _line(row: Convergence) -> str:
+    values = row.model_dump().values()
+    return ",".join("" if value is None else f"{value:.4g}" if isinstance(value, float) else value for value in values)
 
 
 @dataclass(frozen=True, kw_only=True)

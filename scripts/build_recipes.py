@@ -24,7 +24,7 @@ from typing import Any
 from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe

@@ -25,7 +25,7 @@ from typing import Any
 
 import numpy as np
 from generated import write_or_check
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import PchipInterpolator
 
 from gauge_envs import load_experiment
@@ -33,10 +33,11 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.deformation import (
     STATISTICS,
     MarkedSolid,
+    affine_map,
     deformation_statistics,
     independent_noise,
     marked_solid,
-    statistic_uncertainty,
+    noise_residuals,
 )
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -382,6 +383,49 @@ def picture_statistics(
         noise, unseen = (single, none) if stated.get("read") else (spread_m, single)
     found = deformation_statistics(rest_m, markers_m[None], solid, noise_m=noise)[0]
     return found, statistic_uncertainty(rest_m, markers_m, solid, noise_m=noise, unseen_m=unseen)
+
+
+def statistic_uncertainty(
+    rest_m: ArrayLike,
+    markers_m: ArrayLike,
+    solid: MarkedSolid,
+    *,
+    noise_m: ArrayLike,
+    unseen_m: ArrayLike | None = None,
+) -> FloatArray:
+    """Return the 1-sigma uncertainty of the statistics of one frame, by linear propagation of marker errors.
+
+    The square of the non-affine residual is propagated to second order, because the residual may be smaller than its
+    errors. Its uncertainty u(R) solves (R + u)^2 = R^2 + u(R^2).
+
+    Args:
+        rest_m: Marker positions at rest [m], shape [marker_count, 3].
+        markers_m: Marker positions in the frame [m], shape [marker_count, 3].
+        solid: The marked solid.
+        noise_m: Independent 1-sigma error patterns that the displacements hold [m], shape
+            [pattern_count, marker_count, 3]. The non-affine residual is corrected for them.
+        unseen_m: Independent 1-sigma patterns of displacement that the positions do not show [m], in the same form.
+
+    Returns:
+        Uncertainty of each statistic in its unit, shape [10]; NaN where the statistic is.
+    """
+    noise, markers = np.asarray(noise_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
+    unseen = np.zeros((0, *markers.shape)) if unseen_m is None else np.asarray(unseen_m, dtype=np.float64)
+    patterns = np.concatenate([noise, unseen])
+    value = deformation_statistics(rest_m, markers[None], solid, noise_m=noise)[0]
+    forward, backward = (deformation_statistics(rest_m, markers + sign * patterns, solid) for sign in (1, -1))
+    sigma = np.asarray(np.sqrt(np.square(0.5 * (forward - backward)).sum(axis=0)))
+    residual = affine_map(rest_m, markers[None]).residual_m[0]
+    seen = np.isfinite(residual).all(axis=1)
+    left = noise_residuals(rest_m, patterns, seen)
+    count = max(int(seen.sum()), 1)
+    slopes = 2.0 * np.einsum("mc,kmc->k", np.nan_to_num(residual), left) / count
+    gram = np.einsum("kmc,lmc->kl", left, left) / count
+    # Displacement that is not seen also adds to the mean square, by the trace of its share.
+    added = float(np.trace(gram[len(noise) :, len(noise) :]))
+    square_sigma = 1e6 * float(np.sqrt(np.square(slopes).sum() + 2.0 * np.square(gram).sum() + added**2))
+    sigma[9] = np.sqrt(value[9] ** 2 + square_sigma) - value[9]
+    return sigma
 
 
 def statistics_csv(statistics: RecordedStatistics, names: Sequence[str]) -> str:

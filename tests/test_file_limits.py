@@ -21,7 +21,7 @@ from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
-from gauge_envs.references.convergence import ConvergenceTable
+from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
@@ -64,7 +64,7 @@ READERS: dict[str, Callable[[Path], object]] = {
     "settings.json": configuration,
     "robot.xml": configuration,
     "sensitivities.json": lambda file: read_sensitivities(file, 0),
-    "convergence.csv": ConvergenceTable.read,
+    "convergence.csv": read_convergence,
 }
 
 

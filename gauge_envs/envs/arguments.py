@@ -13,14 +13,13 @@ import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
-from gauge_envs.errors import GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.experiments.single_shot import shots_of, with_trial
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.observables.observer import MarkerProxy, checked_proxy
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource, has_import
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -59,7 +58,7 @@ class EnvArguments:
     asset: str | PathLike[str] | None = None
 
     def __post_init__(self) -> None:
-        checked_proxy(self.marker_proxy)
+        chosen(MarkerProxy, self.marker_proxy, "marker_proxy")
         self._check_types()
 
     def _check_types(self) -> None:

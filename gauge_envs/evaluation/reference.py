@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import shots_of
+from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.published import CarriedLaw, FlightLaw, carried_band, law_for, uncontacted_band

@@ -21,9 +21,8 @@ from gauge_envs.evaluation.metrics.events import (
     swing_times,
 )
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.events import EventQuantity, recorded_events
 from gauge_envs.references.metrics import EVENT_METRICS
-from gauge_envs.references.published import Baseline
+from gauge_envs.references.published import Baseline, EventQuantity, recorded_events
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.timing import FRAME_RATE_HZ

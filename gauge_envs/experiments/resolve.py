@@ -5,18 +5,66 @@ from __future__ import annotations
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
+from typing import TypeVar
 
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, chosen
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
-from gauge_envs.experiments.scene_source import is_experiment_file, with_asset
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.scene_source import with_asset
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.user_file import load_experiment_file
-from gauge_envs.experiments.variants import Variant, find_variant, task_path
+from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file, task_path
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
-from gauge_envs.references.single_shot import single_shots
+from gauge_envs.references.single_shot import SingleShots, single_shots
+from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import carried
+
+AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
+
+
+def shots_of(experiment: Experiment) -> SingleShots | None:
+    """Return the single-shot trials that an experiment starts from, or None.
+
+    An experiment whose start was replaced, by an override or by a file, has none.
+    """
+    return None if experiment.trial is None else single_shots(experiment.name)
+
+
+def with_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment:
+    """Return an experiment with the measured start of a single-shot trial.
+
+    Args:
+        experiment: An experiment with single-shot trials.
+        trial: Number of the trial, from 0.
+    """
+    shots = single_shots(experiment.name)
+    if shots is None:
+        raise ParameterError(f"{experiment.id} has no single-shot trials")
+    return replace(experiment, scene=_started(experiment.scene, shots, trial), trial=trial)
+
+
+def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
+    started = {body.name: body for body in scene.bodies}
+    for name in shots.sidecar.bodies:
+        shot = shots.shot(trial, name)
+        w, x, y, z = shot.quaternions[0].tolist()
+        started[name] = replace(
+            scene.body(name),
+            pose=Pose(position_m=vector(shot.positions_m[0]), quaternion=(w, x, y, z)),
+            linear_velocity_m_per_s=vector(shot.velocity_m_per_s),
+            angular_velocity_rad_per_s=vector(shot.angular_velocity_rad_per_s),
+        )
+    # A hinge goes with its first body.
+    hinges = tuple(
+        carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose) for hinge in scene.body_hinges
+    )
+    return replace(scene, bodies=tuple(started.values()), body_hinges=hinges)
+
+
+# --- single-shot trials -----------------------------------------------------------------------------------------------
+
 
 START_KEYS = set(Placement.model_fields)
 """Overrides that state the start of a body."""
@@ -133,7 +181,7 @@ def resolve_experiment(
         if path is not None:
             raise ParameterError(f"{subject} names its own USD layer; remove asset={str(asset)!r}")
         _check_stated(Path(subject), parameters, drivers)
-        if DataSource.of(reference, "reference") is not DataSource.BUNDLED:
+        if chosen(DataSource, reference, "reference") is not DataSource.BUNDLED:
             raise ParameterError(f"reference {str(reference)!r} with {subject}: the file states its own band")
         return load_experiment_file(subject)
     if path is None:
@@ -148,12 +196,12 @@ def _check_stated(path: Path, parameters: Parameters, drivers: DataSource | str)
         raise ParameterError(
             f"parameters {parameters!r} with {path.name}: the file states the constants; edit them there"
         )
-    if DataSource.of(drivers, "drivers") is not DataSource.BUNDLED:
+    if chosen(DataSource, drivers, "drivers") is not DataSource.BUNDLED:
         raise ParameterError(f"drivers {str(drivers)!r} with {path.name}: the file states the motion of driven bodies")
 
 
 def _data_source(variant: Variant, name: str, value: DataSource | str) -> DataSource:
-    source = DataSource.of(value, name)
+    source = chosen(DataSource, value, name)
     if source is DataSource.IMPORTED and load_imported(variant.name) is None:
         raise ParameterError(
             f"{variant.name}: {name}='imported', but no trials of it were imported; "

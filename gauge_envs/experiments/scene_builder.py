@@ -12,11 +12,10 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.task_format import JointSpec, MarkersSpec, Placement, TaskSpec
+from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
-    Attachment,
     BodyHinge,
     Box,
     Cloth,
@@ -26,7 +25,6 @@ from gauge_envs.scene import (
     Markers,
     Motion,
     Pose,
-    Region,
     RigidBody,
     Rod,
     Rope,
@@ -35,12 +33,14 @@ from gauge_envs.scene import (
     Tether,
     Vector,
 )
-from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 AIR = "air"
 """Name under which overrides state the air of a scene, as `air.density_kg_per_m3`."""
+
+NOT_OF_DEFORMABLES = ("friction", "restitution", "density_kg_per_m3")
+"""Constants of a task file that are those of contacts, or follow from others."""
 
 Parameters = str | Mapping[str, Any]
 """`calibrated`, another parameter set of the task file, or overrides such as `{"cube.friction": 0.3}`."""
@@ -75,8 +75,10 @@ class SceneBuilder:
         self.spec = spec
         self.variant = variant
         self.is_overridden = bool(overrides)
-        self.subtask = spec.subtasks[variant.subtask] if variant.subtask else None
-        self.present = self.subtask.bodies if self.subtask and self.subtask.bodies else spec.names
+        self.subtask = subtask = spec.subtasks[variant.subtask] if variant.subtask else None
+        self.present = subtask.bodies if subtask and subtask.bodies else spec.names
+        self.contacts = spec.contacts if subtask is None or subtask.contacts is None else subtask.contacts
+        self.drivers = spec.drivers if subtask is None or subtask.drivers is None else subtask.drivers
         self.placements = self._placements()
         self.constants = {
             name: spec.constants_of(name, spec.owner(name).material or variant.material, variant.subtask)
@@ -86,7 +88,7 @@ class SceneBuilder:
         self.air: dict[str, Any] = {}
         for key, value in overrides.items():
             self._override(key, value)
-        frames = self.subtask.frames if self.subtask else spec.frames
+        frames = subtask.frames if subtask else spec.frames
         try:
             self.frame_count = frames.get(variant.material) or frames["all"]
         except KeyError:
@@ -94,10 +96,9 @@ class SceneBuilder:
 
     def _placements(self) -> dict[str, Placement]:
         merged: dict[str, Placement] = {}
-        tables = [self.spec.initial] + ([self.subtask.initial] if self.subtask else [])
-        for table in tables:
+        for table in (self.spec, self.subtask):
             for material in ("all", self.variant.material):
-                merged.update(table.get(material, {}))
+                merged.update(table.initial.get(material, {}) if table else {})
         for name in self.present:
             if name not in merged:
                 raise TaskFileError(self.path, "initial", f"no start of {name!r} for {self.variant.name}")
@@ -106,7 +107,10 @@ class SceneBuilder:
     def _override(self, key: str, value: Any) -> None:
         name, _, constant = key.rpartition(".")
         if name == AIR:
-            self._override_air(constant, value)
+            air = [one.name for one in fields(Air)]
+            if constant not in air:
+                raise ParameterError(f"{self.variant.name}: air has no constant {constant!r}; {nearest(constant, air)}")
+            self.air[constant] = value
             return
         if name not in self.present:
             hint = nearest(name, self.present)
@@ -125,12 +129,6 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
-
-    def _override_air(self, field: str, value: Any) -> None:
-        known = [one.name for one in fields(Air)]
-        if field not in known:
-            raise ParameterError(f"{self.variant.name}: air has no constant {field!r}; {nearest(field, known)}")
-        self.air[field] = value
 
     def _air(self) -> Air | None:
         """Return the air that the overrides state; None without such overrides."""
@@ -157,24 +155,19 @@ class SceneBuilder:
 
     def _scene(self) -> Scene:
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
-        poses = {body.name: body.pose for body in bodies}
-        names = [*poses, *(n for n in self.present if n not in self.spec.bodies)]
-        specs = self.subtask.drivers if self.subtask and self.subtask.drivers is not None else self.spec.drivers
-        drivers = tuple(
-            Driver(
-                body=driver.body,
-                motions=tuple(motion.build(poses[driver.body]) for motion in driver.motions),
-                provenance=driver.provenance
-                if isinstance(driver.provenance, str)
-                else driver.provenance[self.variant.material],
-            )
-            for driver in specs
-        )
-        for driver in drivers:
-            motion = next(body.motion for body in bodies if body.name == driver.body)
-            if motion is not Motion.KINEMATIC:
-                raise TaskFileError(self.path, "drivers", f"{driver.body!r} is driven but {motion}, not kinematic")
+        names = [*(body.name for body in bodies), *(n for n in self.present if n not in self.spec.bodies)]
+        drivers = []
+        for stated in self.drivers:
+            driven = next(body for body in bodies if body.name == stated.body)
+            if driven.motion is not Motion.KINEMATIC:
+                raise TaskFileError(
+                    self.path, "drivers", f"{driven.name!r} is driven but {driven.motion}, not kinematic"
+                )
+            origin = stated.provenance
+            provenance = origin if isinstance(origin, str) else origin[self.variant.material]
+            drivers.append(stated.build(driven.name, driven.pose, provenance))
         markers = self.spec.markers
+        carriers = tuple(name for name in markers.bodies if name in self.present) if markers else ()
         return Scene(
             bodies=bodies,
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
@@ -185,13 +178,11 @@ class SceneBuilder:
                 if all(self._is_present(name) for name in one.bodies)
             ),
             attachments=tuple(
-                Attachment(deformable=a.deformable, region=Region(**a.region.model_dump()), to=a.to)
-                for a in self.spec.attachments
-                if self._is_present(a.deformable) and self._is_present(a.to)
+                one for one in self.spec.attachments if self._is_present(one.deformable) and self._is_present(one.to)
             ),
             contacts=tuple(self._contacts(names)),
-            drivers=drivers,
-            markers=None if markers is None else self._markers(markers),
+            drivers=tuple(drivers),
+            markers=None if markers is None else Markers(**(markers.model_dump() | {"bodies": carriers})),
             duration_s=(self.frame_count - 1) / FRAME_RATE_HZ,
             air=self._air(),
         )
@@ -199,10 +190,6 @@ class SceneBuilder:
     def _is_present(self, body: str) -> bool:
         """Return whether a body of the scene is part of the subtask. Counted bodies share one entry of the file."""
         return body in self.present or self.spec_name(body) in self.present
-
-    def _markers(self, spec: MarkersSpec) -> Markers:
-        carriers = tuple(name for name in spec.bodies if name in self.present)
-        return Markers(**(spec.model_dump() | {"bodies": carriers}))
 
     def _bodies(self, name: str) -> Iterator[RigidBody]:
         body = self.spec.bodies[name]
@@ -237,19 +224,17 @@ class SceneBuilder:
         return linear or rest, vector(angular)
 
     def _deformable(self, name: str) -> Deformable:
-        values: dict[str, Any] = dict(self.constants[name])
         placement = self.placements[name]
-        pose = placement.poses()[0]
+        values: dict[str, Any] = {"name": name, "pose": placement.poses()[0]}
+        values |= {key: value for key, value in self.constants[name].items() if key not in NOT_OF_DEFORMABLES}
         if any((*(placement.velocity_m_per_s or ()), *(placement.angular_velocity_deg_per_s or ()))):
             raise ParameterError(f"{name!r} is deformable and starts at rest: remove its start velocity")
-        for key in ("friction", "restitution", "density_kg_per_m3"):
-            values.pop(key, None)
         if name in self.spec.cloths:
-            return Cloth(name=name, pose=pose, size_m=self.spec.cloths[name].size_m, **values)
+            return Cloth(size_m=self.spec.cloths[name].size_m, **values)
         if name in self.spec.soft_bodies:
-            return SoftBody(name=name, pose=pose, shape=Box(size_m=self.spec.soft_bodies[name].size_m), **values)
+            return SoftBody(shape=Box(size_m=self.spec.soft_bodies[name].size_m), **values)
         line, kind = (self.spec.ropes[name], Rope) if name in self.spec.ropes else (self.spec.rods[name], Rod)
-        return kind(name=name, pose=pose, length_m=line.length_m, radius_m=line.radius_m, **values)
+        return kind(length_m=line.length_m, radius_m=line.radius_m, **values)
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
@@ -260,14 +245,13 @@ class SceneBuilder:
         return Tether(body=joint.body, anchor_m=placement.hangs_from_m, length_m=placement.length_m)
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
-        contacts = self.spec.contacts
-        if self.subtask and self.subtask.contacts is not None:
-            contacts = self.subtask.contacts
-        for contact in contacts:
+        for contact in self.contacts:
             first, second = (tuple(n for n in names if fnmatchcase(n, pattern)) for pattern in contact.bodies)
             constants = self.constants.get(contact.constants_of, {}) if contact.constants_of else {}
-            friction = contact.friction if contact.friction is not None else constants.get("friction")
-            restitution = contact.restitution if contact.restitution is not None else constants.get("restitution")
+            friction, restitution = (
+                stated if (stated := getattr(contact, name)) is not None else constants.get(name)
+                for name in ("friction", "restitution")
+            )
             if friction is None or restitution is None:
                 raise TaskFileError(self.path, "contacts", f"{contact.constants_of!r} has no friction or restitution")
             yield Contact(first=first, second=second, friction=friction, restitution=restitution, mode=contact.mode)

@@ -28,15 +28,8 @@ if TYPE_CHECKING:
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
 """Suffixes of USD layers."""
 
-EXPERIMENT_SUFFIX = ".toml"
-
 MOST_ASSET_BYTES = 256 * MEGABYTE
 """Largest size of an asset or of a file that it refers to."""
-
-
-def is_experiment_file(path: Path) -> bool:
-    """Return whether the suffix of a path is that of an experiment file."""
-    return path.suffix == EXPERIMENT_SUFFIX
 
 
 def read_bytes(path: Path) -> bytes:

@@ -6,14 +6,14 @@ A shape is read as the scene's own class. A profile has a class here, as files s
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import Annotated, Any, Literal, Self, get_args
+from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
 
-from gauge_envs.references.tables import FileModel
+from gauge_envs.references.tables import FileModel, UnitVector
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
-from gauge_envs.scene.drivers import CosineProfile, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, Profile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -22,15 +22,6 @@ Provenance = Literal["metadata", "paper", "video", "mocap", "derived", "nominal"
 
 PROVENANCES: tuple[str, ...] = get_args(Provenance)
 """Possible origins of a number; docs/coverage.md explains each."""
-
-
-def _unit(vector: Vector) -> Vector:
-    if abs(float(np.linalg.norm(vector)) - 1.0) > 1e-9:
-        raise ValueError(f"{list(vector)} is not a unit vector")
-    return vector
-
-
-UnitVector = Annotated[Vector, AfterValidator(_unit)]
 
 
 def _solid(union: ConvexUnion) -> ConvexUnion:
@@ -105,43 +96,35 @@ class _ProfileSpec(FileModel):
 
 
 class _MoveSpec(_ProfileSpec):
+    profile: ClassVar[type[TrapezoidProfile | CosineProfile]]
+
     start_s: NonNegative
     duration_s: Positive
     amount_m: float | None = None
     amount_deg: float | None = None
 
-    @property
-    def amount(self) -> float:
-        """Amount [m or rad]."""
-        return self.amount_m if self.amount_m is not None else float(np.radians(self.amount_deg or 0.0))
+    def build(self) -> Profile:
+        """Return the profile in m or rad."""
+        amount = self.amount_m if self.amount_m is not None else float(np.radians(self.amount_deg or 0.0))
+        return self.profile(**self.model_dump(exclude={"amount_m", "amount_deg"}), amount=amount)
 
 
 class TrapezoidSpec(_MoveSpec):
     """`kind = "trapezoid"`: constant acceleration, cruise, braking."""
 
+    profile = TrapezoidProfile
+
     kind: Literal["trapezoid"]
     accelerate_s: NonNegative
     brake_s: NonNegative
-
-    def build(self) -> Profile:
-        """Return the profile in m or rad."""
-        return TrapezoidProfile(
-            start_s=self.start_s,
-            duration_s=self.duration_s,
-            accelerate_s=self.accelerate_s,
-            brake_s=self.brake_s,
-            amount=self.amount,
-        )
 
 
 class CosineSpec(_MoveSpec):
     """`kind = "cosine"`: half a cosine from rest to rest."""
 
-    kind: Literal["cosine"]
+    profile = CosineProfile
 
-    def build(self) -> Profile:
-        """Return the profile in m or rad."""
-        return CosineProfile(start_s=self.start_s, duration_s=self.duration_s, amount=self.amount)
+    kind: Literal["cosine"]
 
 
 class SampledSpec(_ProfileSpec):
@@ -220,3 +203,7 @@ class DriverSpec(FileModel):
     provenance: Provenance | dict[str, Provenance]
     note: str
     motions: tuple[MotionSpec, ...] = Field(min_length=1)
+
+    def build(self, body: str, start: Pose, provenance: str) -> Driver:
+        """Return the driver of a body that starts at a pose."""
+        return Driver(body=body, motions=tuple(one.build(start) for one in self.motions), provenance=provenance)

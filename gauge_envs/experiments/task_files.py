@@ -17,10 +17,11 @@ from pydantic import ValidationError
 from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.tables import PROVENANCES
-from gauge_envs.experiments.task_format import SubtaskSpec, TaskSpec
+from gauge_envs.experiments.task_format import ClothConstants, SubtaskSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant, beyond_variants, task_path, unreadable_task_files, variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
 from gauge_envs.scene import Plane
+from gauge_envs.scene.fabrics import Fabric
 
 
 def load_task(path: Path) -> TaskSpec:
@@ -203,3 +204,23 @@ def task_sha256(family: str) -> str:
 def task_spec(family: str) -> TaskSpec:
     """Return the validated task file of a family."""
     return load_task(task_path(family))
+
+
+# --- fabrics ----------------------------------------------------------------------------------------------------------
+
+
+FABRICS_FROM = "TextileFlinging"
+"""Family whose task file names the six calibrated fabrics; other families repeat its constants."""
+
+
+def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
+    """Return the calibrated fabrics of a family, by name.
+
+    The default family has the six fabrics of the benchmark. The nylon of `TableclothPulling` is another cloth.
+    """
+    spec = task_spec(family)
+    return {
+        material: Fabric.of(ClothConstants.model_validate(spec.constants_of(cloth, material, None)))
+        for cloth in spec.cloths
+        for material in spec.constants[cloth]
+    }

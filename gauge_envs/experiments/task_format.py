@@ -10,12 +10,12 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable, UnitVector
+from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable
 from gauge_envs.experiments.variants import Collection, Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
-from gauge_envs.references.tables import FileModel
-from gauge_envs.scene import ContactMode, Motion, Pose
+from gauge_envs.references.tables import FileModel, UnitVector
+from gauge_envs.scene import Attachment, ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 
 
@@ -179,22 +179,6 @@ class BodyHingeSpec(FileModel):
     axis: UnitVector
 
 
-class RegionSpec(FileModel):
-    """End of a deformable body."""
-
-    axis: Literal["x", "y", "z"]
-    side: Literal["low", "high"]
-    depth_m: NonNegative = 0.0
-
-
-class AttachmentSpec(FileModel):
-    """Attachment of a region of a deformable body to another body."""
-
-    deformable: str
-    region: RegionSpec
-    to: str
-
-
 class ContactSpec(FileModel):
     """Two groups of bodies that collide, and the body whose calibrated constants hold for the pair."""
 
@@ -294,7 +278,7 @@ class TaskSpec(FileModel):
     initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
     joints: tuple[JointSpec, ...] = ()
     body_hinges: tuple[BodyHingeSpec, ...] = ()
-    attachments: tuple[AttachmentSpec, ...] = ()
+    attachments: tuple[Attachment, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
     frames: dict[str, Annotated[int, Field(ge=2)]] = Field(default_factory=dict)

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import ContactMode, Motion, Sphere, Vector
+from gauge_envs.scene.geometry import FloatArray
 
 MASS_STEP_KG = 1e-4
 """Masses are published to 0.1 g."""
@@ -92,15 +92,11 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
 
 
 def _contacts(builder: SceneBuilder) -> Iterator[UncertainParameter]:
-    known = input_uncertainties()
-    subtask, contacts = builder.subtask, builder.spec.contacts
-    if subtask and subtask.contacts is not None:
-        contacts = subtask.contacts
     for constant in ("friction", "restitution"):
-        entry = getattr(known, constant)
+        entry = getattr(input_uncertainties(), constant)
         owners = dict.fromkeys(
             contact.constants_of
-            for contact in contacts
+            for contact in builder.contacts
             if contact.constants_of
             and getattr(contact, constant) is None
             and (constant == "friction" or contact.mode is ContactMode.IMPACT)
@@ -158,7 +154,7 @@ def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
             )
 
 
-def _directions(axes: NDArray[np.float64], *, free: bool) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _directions(axes: FloatArray, *, free: bool) -> Iterator[tuple[str, FloatArray]]:
     """Yield directions in which a body may start elsewhere, so that it does not start inside another.
 
     Args:

@@ -6,7 +6,7 @@ the numbers are from.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
@@ -151,7 +151,9 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
     band = None
     if definition.band is not None:
         table = _named_file(path, "band.file", definition.band.file)
-        band = read_band(table, _band_sidecar(definition, definition.band), path)
+        stated = definition.band.model_dump(exclude={"file"})
+        unit = definition.score.observable.unit
+        band = read_band(table, BandSidecar(**stated, unit=unit, frames=definition.frames), path)
         contents.append(read_bytes(table))
     experiment = _file_experiment(
         definition.model_copy(update={"recorded": recorded}),
@@ -161,7 +163,10 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
         file_sha256=contents_sha256(contents),
     )
     check_fit(experiment, experiment)
-    _check_band(path, experiment)
+    names = experiment.coordinates
+    if band is not None and band.projection.shape[1] != len(names):
+        taken = f"it takes {band.projection.shape[1]} coordinates"
+        raise TaskFileError(path, "band", f"{taken}, g(t) has {len(names)}: {', '.join(names[:6])}")
     return experiment
 
 
@@ -243,7 +248,7 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     has_markers = definition.markers is None
     found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
     scene = replace(found.scene, duration_s=duration_s)
-    names = _Names(path, layer, found.paths)
+    names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
     scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
@@ -252,26 +257,26 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     if (definition.score.observable is Observable.POSITION) != bool(definition.recorded):
         needed = "recorded bodies" if not definition.recorded else "no recorded bodies, but markers"
         raise TaskFileError(path, "recorded", f"observable {definition.score.observable.value!r} needs {needed}")
-    return scene, tuple(names.body("recorded", name) for name in definition.recorded), found.used_files
+    return scene, tuple(names("recorded", name) for name in definition.recorded), found.used_files
 
 
-class _Names:
-    """Bodies of a layer, by name or prim path."""
-
-    def __init__(self, path: Path, layer: Path, paths: Mapping[str, str]) -> None:
-        self._path = path
-        self._layer = layer
-        self._names = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
-
-    def body(self, key: str, stated: str) -> str:
-        """Return the name of a body."""
-        if stated not in self._names:
-            prims = ", ".join(name for name in self._names if name.startswith("/")) or "none"
-            raise AssetError(self._path, key, f"{stated!r} is no body of {self._layer.name}, which has: {prims}")
-        return self._names[stated]
+Names = Callable[[str, str], str]
+"""Function that returns the name of a body for the key that states it, and the stated name or prim path."""
 
 
-def _markers(path: Path, layer: Path, names: _Names, spec: FileMarkersSpec) -> Markers:
+def _names(path: Path, layer: Path, paths: Mapping[str, str]) -> Names:
+    known = {name: name for name in paths} | {prim: name for name, prim in paths.items()}
+
+    def name_of(key: str, stated: str) -> str:
+        if stated not in known:
+            prims = ", ".join(paths.values()) or "none"
+            raise AssetError(path, key, f"{stated!r} is no body of {layer.name}, which has: {prims}")
+        return known[stated]
+
+    return name_of
+
+
+def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Markers:
     from gauge_envs.scene.usd.reader import read_points
 
     stated = spec.model_dump(exclude={"prim"})
@@ -284,13 +289,13 @@ def _markers(path: Path, layer: Path, names: _Names, spec: FileMarkersSpec) -> M
         whole = MarkersSpec.model_validate(stated)
     except ValidationError as error:
         raise task_file_error(path, error, "markers") from error
-    bodies = tuple(names.body("markers.bodies", name) for name in spec.bodies)
+    bodies = tuple(names("markers.bodies", name) for name in spec.bodies)
     return Markers(**(whole.model_dump() | {"bodies": bodies}))
 
 
-def _with_pair(path: Path, key: str, scene: Scene, names: _Names, pair: PairSpec) -> Scene:
+def _with_pair(path: Path, key: str, scene: Scene, names: Names, pair: PairSpec) -> Scene:
     """Return the scene with the constants of one pair; a contact of several pairs is split."""
-    wanted = frozenset(names.body(f"{key}.bodies", name) for name in pair.bodies)
+    wanted = frozenset(names(f"{key}.bodies", name) for name in pair.bodies)
     changes = pair.model_dump(exclude={"bodies"}, exclude_none=True)
     contacts: list[Contact] = []
     found = False
@@ -308,38 +313,16 @@ def _with_pair(path: Path, key: str, scene: Scene, names: _Names, pair: PairSpec
     return replace(scene, contacts=tuple(contacts))
 
 
-def _drivers(path: Path, names: _Names, scene: Scene, specs: Sequence[DriverSpec]) -> list[Driver]:
+def _drivers(path: Path, names: Names, scene: Scene, specs: Sequence[DriverSpec]) -> list[Driver]:
     drivers = []
     for index, spec in enumerate(specs):
         key = f"drivers.{index}"
-        body = scene.body(names.body(f"{key}.body", spec.body))
+        body = scene.body(names(f"{key}.body", spec.body))
         if body.motion is not Motion.KINEMATIC:
             raise AssetError(path, f"{key}.body", f"{body.name} is {body.motion.value} in the USD layer, not kinematic")
         if any(driver.body == body.name for driver in scene.drivers):
             raise AssetError(path, f"{key}.body", f"{body.name} is animated in the USD layer already")
         if not isinstance(spec.provenance, str):
             raise TaskFileError(path, f"{key}.provenance", "one word is expected: there are no materials here")
-        motions = tuple(motion.build(body.pose) for motion in spec.motions)
-        drivers.append(Driver(body=body.name, motions=motions, provenance=spec.provenance))
+        drivers.append(spec.build(body.name, body.pose, spec.provenance))
     return drivers
-
-
-# --- band ------------------------------------------------------------------------------------------------------------
-
-
-def _band_sidecar(definition: ExperimentFile, band: FileBandSpec) -> BandSidecar:
-    """Return the statements about the band in the form of a sidecar."""
-    return BandSidecar(
-        **band.model_dump(exclude={"file"}), unit=definition.score.observable.unit, frames=definition.frames
-    )
-
-
-def _check_band(path: Path, experiment: FileExperiment) -> None:
-    band = experiment.reference.band if experiment.reference is not None else None
-    names = experiment.coordinates
-    if band is not None and band.projection.shape[1] != len(names):
-        raise TaskFileError(
-            path,
-            "band",
-            f"it takes {band.projection.shape[1]} coordinates, g(t) has {len(names)}: {', '.join(names[:6])}",
-        )

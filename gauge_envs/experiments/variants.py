@@ -5,9 +5,10 @@ This module reads names alone and imports no pydantic model, so that importing t
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -143,3 +144,42 @@ def find_variant(name: str) -> Variant:
         return by_name[name.removeprefix("GAUGE/")]
     except KeyError:
         raise _unknown("experiment", name, by_name) from None
+
+
+# --- names and patterns -----------------------------------------------------------------------------------------------
+
+
+GLOB_CHARACTERS = "*?["
+
+
+EXPERIMENT_SUFFIX = ".toml"
+
+
+def is_experiment_file(path: Path) -> bool:
+    """Return whether the suffix of a path is that of an experiment file."""
+    return path.suffix == EXPERIMENT_SUFFIX
+
+
+def is_glob(pattern: str) -> bool:
+    """Return whether a text is a pattern, not an id."""
+    return any(character in pattern for character in GLOB_CHARACTERS)
+
+
+def matching_variants(pattern: str) -> list[Variant]:
+    """Return the variants of an id or a pattern, with or without `GAUGE/`.
+
+    A pattern matches the benchmark; only one that matches nothing there matches the variants beyond it.
+    """
+    if not is_glob(pattern):
+        return [find_variant(pattern)]
+    stem = pattern.removeprefix("GAUGE/")
+    for known in (variants(), beyond_variants()):
+        found = [variant for variant in known if fnmatchcase(variant.name, stem)]
+        if found:
+            return found
+    raise UnknownNameError("experiment", pattern, (variant.name for variant in (*variants(), *beyond_variants())))
+
+
+def matching_subjects(pattern: str) -> Sequence[Variant | str]:
+    """Return the variants of an id or a pattern, or the path of an experiment file."""
+    return [pattern] if is_experiment_file(Path(pattern)) else matching_variants(pattern)

@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Scene, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 STATISTICS = (
     "strain.xx",
@@ -92,16 +91,12 @@ def marked_solid(scene: Scene) -> MarkedSolid | None:
     solids = [body for body in blocks if isinstance(body, SoftBody)]
     if not solids or len(solids) < len(blocks):
         return None
-    axes = [_axes(solid) for solid in solids]
+    axes = [(one.pose.to_world(np.eye(3)) - np.asarray(one.pose.position_m)).T for one in solids]
     if any(np.abs(other - axes[0]).max() > 1e-9 for other in axes):
         return None
     sizes = np.max([solid.shape.size_m for solid in solids], axis=0)
     longest = np.flatnonzero(sizes > 0.999 * sizes.max())
     return MarkedSolid(axes=axes[0], long_axis=int(longest[0]) if len(longest) == 1 else None)
-
-
-def _axes(solid: SoftBody) -> FloatArray:
-    return (solid.pose.to_world(np.eye(3)) - np.asarray(solid.pose.position_m)).T
 
 
 def affine_map(rest_m: ArrayLike, markers_m: ArrayLike) -> AffineMap:
@@ -199,7 +194,7 @@ def _mean_square(fit: AffineMap) -> FloatArray:
     return np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > fit.rank + 1)
 
 
-def _noise_residuals(rest_m: ArrayLike, noise_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
+def noise_residuals(rest_m: ArrayLike, noise_m: FloatArray, seen: NDArray[np.bool_]) -> FloatArray:
     """Return what the affine map leaves of each error pattern [m], shape [pattern_count, marker_count, 3]."""
     rest = np.where(seen[:, None], np.asarray(rest_m, dtype=np.float64), np.nan)
     return np.nan_to_num(affine_map(rest, noise_m).residual_m)
@@ -213,7 +208,7 @@ def _noise_mean_square(rest_m: ArrayLike, fit: AffineMap, noise_m: ArrayLike | N
     seen = np.isfinite(fit.residual_m).all(axis=2)
     patterns, pattern_of = np.unique(seen, axis=0, return_inverse=True)
     for number, pattern in enumerate(patterns):
-        left = _noise_residuals(rest_m, noise, pattern)
+        left = noise_residuals(rest_m, noise, pattern)
         expected[pattern_of.ravel() == number] = np.square(left).sum() / max(int(pattern.sum()), 1)
     return expected
 
@@ -263,46 +258,3 @@ def trial_statistics(markers_m: ArrayLike, solid: MarkedSolid) -> FloatArray:
     markers = np.asarray(markers_m, dtype=np.float64)
     noise = independent_noise(np.full(markers.shape[1:], np.sqrt(2.0) * white_noise_m(markers)))
     return deformation_statistics(markers[0], markers, solid, noise_m=noise)
-
-
-def statistic_uncertainty(
-    rest_m: ArrayLike,
-    markers_m: ArrayLike,
-    solid: MarkedSolid,
-    *,
-    noise_m: ArrayLike,
-    unseen_m: ArrayLike | None = None,
-) -> FloatArray:
-    """Return the 1-sigma uncertainty of the statistics of one frame, by linear propagation of marker errors.
-
-    The square of the non-affine residual is propagated to second order, because the residual may be smaller than its
-    errors. Its uncertainty u(R) solves (R + u)^2 = R^2 + u(R^2).
-
-    Args:
-        rest_m: Marker positions at rest [m], shape [marker_count, 3].
-        markers_m: Marker positions in the frame [m], shape [marker_count, 3].
-        solid: The marked solid.
-        noise_m: Independent 1-sigma error patterns that the displacements hold [m], shape
-            [pattern_count, marker_count, 3]. The non-affine residual is corrected for them.
-        unseen_m: Independent 1-sigma patterns of displacement that the positions do not show [m], in the same form.
-
-    Returns:
-        Uncertainty of each statistic in its unit, shape [10]; NaN where the statistic is.
-    """
-    noise, markers = np.asarray(noise_m, dtype=np.float64), np.asarray(markers_m, dtype=np.float64)
-    unseen = np.zeros((0, *markers.shape)) if unseen_m is None else np.asarray(unseen_m, dtype=np.float64)
-    patterns = np.concatenate([noise, unseen])
-    value = deformation_statistics(rest_m, markers[None], solid, noise_m=noise)[0]
-    forward, backward = (deformation_statistics(rest_m, markers + sign * patterns, solid) for sign in (1, -1))
-    sigma = np.asarray(np.sqrt(np.square(0.5 * (forward - backward)).sum(axis=0)))
-    residual = affine_map(rest_m, markers[None]).residual_m[0]
-    seen = np.isfinite(residual).all(axis=1)
-    left = _noise_residuals(rest_m, patterns, seen)
-    count = max(int(seen.sum()), 1)
-    slopes = 2.0 * np.einsum("mc,kmc->k", np.nan_to_num(residual), left) / count
-    gram = np.einsum("kmc,lmc->kl", left, left) / count
-    # Displacement that is not seen also adds to the mean square, by the trace of its share.
-    added = float(np.trace(gram[len(noise) :, len(noise) :]))
-    square_sigma = 1e6 * float(np.sqrt(np.square(slopes).sum() + 2.0 * np.square(gram).sum() + added**2))
-    sigma[9] = np.sqrt(value[9] ** 2 + square_sigma) - value[9]
-    return sigma

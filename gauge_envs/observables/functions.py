@@ -1,4 +1,4 @@
-"""Compute generalized trajectories g(t) from positions and markers: positions, curvature, face areas.
+"""Compute generalized trajectories g(t) from markers: curvature and face areas.
 
 All functions are pure and vectorized over frames. Input is in metres, with NaN for a missing marker. Output is in the
 units of the published scores: mm, rad and mm^2.
@@ -14,21 +14,7 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
-
-FloatArray = NDArray[np.float64]
-
-
-def positions_mm(positions_m: ArrayLike) -> FloatArray:
-    """Return positions of rigid bodies or markers as one row of coordinates per frame (paper, g(t) = P).
-
-    Args:
-        positions_m: Positions, shape [frame_count, body_count, 3], m.
-
-    Returns:
-        x, y, z of the first body, then of the next, shape [frame_count, 3 * body_count], mm.
-    """
-    positions_m = _points("positions_m", positions_m, dimension=3)
-    return 1e3 * positions_m.reshape(len(positions_m), -1)
+from gauge_envs.scene.geometry import FloatArray
 
 
 def angle_deficit_curvature(

@@ -7,8 +7,9 @@ default mesh; its scores then measure the mesh.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -16,10 +17,11 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.backends.base import Simulation, World
-from gauge_envs.errors import ParameterError, ShapeError
+from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.scene import Cloth, Deformable, Markers, Pose, Scene
+from gauge_envs.scene import Cloth, Deformable, Markers, Scene
+from gauge_envs.scene.geometry import FloatArray
 
 MARKER_REACH_M = 0.01
 """Largest distance between a marker and its proxy (paper, simulation and track: below 1 cm)."""
@@ -34,14 +36,6 @@ class MarkerProxy(StrEnum):
     """The nearest node, each used once (Hungarian algorithm), as in the paper."""
 
 
-def checked_proxy(name: str) -> MarkerProxy:
-    """Return the marker proxy of a name."""
-    if name not in list(MarkerProxy):
-        known = " or ".join(repr(proxy.value) for proxy in MarkerProxy)
-        raise ParameterError(f"marker_proxy {name!r}: choose {known}")
-    return MarkerProxy(name)
-
-
 class Observer(Protocol):
     """Observer of one kind of generalized trajectory.
 
@@ -51,12 +45,12 @@ class Observer(Protocol):
     """
 
     width: int
-    markers_m: NDArray[np.float64]
+    markers_m: FloatArray
 
-    def now(self, world: World) -> NDArray[np.float64]:
+    def now(self, world: World) -> FloatArray:
         """Return g(t) now, shape [width]."""
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
 
 
@@ -72,11 +66,11 @@ class ObserverPositions:
         self.width = 3 * len(self._names)
         self.markers_m = np.zeros((0, 3))
 
-    def now(self, world: World) -> NDArray[np.float64]:
+    def now(self, world: World) -> FloatArray:
         """Return the positions now, shape [width]."""
         return 1e3 * world.body_states(self._names)[:, :3].ravel()
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         positions = simulation.sample_positions(self._names, count, interval_s)
         return 1e3 * positions.reshape(count, self.width)
@@ -100,10 +94,10 @@ class ObserverMarkers:
         if scene.markers is None:
             raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
         self._markers = scene.markers
-        self._observable = observable
+        self._observed = partial(observe_markers, markers=scene.markers, observable=observable)
         rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self._read = _tracker(world, tuple(rest), targets) if proxy is MarkerProxy.MATERIAL else None
+        self._read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
             self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
@@ -115,12 +109,12 @@ class ObserverMarkers:
         self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
         self.width = len(self._observed(self.markers_m[None])[0])
 
-    def now(self, world: World) -> NDArray[np.float64]:
+    def now(self, world: World) -> FloatArray:
         """Return g(t) now, shape [width]."""
         self.markers_m = self._marker_positions(world)
         return self._observed(self.markers_m[None])[0]
 
-    def sample(self, simulation: Simulation, count: int, interval_s: float) -> NDArray[np.float64]:
+    def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
         markers = np.empty((count, *self.markers_m.shape))
         for row in markers:
@@ -129,20 +123,14 @@ class ObserverMarkers:
         self.markers_m = markers[-1].copy()
         return self._observed(markers)
 
-    def _marker_positions(self, world: World) -> NDArray[np.float64]:
+    def _marker_positions(self, world: World) -> FloatArray:
         if self._read is not None:
             return self._read()
         nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
         return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
 
-    def _observed(self, markers_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return g(t) of marker positions, shape [sample_count, width]."""
-        return observe_markers(markers_m, self._markers, self._observable)
 
-
-def _tracker(
-    world: World, names: Sequence[str], targets_m: NDArray[np.float64]
-) -> Callable[[], NDArray[np.float64]] | None:
+def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Callable[[], FloatArray] | None:
     """Return the engine's tracker of all markers, or None if the engine has none."""
     refusal = None
     for name in names:
@@ -153,7 +141,7 @@ def _tracker(
     raise refusal or ShapeError("the markers are on no body")
 
 
-def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable: Observable) -> NDArray[np.float64]:
+def observe_markers(markers_m: FloatArray, markers: Markers, observable: Observable) -> FloatArray:
     """Return g(t) of marker positions.
 
     Args:
@@ -174,8 +162,8 @@ def observe_markers(markers_m: NDArray[np.float64], markers: Markers, observable
 
 
 def material_points(
-    targets_m: NDArray[np.float64], rest: dict[str, NDArray[np.float64]], deformables: dict[str, Deformable]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    targets_m: FloatArray, rest: dict[str, FloatArray], deformables: dict[str, Deformable]
+) -> tuple[NDArray[np.intp], FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
     Args:
@@ -191,12 +179,9 @@ def material_points(
     best = np.full(len(targets_m), np.inf)
     first = 0
     for name, nodes in rest.items():
-        flat = (
-            _sheet_coordinates(deformables[name].pose, nodes, targets_m)
-            if isinstance(deformables[name], Cloth)
-            else None
-        )
-        points, queries = (nodes, targets_m) if flat is None else flat
+        points, queries, body = nodes, targets_m, deformables[name]
+        if isinstance(body, Cloth):
+            points, queries = body.pose.to_body(nodes)[:, :2], body.pose.to_body(targets_m)[:, :2]
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
             missed = float(np.linalg.norm(share @ nodes[simplex] - targets_m[marker]))
             if missed < best[marker]:
@@ -212,15 +197,7 @@ def material_points(
     return indices, weights
 
 
-def _sheet_coordinates(
-    pose: Pose, nodes: NDArray[np.float64], targets_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    return pose.to_body(nodes)[:, :2], pose.to_body(targets_m)[:, :2]
-
-
-def _barycentric(
-    name: str, points: NDArray[np.float64], queries: NDArray[np.float64]
-) -> list[tuple[NDArray[np.intp], NDArray[np.float64]]]:
+def _barycentric(name: str, points: FloatArray, queries: FloatArray) -> list[tuple[NDArray[np.intp], FloatArray]]:
     """Return simplex and weights of each query; a query outside is moved to the surface of the nearest simplex."""
     try:
         mesh = Delaunay(points)

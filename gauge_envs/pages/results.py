@@ -9,7 +9,7 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import quantity_text, short_id, value_text
-from gauge_envs.references.convergence import RefinedSetting, convergence_table
+from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
@@ -122,7 +122,7 @@ NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half c
 
 def convergence_rows(engine: str, variant: str) -> dict[str, dict[str, Any]]:
     """Return the measured convergence of a variant on an engine, JSON-ready, by the setting that was halved."""
-    return {setting: row.model_dump() for setting, row in convergence_table(engine).of(variant).items()}
+    return {setting: row.model_dump() for setting, row in convergence_of(engine, variant).items()}
 
 
 def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False) -> str:

@@ -18,14 +18,25 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import FileModel, csv_header, header_fault, read_rows, read_toml, scoring_folder
-from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.references.tables import (
+    FileModel,
+    FrameRow,
+    csv_header,
+    faults_of,
+    frame_table,
+    header_fault,
+    read_frames,
+    read_toml,
+    scoring_folder,
+)
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
 from gauge_envs.scene.timing import MOST_FRAMES
-
-FloatArray = NDArray[np.float64]
 
 MOST_COORDINATES = 10_000
 """Largest width of g(t) that a file can state."""
+
+QUANTITIES = ("mean", "sigma", "uncertainty")
+"""Quantities that the table of a band has for each coordinate; all but the mean may be absent."""
 
 
 class BandGrade(StrEnum):
@@ -84,33 +95,24 @@ class Band:
     grade: BandGrade
     unit: str
     coordinates: tuple[str, ...]
-    projection: NDArray[np.float64]
-    mean: NDArray[np.float64]
-    sigma: NDArray[np.float64]
+    projection: FloatArray
+    mean: FloatArray
+    sigma: FloatArray
     measured: NDArray[np.bool_]
     trial_count: int | None
     source: str
     sigma_source: SigmaSource = SigmaSource.TRIALS
-    uncertainty: NDArray[np.float64] | None = None
+    uncertainty: FloatArray | None = None
     withheld: str | None = None
-    trials: NDArray[np.float64] | None = None
+    trials: FloatArray | None = None
     normalized_by_baseline: bool = True
 
     def __post_init__(self) -> None:
-        arrays = {
-            "projection": float,
-            "mean": float,
-            "sigma": float,
-            "measured": bool,
-            "uncertainty": float,
-            "trials": float,
-        }
-        for name, dtype in arrays.items():
-            if getattr(self, name) is None:
-                continue
-            values = np.array(getattr(self, name), dtype=dtype)
-            values.setflags(write=False)
-            object.__setattr__(self, name, values)
+        for name in ("projection", "mean", "sigma", "measured", "uncertainty", "trials"):
+            if getattr(self, name) is not None:
+                values = np.array(getattr(self, name), dtype=bool if name == "measured" else float)
+                values.setflags(write=False)
+                object.__setattr__(self, name, values)
         count = len(self.coordinates)
         if self.projection.ndim != 2 or len(self.projection) != count:
             raise ShapeError(f"projection has shape {self.projection.shape}; [{count}, width of g(t)] is needed")
@@ -127,7 +129,7 @@ class Band:
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
-    def project(self, g: ArrayLike) -> NDArray[np.float64]:
+    def project(self, g: ArrayLike) -> FloatArray:
         """Map a generalized trajectory to the band's coordinates.
 
         Args:
@@ -272,29 +274,16 @@ def _bundled_band(folder: Path, variant: str) -> Band | None:
     trials_file = folder.parent / "trials" / f"{variant}.csv"
     if not trials_file.is_file():
         return band
-    try:
-        return replace(band, trials=_read_trials(trials_file, sidecar.coordinates, sidecar.trial_count or 0))
-    except ShapeError as error:
-        raise ReferenceFileError(trials_file, None, str(error)) from None
+    with faults_of(trials_file):
+        columns = [f"trial.{n + 1}.{name}" for n in range(sidecar.trial_count or 0) for name in sidecar.coordinates]
+        values = frame_table(read_frames(trials_file, ["frame", *columns], _TrialsRow), "trial")
+        return replace(band, trials=values.reshape(len(values), -1, len(sidecar.coordinates)).transpose(1, 0, 2))
 
 
-class _TrialsRow(FileModel):
+class _TrialsRow(FrameRow):
     """One row of the table of single trials; values are keyed `<trial>.<coordinate>`."""
 
-    frame: NonNegativeInt
     trial: dict[str, float | None]
-
-
-def _read_trials(file: Path, coordinates: Sequence[str], trial_count: int) -> FloatArray:
-    """Return the trials of a table (format: scoring/README.md), shape [trial_count, T, C]."""
-    columns = [f"trial.{number + 1}.{coordinate}" for number in range(trial_count) for coordinate in coordinates]
-    rows: list[list[float | None]] = []
-    for line, row in read_rows(file, ["frame", *columns], _TrialsRow):
-        if row.frame != len(rows):
-            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")
-        rows.append(list(row.trial.values()))
-    values = np.array(rows, dtype=np.float64).reshape(len(rows), trial_count, len(coordinates))
-    return values.transpose(1, 0, 2)
 
 
 def bundled_sidecar(variant: str) -> BandSidecar | None:
@@ -313,50 +302,57 @@ def read_band(file: Path, sidecar: BandSidecar, sidecar_file: Path) -> Band:
         sidecar_file: File that makes them, for messages.
     """
     columns = _band_columns(file, sidecar.coordinates)
-    row_count = len(columns["measured"])
-    frames = row_count if sidecar.frames is None else sidecar.frames
-    if frames < row_count:
-        raise ReferenceFileError(sidecar_file, None, f"frames is {frames}, but the table has {row_count}")
-    padding = ((0, frames - row_count), (0, 0))
-    padded = {name: np.pad(values, padding, constant_values=np.nan) for name, values in columns.items()}
-    sigma = padded.get("sigma")
-    if sigma is None:
-        sigma = _stated_sigma(sidecar, sidecar_file, padded)
-    try:
+    rows = read_frames(file, columns, _BandRow)
+    if not rows:
+        raise ReferenceFileError(file, None, "it has no rows: a row for each frame is expected")
+    frames = len(rows) if sidecar.frames is None else sidecar.frames
+    if frames < len(rows):
+        raise ReferenceFileError(sidecar_file, None, f"frames is {frames}, but the table has {len(rows)}")
+    values = {
+        quantity: frame_table(rows, quantity, frames)
+        for quantity in QUANTITIES
+        if f"{quantity}.{sidecar.coordinates[0]}" in columns
+    }
+    measured = np.zeros(frames, dtype=bool)
+    # A table without the column has measured every frame that has a mean.
+    measured[: len(rows)] = (
+        [row.measured == "1" for row in rows]
+        if "measured" in columns
+        else ~np.isnan(values["mean"][: len(rows)]).all(axis=1)
+    )
+    sigma = values["sigma"] if "sigma" in values else _stated_sigma(sidecar, sidecar_file, values)
+    with faults_of(sidecar_file):
         return Band(
             grade=BandGrade(sidecar.grade),
             unit=sidecar.unit,
             coordinates=sidecar.coordinates,
             projection=sidecar.projection_matrix,
-            mean=padded["mean"],
+            mean=values["mean"],
             sigma=sigma,
-            measured=padded["measured"][:, 0] == 1,
+            measured=measured,
             trial_count=sidecar.trial_count if sidecar.grade == "trials" else None,
             source=sidecar.source,
             sigma_source=SigmaSource(sidecar.sigma_source),
-            uncertainty=padded.get("uncertainty"),
+            uncertainty=values.get("uncertainty"),
             withheld=sidecar.withheld,
             normalized_by_baseline=sidecar.normalized_by_baseline,
         )
-    except ValueError as error:
-        raise ReferenceFileError(sidecar_file, None, str(error)) from None
 
 
-def _stated_sigma(sidecar: BandSidecar, file: Path, columns: Mapping[str, FloatArray]) -> FloatArray:
+def _stated_sigma(sidecar: BandSidecar, file: Path, values: Mapping[str, FloatArray]) -> FloatArray:
     """Return the sigma of a table without a column of it: the uncertainty, or one number of the sidecar."""
     if sidecar.sigma_source != "measurement":
         if sidecar.sigma is None:
             raise ReferenceFileError(file, None, "sigma is missing here, and the table has no column of it")
-        return np.full(columns["mean"].shape, sidecar.sigma)
-    if "uncertainty" not in columns:
+        return np.full(values["mean"].shape, sidecar.sigma)
+    if "uncertainty" not in values:
         raise ReferenceFileError(file, None, "sigma_source is 'measurement', but the table has no uncertainty")
-    return columns["uncertainty"]
+    return values["uncertainty"]
 
 
-class _BandRow(FileModel):
+class _BandRow(FrameRow):
     """One row of the table of a band; values are keyed by coordinate, and None is unknown."""
 
-    frame: NonNegativeInt
     time_s: float | None = None
     measured: Literal["0", "1"] = "1"
     measured_trials: NonNegativeInt | None = None
@@ -365,28 +361,13 @@ class _BandRow(FileModel):
     uncertainty: dict[str, NonNegative | None] = Field(default_factory=dict)
 
 
-def _band_columns(file: Path, coordinates: Sequence[str]) -> dict[str, FloatArray]:
-    """Return `measured`, shape [T, 1], and `mean`, `sigma`, `uncertainty`, each of shape [T, C].
-
-    A value that is not known is NaN. A quantity without columns is left out. A table without the column `measured` has
-    measured every frame that has a mean.
-    """
+def _band_columns(file: Path, coordinates: Sequence[str]) -> list[str]:
+    """Return the columns that the table must have, from the quantities in its header."""
     header = csv_header(file)
-    quantities = [q for q in ("mean", "sigma", "uncertainty") if any(name.startswith(f"{q}.") for name in header)]
+    quantities = [q for q in QUANTITIES if any(name.startswith(f"{q}.") for name in header)]
     if "mean" not in quantities:
         raise ReferenceFileError(
             file, 1, f"{header_fault(header, ['frame'])}, expected mean.{coordinates[0]} among them"
         )
     optional = [name for name in ("time_s", "measured", "measured_trials") if name in header]
-    expected = ["frame", *optional, *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates)]
-    rows: dict[str, list[list[Any]]] = {"measured": [], **{q: [] for q in quantities}}
-    for line, row in read_rows(file, expected, _BandRow):
-        if row.frame != len(rows["measured"]):
-            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows['measured'])} is next")
-        has_mean = any(value is not None for value in row.mean.values())
-        rows["measured"].append([row.measured == "1" if "measured" in optional else has_mean])
-        for quantity in quantities:
-            rows[quantity].append(list(getattr(row, quantity).values()))
-    if not rows["measured"]:
-        raise ReferenceFileError(file, None, "it has no rows: a row for each frame is expected")
-    return {name: np.array(values, dtype=np.float64) for name, values in rows.items()}
+    return ["frame", *optional, *(f"{q}.{coordinate}" for q in quantities for coordinate in coordinates)]

@@ -6,26 +6,20 @@ measured.
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Literal, get_args
 
-from pydantic import NonNegativeFloat, PositiveFloat, ValidationError
+from pydantic import NonNegativeFloat, PositiveFloat
 
-from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.files import read_regular
-from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, scoring_folder
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 RefinedSetting = Literal["timestep_s", "cell_m"]
 """Setting that is halved: the time step, or the edge of the cells of a deformable body."""
 
 REFINED_SETTINGS: tuple[RefinedSetting, ...] = get_args(RefinedSetting)
 """The settings that are halved, in the order of reports."""
-
-COMMENT = "#"
 
 
 class Convergence(FileModel):
@@ -59,73 +53,19 @@ class Convergence(FileModel):
     points_max_mm: NonNegativeFloat | None = None
 
 
-@dataclass(frozen=True)
-class ConvergenceTable:
-    """Measured convergence of one engine.
-
-    Attributes:
-        notes: Texts of the head of the file by key: `engine` with its version, and `date`.
-        rows: Measured rows, by variant and setting.
-    """
-
-    notes: Mapping[str, str]
-    rows: Mapping[tuple[str, RefinedSetting], Convergence]
-
-    def of(self, variant: str) -> dict[RefinedSetting, Convergence]:
-        """Return the rows of a variant by setting; a setting that was not measured is absent."""
-        return {setting: row for setting in REFINED_SETTINGS if (row := self.rows.get((variant, setting)))}
-
-    @classmethod
-    def read(cls, file: Path) -> ConvergenceTable:
-        """Read a table."""
-        try:
-            lines = read_regular(file, MOST_TABLE_BYTES).decode("utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            raise ReferenceFileError(file, None, f"the file cannot be read: {error}") from None
-        head = [line for line in lines if line.startswith(COMMENT)]
-        notes = dict(line.removeprefix(COMMENT).strip().partition(": ")[::2] for line in head if ": " in line)
-        body = list(csv.reader(line for line in lines if not line.startswith(COMMENT)))
-        columns = list(Convergence.model_fields)
-        if not body or body[0] != columns:
-            found = ",".join(body[0]) if body else "none"
-            raise ReferenceFileError(file, len(head) + 1, f"columns are {found}, expected {','.join(columns)}")
-        rows: dict[tuple[str, RefinedSetting], Convergence] = {}
-        for number, fields in enumerate(body[1:], start=len(head) + 2):
-            if len(fields) != len(columns):
-                raise ReferenceFileError(file, number, f"{len(fields)} fields, expected {len(columns)}")
-            try:
-                row = Convergence.model_validate(
-                    {name: field or None for name, field in zip(columns, fields, strict=True)}
-                )
-            except ValidationError as error:
-                raise ReferenceFileError(file, number, ": ".join(first_fault(error))) from None
-            if (row.variant, row.setting) in rows:
-                raise ReferenceFileError(file, number, f"{row.variant}, {row.setting} has a row above: remove one")
-            rows[row.variant, row.setting] = row
-        return cls(notes=notes, rows=rows)
-
-    def text(self) -> str:
-        """Return the table as the text of its file, sorted by variant and setting."""
-        lines = [f"{COMMENT} {key}: {note}" for key, note in self.notes.items()]
-        lines.append(",".join(Convergence.model_fields))
-        ordered = sorted(self.rows.values(), key=lambda row: (row.variant, REFINED_SETTINGS.index(row.setting)))
-        return "\n".join([*lines, *(_line(row) for row in ordered)]) + "\n"
-
-    def with_rows(self, rows: Iterable[Convergence]) -> ConvergenceTable:
-        """Return the table with further rows, which replace those of the same variant and setting."""
-        return ConvergenceTable(self.notes, {**self.rows, **{(row.variant, row.setting): row for row in rows}})
-
-
-def _line(row: Convergence) -> str:
-    values = row.model_dump().values()
-    return ",".join("" if value is None else f"{value:.4g}" if isinstance(value, float) else value for value in values)
-
-
-def convergence_table(engine: str) -> ConvergenceTable:
-    """Return the bundled table of an engine, as `mujoco`; it is empty if there is no such file."""
-    return _bundled(scoring_folder("convergence") / f"{engine}.csv")
-
-
 @cache
-def _bundled(file: Path) -> ConvergenceTable:
-    return ConvergenceTable.read(file) if file.is_file() else ConvergenceTable({}, {})
+def read_convergence(file: Path) -> dict[tuple[str, RefinedSetting], Convergence]:
+    """Return the rows of a table by variant and setting."""
+    rows: dict[tuple[str, RefinedSetting], Convergence] = {}
+    for line, row in read_rows(file, list(Convergence.model_fields), Convergence):
+        if (row.variant, row.setting) in rows:
+            raise ReferenceFileError(file, line, f"{row.variant}, {row.setting} has a row above: remove one")
+        rows[row.variant, row.setting] = row
+    return rows
+
+
+def convergence_of(engine: str, variant: str) -> dict[RefinedSetting, Convergence]:
+    """Return the measured rows of a variant on an engine, as `mujoco`, by setting."""
+    file = scoring_folder("convergence") / f"{engine}.csv"
+    rows = read_convergence(file) if file.is_file() else {}
+    return {setting: row for setting in REFINED_SETTINGS if (row := rows.get((variant, setting)))}

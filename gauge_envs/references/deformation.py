@@ -6,20 +6,23 @@ The bundled tables are data in `scoring/statistics`; `scoring/README.md` names t
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.references.tables import (
+    FileModel,
+    FrameRow,
+    frame_table,
+    read_frames,
+    read_toml,
+    scoring_folder,
+)
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,10 +81,9 @@ class StatisticsSidecar(FileModel):
     recording: dict[str, Any]
 
 
-class _StatisticsRow(FileModel):
+class _StatisticsRow(FrameRow):
     """One row of the table; values are keyed by statistic, and None is not measured."""
 
-    frame: NonNegativeInt
     time_s: float
     mean: dict[str, float | None]
     uncertainty: dict[str, NonNegativeFloat | None]
@@ -98,29 +100,16 @@ def _bundled(folder: Path, variant: str) -> DeformationReference | None:
     if not file.is_file():
         return None
     sidecar = read_toml(sidecar_file, StatisticsSidecar)
-    mean, uncertainty = _read_table(file, sidecar.statistics)
-    if sidecar.frames < len(mean):
-        raise ReferenceFileError(sidecar_file, None, f"frames is {sidecar.frames}, but the table has {len(mean)}")
-    padding = ((0, sidecar.frames - len(mean)), (0, 0))
+    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in sidecar.statistics]
+    rows = read_frames(file, ["frame", "time_s", *columns], _StatisticsRow)
+    if sidecar.frames < len(rows):
+        raise ReferenceFileError(sidecar_file, None, f"frames is {sidecar.frames}, but the table has {len(rows)}")
     return DeformationReference(
         statistics=sidecar.statistics,
         markers=sidecar.markers,
-        mean=np.pad(mean, padding, constant_values=np.nan),
-        sigma=np.pad(uncertainty, padding, constant_values=np.nan),
+        mean=frame_table(rows, "mean", sidecar.frames),
+        sigma=frame_table(rows, "uncertainty", sidecar.frames),
         trial_count=sidecar.trial_count,
         source=sidecar.source,
         note=sidecar.note,
     )
-
-
-def _read_table(file: Path, statistics: Sequence[str]) -> tuple[FloatArray, FloatArray]:
-    columns = [f"{quantity}.{name}" for quantity in ("mean", "uncertainty") for name in statistics]
-    mean: list[list[float | None]] = []
-    uncertainty: list[list[float | None]] = []
-    for line, row in read_rows(file, ["frame", "time_s", *columns], _StatisticsRow):
-        if row.frame != len(mean):
-            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(mean)} is next")
-        mean.append(list(row.mean.values()))
-        uncertainty.append(list(row.uncertainty.values()))
-    shape = (len(mean), len(statistics))
-    return np.array(mean, dtype=np.float64).reshape(shape), np.array(uncertainty, dtype=np.float64).reshape(shape)

@@ -23,19 +23,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from platformdirs import user_data_path
 from pydantic import ValidationError
 
-from gauge_envs.errors import DatasetError, ParameterError, ReferenceFileError, first_fault
-from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, read_regular, write_whole
+from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
+from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.deformation import DeformationReference
-from gauge_envs.references.tables import FileModel
+from gauge_envs.references.tables import FileModel, read_content
 from gauge_envs.scene.drivers import Driver, SampledProfile
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 MOST_RECORD_BYTES = 8 * MEGABYTE
 MOST_ARRAYS_BYTES = 256 * MEGABYTE
@@ -55,18 +53,6 @@ class DataSource(StrEnum):
     IMPORTED = "imported"
     """The real trials that `gauge data import` read."""
 
-    @classmethod
-    def of(cls, value: DataSource | str, name: str) -> DataSource:
-        """Return the data source of a value.
-
-        Args:
-            value: `bundled` or `imported`.
-            name: Argument that has the value, as `drivers`.
-        """
-        if value not in tuple(cls):
-            raise ParameterError(f"{name} {value!r}: choose {' or '.join(repr(source.value) for source in cls)}")
-        return cls(value)
-
 
 BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
 """Data sources of a result that uses no import."""
@@ -79,6 +65,15 @@ class SpreadRecord(FileModel):
     mean: float
     std: float | None
     trial_count: int
+
+    @classmethod
+    def of(cls, values: FloatArray, unit: str) -> SpreadRecord | None:
+        """Return the spread of the finite ones of one value per trial; None without any."""
+        finite = values[np.isfinite(values)]
+        if not finite.size:
+            return None
+        std = float(finite.std(ddof=1)) if finite.size > 1 else None
+        return cls(unit=unit, mean=float(finite.mean()), std=std, trial_count=int(finite.size))
 
 
 class DriverRecord(FileModel):
@@ -220,15 +215,17 @@ def write_imported(
         start_quaternions: As in `ImportedVariant`.
     """
     stream = io.BytesIO()
-    arrays: dict[str, Any] = {"mean": band.mean, "sigma": band.sigma, "measured": band.measured}
-    if band.trials is not None:
-        arrays["trials"] = band.trials
-    if start_quaternions is not None:
-        arrays["start_quaternions"] = start_quaternions
-    arrays |= {f"driver.{body}": values for body, values in drivers.items()}
-    if deformation is not None:
-        arrays |= {"statistics.mean": deformation.mean, "statistics.sigma": deformation.sigma}
-    np.savez_compressed(stream, **arrays)
+    arrays: dict[str, Any] = {
+        "mean": band.mean,
+        "sigma": band.sigma,
+        "measured": band.measured,
+        "trials": band.trials,
+        "start_quaternions": start_quaternions,
+        **{f"driver.{body}": values for body, values in drivers.items()},
+        "statistics.mean": deformation and deformation.mean,
+        "statistics.sigma": deformation and deformation.sigma,
+    }
+    np.savez_compressed(stream, **{name: values for name, values in arrays.items() if values is not None})
     content = stream.getvalue()
     digest = hashlib.sha256(content).hexdigest()
     record = VariantRecord(
@@ -244,7 +241,7 @@ def write_imported(
     )
     folder = _trials_folder()
     text = record.model_dump_json(indent=1) + "\n"
-    try:
+    with os_errors(lambda cause: DatasetError(f"{folder}: {facts.variant} cannot be written: {cause}")):
         folder.mkdir(parents=True, exist_ok=True)
         with locked(folder):
             write_whole(folder / record.arrays, content)
@@ -252,8 +249,6 @@ def write_imported(
             for stale in folder.glob(f"{facts.variant}.*.npz"):
                 if stale.name != record.arrays:
                     stale.unlink(missing_ok=True)
-    except OSError as error:
-        raise DatasetError(f"{folder}: {facts.variant} cannot be written: {error.strerror or error}") from error
     return record
 
 
@@ -262,14 +257,11 @@ def remove_leftovers() -> None:
     folder = _trials_folder()
     if not folder.is_dir():
         return
-    try:
-        with locked(folder):
-            used = {_arrays_name(file) for file in folder.glob("*.json")}
-            for file in [*folder.glob(".*.tmp"), *folder.glob("*.npz")]:
-                if file.name not in used:
-                    file.unlink(missing_ok=True)
-    except OSError as error:
-        raise DatasetError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")), locked(folder):
+        used = {_arrays_name(file) for file in folder.glob("*.json")}
+        for file in [*folder.glob(".*.tmp"), *folder.glob("*.npz")]:
+            if file.name not in used:
+                file.unlink(missing_ok=True)
 
 
 def _arrays_name(file: Path) -> str | None:
@@ -324,77 +316,62 @@ def _load(file: Path, mtime_ns: int, inode: int) -> ImportedVariant:
         content = read_regular(arrays_file, MOST_ARRAYS_BYTES)
         if hashlib.sha256(content).hexdigest() != record.arrays_sha256:
             raise ValueError("its content differs from what was imported")
-        wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma", "start_quaternions"]
-        wanted += [f"driver.{entry.body}" for entry in record.drivers]
-        arrays = npz_arrays(content, wanted, MOST_ARRAYS_BYTES)
-        drivers = {entry.body: arrays[f"driver.{entry.body}"] for entry in record.drivers}
-        # Imports of older versions hold no single trials and no orientations.
-        band = _band(record, arrays["mean"], arrays["sigma"], arrays["measured"], arrays.get("trials"))
-        deformation = _deformation(record, arrays) if record.statistics else None
-        starts = _starts(record, arrays.get("start_quaternions"))
+        return _imported(record, content)
     except (OSError, ValueError, KeyError) as error:
-        raise ReferenceFileError(arrays_file, None, f"{_reason(error)}; gauge data import renews it") from None
-    return ImportedVariant(record, band, drivers, deformation, starts)
+        reason = error.strerror or str(error) if isinstance(error, OSError) else f"is damaged: {error}"
+        raise ReferenceFileError(arrays_file, None, f"{reason}; gauge data import renews it") from None
 
 
 def _record(file: Path) -> VariantRecord:
+    content = read_content(file, MOST_RECORD_BYTES)
     try:
-        record = VariantRecord.model_validate_json(read_regular(file, MOST_RECORD_BYTES))
+        record = VariantRecord.model_validate_json(content)
     except ValidationError as error:
-        place, reason = first_fault(error)
+        fault = ": ".join(first_fault(error))
         raise ReferenceFileError(
-            file, None, f"is no import of this version: {place}: {reason}; gauge data import renews it"
+            file, None, f"is no import of this version: {fault}; gauge data import renews it"
         ) from None
-    except OSError as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
     if Path(record.arrays).name != record.arrays or record.variant != file.name.removesuffix(".json"):
         raise ReferenceFileError(file, None, f"belongs to {record.variant!r}; gauge data import renews it")
     return record
 
 
-def _reason(error: Exception) -> str:
-    return error.strerror or str(error) if isinstance(error, OSError) else f"is damaged: {error}"
-
-
-def _band(
-    record: VariantRecord,
-    mean: FloatArray,
-    sigma: FloatArray,
-    measured: NDArray[np.bool_],
-    trials: FloatArray | None,
-) -> Band:
-    if mean.shape != (record.frame_count, len(record.coordinates)):
-        raise ValueError(f"its mean has shape {mean.shape}")
-    return Band(
+def _imported(record: VariantRecord, content: bytes) -> ImportedVariant:
+    """Return a variant from its description and the content of its NPZ file."""
+    bodies = [entry.body for entry in record.drivers]
+    wanted = ["mean", "sigma", "measured", "trials", "statistics.mean", "statistics.sigma", "start_quaternions"]
+    arrays = npz_arrays(content, [*wanted, *(f"driver.{body}" for body in bodies)], MOST_ARRAYS_BYTES)
+    coordinate_count = len(record.coordinates)
+    if arrays["mean"].shape != (record.frame_count, coordinate_count):
+        raise ValueError(f"its mean has shape {arrays['mean'].shape}")
+    # Imports of older versions hold no single trials and no orientations.
+    starts = arrays.get("start_quaternions")
+    shape = (record.trial_count, START_FRAMES, coordinate_count // 3, 4)
+    if starts is not None and starts.shape != shape:
+        raise ValueError(f"its start orientations have shape {starts.shape}, expected {shape}")
+    band = Band(
         grade=BandGrade.TRIALS,
         unit=record.unit,
         coordinates=record.coordinates,
-        projection=np.eye(len(record.coordinates)),
-        mean=mean,
-        sigma=sigma,
-        measured=measured,
+        projection=np.eye(coordinate_count),
+        mean=arrays["mean"],
+        sigma=arrays["sigma"],
+        measured=arrays["measured"],
         trial_count=record.trial_count,
         source=record.origin,
-        trials=trials,
+        trials=arrays.get("trials"),
     )
-
-
-def _starts(record: VariantRecord, quaternions: FloatArray | None) -> FloatArray | None:
-    shape = (record.trial_count, START_FRAMES, len(record.coordinates) // 3, 4)
-    if quaternions is not None and quaternions.shape != shape:
-        raise ValueError(f"its start orientations have shape {quaternions.shape}, expected {shape}")
-    return quaternions
-
-
-def _deformation(record: VariantRecord, arrays: Mapping[str, FloatArray]) -> DeformationReference:
-    return DeformationReference(
-        statistics=record.statistics,
-        markers=None,
-        mean=arrays["statistics.mean"],
-        sigma=arrays["statistics.sigma"],
-        trial_count=record.trial_count,
-        source=record.origin,
-    )
+    deformation = None
+    if record.statistics:
+        deformation = DeformationReference(
+            statistics=record.statistics,
+            markers=None,
+            mean=arrays["statistics.mean"],
+            sigma=arrays["statistics.sigma"],
+            trial_count=record.trial_count,
+            source=record.origin,
+        )
+    return ImportedVariant(record, band, {body: arrays[f"driver.{body}"] for body in bodies}, deformation, starts)
 
 
 # --- drivers ---------------------------------------------------------------------------------------------------------

@@ -1,10 +1,11 @@
-"""Published scores of real trials and of three engines, and laws that give the real outcome of a variant."""
+"""Published scores of real trials and of three engines, laws of the real outcome of variants, and times of events."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from enum import StrEnum
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import Path
@@ -126,11 +127,6 @@ class Law(FileModel):
     condition: str
     evidence: str
 
-    @property
-    def sigma_source(self) -> SigmaSource:
-        """Source of the scatter of its band."""
-        return SigmaSource.BASELINE
-
 
 class CarriedLaw(Law):
     """The body keeps its place on a carrier, which moves as the scene's driver states.
@@ -152,11 +148,6 @@ class UncontactedLaw(Law):
     """
 
     sigma_mm: Positive
-
-    @property
-    def sigma_source(self) -> SigmaSource:
-        """Source of the scatter of its band."""
-        return SigmaSource.MEASUREMENT
 
 
 class FlightLaw(UncontactedLaw):
@@ -196,7 +187,8 @@ def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
     """
     if "rmse" not in published_baselines(variant):
         return None
-    return next((law for law in _all_laws(scoring_folder("bands")) if fnmatchcase(variant, law.variants)), None)
+    laws = read_toml(scoring_folder("bands") / "laws.toml", _Laws).law
+    return next((law for law in laws if fnmatchcase(variant, law.variants)), None)
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
@@ -258,7 +250,7 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
     known = np.isfinite(positions)
     return Band(
         grade=BandGrade.LAW,
-        sigma_source=law.sigma_source,
+        sigma_source=SigmaSource.MEASUREMENT,
         unit="mm",
         coordinates=("x", "y", "z"),
         projection=np.eye(3),
@@ -272,6 +264,45 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
     )
 
 
-@cache
-def _all_laws(folder: Path) -> tuple[CarriedLaw | FlightLaw | SlideLaw, ...]:
-    return read_toml(folder / "laws.toml", _Laws).law
+# --- events ----------------------------------------------------------------------------------------------------------
+
+
+class EventQuantity(StrEnum):
+    """What is compared of the swings of a cradle's last ball."""
+
+    LEAVES = "leaves"
+    """Time after the release at which the ball leaves the row."""
+    RETURNS = "returns"
+    """Time after the release at which it returns."""
+    RESTS = "rests"
+    """Duration of its rest until it leaves again."""
+
+
+class RecordedEvents(FileModel):
+    """Times of one kind of event in the recording of one trial.
+
+    Attributes:
+        variant: Variant that the recording shows.
+        quantity: What the values are.
+        values_s: Value of each swing, from the first one [s].
+        sigma_s: 1-sigma uncertainty of each value [s].
+        source: Recording and method.
+    """
+
+    variant: str
+    quantity: EventQuantity
+    values_s: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    sigma_s: Positive
+    source: str
+
+
+class _Events(FileModel):
+    """The file `scoring/bands/events.toml`."""
+
+    events: tuple[RecordedEvents, ...]
+
+
+def recorded_events(variant: str) -> tuple[RecordedEvents, ...]:
+    """Return the recorded events of a variant, which may be none."""
+    known = read_toml(scoring_folder("bands") / "events.toml", _Events).events
+    return tuple(events for events in known if events.variant == variant)

@@ -7,23 +7,22 @@ those of other engines to the user's data folder, in the same format.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydantic import Field, PositiveInt, ValidationError
+from pydantic import GetCoreSchemaHandler, GetPydanticSchema, PositiveInt, TypeAdapter
+from pydantic_core import core_schema
 
-from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
-from gauge_envs.files import read_regular, write_whole
+from gauge_envs.errors import DatasetError, ReferenceFileError
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.references.imported import user_data_folder
-from gauge_envs.references.tables import MOST_TABLE_BYTES, FileModel, read_toml, scoring_folder
+from gauge_envs.references.tables import FileModel, faults_of, read_content, read_toml, scoring_folder
+from gauge_envs.scene.geometry import FloatArray, Positive
 
 FALLBACK_ENGINE = "mujoco"
 """Engine whose sensitivities serve others without their own: to first order they are those of the physics."""
-
-Positive = Annotated[float, Field(gt=0.0)]
 
 
 class StandardUncertainty(FileModel):
@@ -53,12 +52,17 @@ class StandardUncertainties(FileModel):
 
 def input_uncertainties() -> StandardUncertainties:
     """Return the standard uncertainties of inputs."""
-    return _uncertainties(scoring_folder("uncertainties.toml"))
+    return read_toml(scoring_folder("uncertainties.toml"), StandardUncertainties)
 
 
-@lru_cache(maxsize=4)
-def _uncertainties(file: Path) -> StandardUncertainties:
-    return read_toml(file, StandardUncertainties)
+def _table_schema(source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
+    return core_schema.no_info_after_validator_function(
+        lambda rows: np.array(rows, dtype=np.float64),
+        handler.generate_schema(tuple[tuple[float, ...], ...]),
+        serialization=core_schema.plain_serializer_function_ser_schema(
+            lambda table: [[float(f"{value:.4g}") for value in row] for row in table.tolist()]
+        ),
+    )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -71,15 +75,18 @@ class InputUncertainty:
         std: Standard uncertainty, in `unit`.
         unit: Unit of `std`.
         source: Origin of `std`.
-        change: Change of g(t) per standard uncertainty at the frames, shape [T, D], in the observable's unit.
+        change: Change of g(t) per standard uncertainty at the frames, shape [T, D], in the observable's unit. A file
+            has four significant digits of it.
     """
+
+    __pydantic_config__ = FileModel.model_config
 
     name: str
     kind: str
-    std: float
+    std: Positive
     unit: str
     source: str
-    change: NDArray[np.float64]
+    change: Annotated[FloatArray, GetPydanticSchema(_table_schema)]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -91,34 +98,23 @@ class Sensitivities:
         backend: Engine that was perturbed.
         versions: Versions of its packages.
         settings: Preset and settings that were in force, as `preset` and `timestep_s`.
-        inputs: The inputs.
         left_out: Inputs without a value, with the reason.
+        inputs: The inputs.
     """
 
+    __pydantic_config__ = FileModel.model_config
+
     variant: str
     backend: str
     versions: dict[str, str]
     settings: dict[str, float | str]
-    inputs: tuple[InputUncertainty, ...]
     left_out: tuple[str, ...] = ()
+    inputs: tuple[InputUncertainty, ...]
 
 
-class _InputTable(FileModel):
-    name: str
-    kind: str
-    std: Positive
-    unit: str
-    source: str
-    change: tuple[tuple[float, ...], ...]
-
-
-class _SensitivityTable(FileModel):
-    variant: str
-    backend: str
-    versions: dict[str, str]
-    settings: dict[str, float | str]
-    left_out: tuple[str, ...]
-    inputs: tuple[_InputTable, ...]
+@cache
+def _format() -> TypeAdapter[Sensitivities]:
+    return TypeAdapter(Sensitivities)
 
 
 def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | None:
@@ -149,37 +145,22 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
 
 @lru_cache(maxsize=128)
 def _read(file: Path, mtime_ns: int) -> Sensitivities:
-    try:
-        table = _SensitivityTable.model_validate_json(read_regular(file, MOST_TABLE_BYTES))
-        inputs = tuple(
-            InputUncertainty(**{**dict(entry), "change": np.array(entry.change, dtype=np.float64)})
-            for entry in table.inputs
-        )
-        if len({entry.change.shape for entry in inputs}) > 1:
-            raise ReferenceFileError(file, None, "the inputs disagree in the number of frames or coordinates")
-    except ValidationError as error:
-        raise ReferenceFileError(file, None, ": ".join(first_fault(error))) from None
-    except (OSError, ValueError) as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error}") from None
-    return Sensitivities(**{**dict(table), "inputs": inputs})
+    with faults_of(file):
+        table = _format().validate_json(read_content(file))
+    if len({entry.change.shape for entry in table.inputs}) > 1:
+        raise ReferenceFileError(file, None, "the inputs disagree in the number of frames or coordinates")
+    return table
 
 
 def sensitivities_text(table: Sensitivities) -> str:
     """Return a table as the text of its file; changes are rounded to 4 significant digits."""
-    rows = []
-    for entry in table.inputs:
-        change = [[float(f"{value:.4g}") for value in row] for row in entry.change.tolist()]
-        rows.append(_InputTable(**{**vars(entry), "change": change}))
-    model = _SensitivityTable(**{**vars(table), "inputs": tuple(rows)})
-    return model.model_dump_json() + "\n"
+    return _format().dump_json(table).decode() + "\n"
 
 
 def write_sensitivities(table: Sensitivities) -> Path:
     """Store a table in the user's data folder, and return its file."""
     file = user_data_folder() / "sensitivities" / table.backend / f"{table.variant}.json"
-    try:
+    with os_errors(lambda cause: DatasetError(f"{file} cannot be written: {cause}")):
         file.parent.mkdir(parents=True, exist_ok=True)
         write_whole(file, sensitivities_text(table).encode())
-    except OSError as error:
-        raise DatasetError(f"{file} cannot be written: {error.strerror or error}") from error
     return file

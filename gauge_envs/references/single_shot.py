@@ -10,31 +10,29 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import AfterValidator, Field, NonNegativeInt, PositiveInt, model_validator
+from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
+from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from gauge_envs.errors import ParameterError, ReferenceFileError
-from gauge_envs.files import MEGABYTE, npz_arrays, read_regular
+from gauge_envs.files import MEGABYTE, npz_arrays
 from gauge_envs.references.bands import Band, BandGrade, SigmaSource
-from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
-from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.references.tables import (
+    FileModel,
+    UnitVector,
+    faults_of,
+    read_content,
+    read_toml,
+    scoring_folder,
+)
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-FloatArray = NDArray[np.float64]
 Half = Literal["fit", "judge"]
-
-
-def _unit(axis: Vector) -> Vector:
-    if abs(np.linalg.norm(axis) - 1.0) > 1e-9:
-        raise ValueError(f"{axis} is not a unit vector: normalize it")
-    return axis
-
-
-UnitAxis = Annotated[Vector, AfterValidator(_unit)]
 
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
@@ -93,7 +91,7 @@ class HungBody(FileModel):
     on: str
     anchor_on_m: Vector
     anchor_m: Vector
-    axis: UnitAxis
+    axis: UnitVector
 
 
 class CopiedTrial(FileModel):
@@ -222,7 +220,6 @@ class SingleShot:
             Positions [m], shape [Q, 3], and orientations.
         """
         # Lists of experiments need no spline, and the import takes a tenth of a second.
-        from scipy.interpolate import CubicSpline
 
         held = np.clip(times_s, 0.0, self.duration_s)
         return CubicSpline(self.times_s, self.positions_m)(held), Slerp(self.times_s, self.rotations)(held)
@@ -360,10 +357,8 @@ def _read(file: Path, variant: str) -> SingleShots | None:
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
     expected_shapes = ARRAYS | ANGLE_ARRAYS if sidecar.hung else ARRAYS
-    try:
-        arrays = npz_arrays(read_regular(file, MOST_BYTES), expected_shapes, MOST_BYTES)
-    except (OSError, ValueError) as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error}") from None
+    with faults_of(file):
+        arrays = npz_arrays(read_content(file, MOST_BYTES), expected_shapes, MOST_BYTES)
     shapes = {name: array.shape for name, array in arrays.items()}
     count, frames = sidecar.trial_count, len(arrays.get("position", ()))
     counts = {"N": count, "N+1": count + 1, "T": frames, "H": len(sidecar.hung)}

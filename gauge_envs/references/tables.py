@@ -1,21 +1,33 @@
-"""Read the CSV and TOML files of reference data, each row and table checked by a pydantic model."""
+"""Read the CSV, TOML and JSON files of reference data, each row and table checked by a pydantic model."""
 
 from __future__ import annotations
 
 import csv
 import io
 from collections.abc import Iterator, Sequence
-from itertools import islice
+from contextlib import contextmanager
+from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+import numpy as np
+from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
+from gauge_envs.scene.geometry import FloatArray, Vector
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
 """Largest size of a table."""
+
+
+def _unit(axis: Vector) -> Vector:
+    if abs(float(np.linalg.norm(axis)) - 1.0) > 1e-9:
+        raise ValueError(f"{list(axis)} is not a unit vector: normalize it")
+    return axis
+
+
+UnitVector = Annotated[Vector, AfterValidator(_unit)]
 
 
 class FileModel(BaseModel):
@@ -24,7 +36,14 @@ class FileModel(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class FrameRow(FileModel):
+    """Row of a table with one row for each frame."""
+
+    frame: NonNegativeInt
+
+
 Model = TypeVar("Model", bound=FileModel)
+Row = TypeVar("Row", bound=FrameRow)
 
 
 def scoring_folder(name: str) -> Path:
@@ -32,14 +51,37 @@ def scoring_folder(name: str) -> Path:
     return data_folder("scoring") / name
 
 
-def read_toml(file: Path, model: type[Model]) -> Model:
-    """Read a TOML file."""
+def read_content(file: Path, most_bytes: int = MOST_TABLE_BYTES) -> bytes:
+    """Return the content of a file of reference data."""
     try:
-        return model.model_validate(toml_document(_content(file)))
+        return read_regular(file, most_bytes)
+    except FileNotFoundError:
+        raise ReferenceFileError(file, None, "the file is missing") from None
+    except OSError as error:
+        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
+
+
+@contextmanager
+def faults_of(file: Path, line: int | None = None) -> Iterator[None]:
+    """Raise an error with the place of what pydantic refuses, or with the reason of another ValueError."""
+    try:
+        yield
     except ValidationError as error:
-        raise ReferenceFileError(file, None, ": ".join(filter(None, first_fault(error)))) from None
+        raise ReferenceFileError(file, line, ": ".join(filter(None, first_fault(error)))) from None
+    except ReferenceFileError:
+        raise
     except ValueError as error:
-        raise ReferenceFileError(file, None, str(error)) from None
+        raise ReferenceFileError(file, line, str(error)) from None
+
+
+@cache
+def read_toml(file: Path, model: type[Model]) -> Model:
+    """Read a TOML file, once."""
+    with faults_of(file):
+        return model.model_validate(toml_document(read_content(file)))
+
+
+# --- CSV -------------------------------------------------------------------------------------------------------------
 
 
 def csv_header(file: Path) -> list[str]:
@@ -47,23 +89,15 @@ def csv_header(file: Path) -> list[str]:
     return next(_csv_rows(file), (1, []))[1]
 
 
-def _content(file: Path) -> bytes:
-    try:
-        return read_regular(file, MOST_TABLE_BYTES)
-    except FileNotFoundError:
-        raise ReferenceFileError(file, None, "the file is missing") from None
-    except OSError as error:
-        raise ReferenceFileError(file, None, f"cannot be read: {error.strerror or error}") from None
-
-
 def _csv_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
-    """Yield the line number and the fields of each row."""
+    """Yield the line number and the fields of each row; lines that start with `#` are notes."""
     line = 0
     try:
-        reader = csv.reader(io.StringIO(_content(file).decode("utf-8"), newline=""))
+        reader = csv.reader(io.StringIO(read_content(file).decode("utf-8"), newline=""))
         for fields in reader:
             line = reader.line_num
-            yield line, fields
+            if not (fields and fields[0].startswith("#")):
+                yield line, fields
     except (UnicodeDecodeError, csv.Error) as error:
         raise ReferenceFileError(file, line + 1, f"is not CSV in UTF-8: {error}") from None
 
@@ -87,16 +121,16 @@ def read_rows(file: Path, columns: Sequence[str], model: type[Model]) -> Iterato
     Returns:
         Iterator over the line number and the content of each row.
     """
-    header = csv_header(file)
+    rows = _csv_rows(file)
+    line, header = next(rows, (1, []))
     if header != list(columns):
-        raise ReferenceFileError(file, 1, f"{header_fault(header, columns)}, expected {','.join(columns)}")
-    for line, fields in islice(_csv_rows(file), 1, None):
+        raise ReferenceFileError(file, line, f"{header_fault(header, columns)}, expected {','.join(columns)}")
+    for line, fields in rows:
         if len(fields) != len(columns):
             raise ReferenceFileError(file, line, f"{len(fields)} fields, expected {len(columns)}")
-        try:
-            yield line, model.model_validate(_nested(columns, fields))
-        except ValidationError as error:
-            raise ReferenceFileError(file, line, ": ".join(first_fault(error))) from None
+        with faults_of(file, line):
+            row = model.model_validate(_nested(columns, fields))
+        yield line, row
 
 
 def _nested(columns: Sequence[str], fields: Sequence[str]) -> dict[str, Any]:
@@ -108,3 +142,26 @@ def _nested(columns: Sequence[str], fields: Sequence[str]) -> dict[str, Any]:
         else:
             row[name] = field or None
     return row
+
+
+def read_frames(file: Path, columns: Sequence[str], model: type[Row]) -> list[Row]:
+    """Read the rows of a CSV file with one row for each frame, from frame 0; arguments as of `read_rows`."""
+    rows: list[Row] = []
+    for line, row in read_rows(file, columns, model):
+        if row.frame != len(rows):
+            raise ReferenceFileError(file, line, f"frame {row.frame} where {len(rows)} is next")
+        rows.append(row)
+    return rows
+
+
+def frame_table(rows: Sequence[Row], field: str, frame_count: int | None = None) -> FloatArray:
+    """Return the values of a field that is keyed by column, shape [frame_count, column_count]; NaN is unknown.
+
+    Args:
+        rows: The rows, at least one.
+        field: Name of the field.
+        frame_count: Number of frames, whose last ones may have no row; the number of rows if None.
+    """
+    values = np.array([[*getattr(row, field).values()] for row in rows], dtype=np.float64)
+    padding = 0 if frame_count is None else frame_count - len(rows)
+    return np.pad(values, ((0, padding), (0, 0)), constant_values=np.nan)

@@ -23,10 +23,10 @@ from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_o
 from gauge_envs.backends.base import Simulation
 from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
-from gauge_envs.errors import GaugeError, ParameterError
+from gauge_envs.errors import GaugeError, ParameterError, chosen
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
-from gauge_envs.observables.observer import checked_proxy
+from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -103,7 +103,9 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
     try:
         with engine_call(result.backend, "advance"):
             simulation.reset(result.seed or 0)
-            episode = Episode(experiment, simulation, band=None, marker_proxy=checked_proxy(result.marker_proxy))
+            episode = Episode(
+                experiment, simulation, band=None, marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy")
+            )
             views = views_per_frame or default_views_per_frame(experiment.scene)
             recorded = _recorded(episode, simulation, experiment.scene, views)
     finally:

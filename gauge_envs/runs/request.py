@@ -8,8 +8,7 @@ from pathlib import Path
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.scene_source import is_experiment_file
-from gauge_envs.experiments.variants import Variant, find_variant
+from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene.jitter import Jitter
 

@@ -26,7 +26,7 @@ from gauge_envs.references.sensitivities import (
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Contact, Motion, Scene, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.tilt import tilted
+from gauge_envs.scene.jitter import tilted
 
 FloatArray = NDArray[np.float64]
 

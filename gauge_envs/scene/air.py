@@ -22,10 +22,9 @@ import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,7 +57,7 @@ class Air:
         if self.density_kg_per_m3 == 0.0:
             raise ParameterError("air: density_kg_per_m3 is 0: give a positive density, or a scene without air")
 
-    def forces_n(self, areas_m2: NDArray[np.float64], velocities_m_per_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def forces_n(self, areas_m2: FloatArray, velocities_m_per_s: FloatArray) -> FloatArray:
         """Return the forces on triangles [N], shape [triangle_count, 3].
 
         Args:

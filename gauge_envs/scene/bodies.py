@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Literal
 
-from gauge_envs.scene.geometry import Box, Pose, Shape, Vector
+from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
 
 
 class Motion(StrEnum):
@@ -168,7 +168,7 @@ class Region:
 
     axis: Literal["x", "y", "z"]
     side: Literal["low", "high"]
-    depth_m: float = 0.0
+    depth_m: NonNegative = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)

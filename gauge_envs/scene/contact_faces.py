@@ -7,7 +7,6 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import RigidBody
@@ -18,14 +17,13 @@ from gauge_envs.scene.geometry import (
     ConvexUnion,
     Cylinder,
     Ellipsoid,
+    FloatArray,
     Plane,
     Pose,
     Shape,
     Sphere,
     vector,
 )
-
-FloatArray = NDArray[np.float64]
 
 TOUCHING_M = 1e-5
 """Largest gap between two faces that are in contact [m]: published positions have six decimals."""

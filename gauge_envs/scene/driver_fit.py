@@ -7,12 +7,12 @@ from dataclasses import replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile
-from gauge_envs.scene.geometry import Pose, Vector, pose_distance, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, Vector, pose_distance, vector
 
 SAME_POSE = 1e-9
 """Largest distance between sampled poses and those of the fitted motions [m, rad]."""
@@ -58,19 +58,19 @@ def sampled_motions(
             replace(motion, profiles=(SampledProfile(times_s=tuple(times_s), values=tuple(column)),))
             for motion, column in zip(template, values.T.tolist(), strict=True)
         )
-        if _reproduces(motions, start, times_s, poses):
-            return motions if template == tuple(like) else tuple(filter(_matters, motions))
+        driver = Driver(body="", motions=motions, provenance="")
+        if all(pose_distance(driver.pose(start, t), pose) <= SAME_POSE for t, pose in zip(times_s, poses, strict=True)):
+            if template == tuple(like):
+                return motions
+            # Actions are part of the largest rate.
+            return tuple(one for one in motions if one.largest_rate > 0.0 or abs(one.value(0.0)) > SAME_POSE)
     raise ShapeError(
         "no three successive rotations describe its rotation: keep it closer to a rotation about a fixed axis"
     )
 
 
-def _matters(motion: DriverMotion) -> bool:
-    return motion.residual_rate > 0.0 or motion.largest_rate > 0.0 or abs(motion.value(0.0)) > SAME_POSE
-
-
 def _templates(
-    start: Pose, positions: NDArray[np.float64], rotations: Rotation, like: Sequence[DriverMotion]
+    start: Pose, positions: FloatArray, rotations: Rotation, like: Sequence[DriverMotion]
 ) -> Iterator[tuple[DriverMotion, ...]]:
     """Yield candidate sets of motions, simple ones first; their profiles are not fitted yet."""
     rotary = [motion for motion in like if motion.kind == "rotate"]
@@ -92,7 +92,7 @@ def _templates(
 
 def _motion(
     kind: Literal["translate", "rotate"],
-    axis: NDArray[np.float64],
+    axis: FloatArray,
     like: Sequence[DriverMotion],
     point_m: Vector = (0.0, 0.0, 0.0),
 ) -> DriverMotion:
@@ -104,15 +104,15 @@ def _motion(
     return own
 
 
-def _direction(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _direction(vectors: FloatArray) -> FloatArray:
     """Return the unit vector along which vectors lie, with a positive largest component, shape [3]."""
-    axis: NDArray[np.float64] = np.linalg.svd(vectors)[2][0]
+    axis: FloatArray = np.linalg.svd(vectors)[2][0]
     # Remove the rounding error of directions along a world axis.
     axis = np.where(np.abs(axis) < SAME_POSE, 0.0, axis)
     return axis / np.linalg.norm(axis) * np.sign(axis[np.argmax(np.abs(axis))])
 
 
-def _basis(like: Sequence[DriverMotion]) -> NDArray[np.float64]:
+def _basis(like: Sequence[DriverMotion]) -> FloatArray:
     """Return three orthogonal directions that include the translations of `like`, or the world axes if impossible."""
     linear = np.array([motion.axis for motion in like if motion.kind == "translate"]).reshape(-1, 3)
     if not len(linear) or np.abs(linear @ linear.T - np.eye(len(linear))).max() > SAME_POSE:
@@ -122,7 +122,7 @@ def _basis(like: Sequence[DriverMotion]) -> NDArray[np.float64]:
     return np.concatenate([linear, others])
 
 
-def _centre(start: Pose, positions: NDArray[np.float64], rotations: Rotation) -> Vector:
+def _centre(start: Pose, positions: FloatArray, rotations: Rotation) -> Vector:
     """Return the centre of rotation from the start to positions, in the least-squares sense, closest to the start."""
     matrices = np.eye(3) - rotations.as_matrix()
     arm = np.linalg.lstsq(matrices.reshape(-1, 3), (positions - start.position_m).ravel(), rcond=1e-9)[0]
@@ -137,8 +137,8 @@ def _steepness(rotations: Rotation, order: tuple[int, int, int]) -> float:
 
 
 def motion_coordinates(
-    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: NDArray[np.float64], rotations: Rotation
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    motions: Sequence[DriverMotion], start_m: ArrayLike, positions_m: FloatArray, rotations: Rotation
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the coordinates whose poses are closest to given ones, the inverse of `Driver.pose`.
 
     Args:
@@ -180,10 +180,3 @@ def motion_coordinates(
         values[:, linear] = (np.linalg.pinv(columns) @ missing[:, :, None])[:, :, 0]
         missing = missing - (columns @ values[:, linear, None])[:, :, 0]
     return values, np.linalg.norm(missing, axis=1), (rotations * made.inv()).magnitude()
-
-
-def _reproduces(
-    motions: tuple[DriverMotion, ...], start: Pose, times_s: Sequence[float], poses: Sequence[Pose]
-) -> bool:
-    driver = Driver(body="", motions=motions, provenance="")
-    return all(pose_distance(driver.pose(start, t), pose) <= SAME_POSE for t, pose in zip(times_s, poses, strict=True))

@@ -6,15 +6,14 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import Pose
+from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
-Interval = tuple[Pose, NDArray[np.float64], NDArray[np.float64]]
+Interval = tuple[Pose, FloatArray, FloatArray]
 
 
 class DriverPath:
@@ -49,7 +48,7 @@ class DriverPath:
         """Return to the recorded motion."""
         self.offsets[:] = 0.0
 
-    def interval(self, sample: int, action: NDArray[np.float64]) -> Interval:
+    def interval(self, sample: int, action: FloatArray) -> Interval:
         """Return pose, velocity and acceleration of an interval for `World.drive`, and add the action's displacement.
 
         Args:
@@ -71,7 +70,7 @@ def _recorded_path(driver: Driver, start: Pose, count: int, interval_s: float) -
     return _intervals([driver.state(start, k * interval_s) for k in range(count + 1)], interval_s)
 
 
-def _intervals(states: Sequence[tuple[Pose, NDArray[np.float64]]], interval_s: float) -> tuple[Interval, ...]:
+def _intervals(states: Sequence[tuple[Pose, FloatArray]], interval_s: float) -> tuple[Interval, ...]:
     """Return the uniformly accelerated motions between states, with velocities closest to the given ones.
 
     Args:

@@ -7,11 +7,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import NonNegative, Pose, Positive, Vector, vector
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Pose, Positive, Vector, vector
 
 if TYPE_CHECKING:
     from scipy.interpolate import PchipInterpolator
@@ -216,7 +215,7 @@ class Driver:
     motions: tuple[DriverMotion, ...]
     provenance: str
 
-    def pose(self, start: Pose, time_s: float, offsets: NDArray[np.float64] | None = None) -> Pose:
+    def pose(self, start: Pose, time_s: float, offsets: FloatArray | None = None) -> Pose:
         """Return the pose at a time.
 
         Args:
@@ -230,9 +229,9 @@ class Driver:
         self,
         start: Pose,
         time_s: float,
-        offsets: NDArray[np.float64] | None = None,
-        rates: NDArray[np.float64] | None = None,
-    ) -> tuple[Pose, NDArray[np.float64]]:
+        offsets: FloatArray | None = None,
+        rates: FloatArray | None = None,
+    ) -> tuple[Pose, FloatArray]:
         """Return the pose and the velocity at a time.
 
         Args:

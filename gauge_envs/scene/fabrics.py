@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
+from typing import Any
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene.bodies import Cloth
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 ISAAC_POISSON_BELOW = 0.30
@@ -49,8 +49,8 @@ class Fabric:
             _check_positive(field.name, getattr(self, field.name))
 
     @classmethod
-    def of(cls, source: Cloth) -> Fabric:
-        """Return the fabric of a cloth in a scene."""
+    def of(cls, source: Any) -> Fabric:
+        """Return the fabric of a cloth in a scene, or of the constants of one in a task file."""
         return cls(**{field.name: getattr(source, field.name) for field in fields(cls)})
 
 
@@ -310,30 +310,15 @@ def shear_stiffness(mapped: EngineConstants) -> float:
     return _MEMBRANES[mapped.engine](mapped.constants, mapped.fabric.thickness_m)[1]
 
 
-def _isaac_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
-    stretch = constants["youngs_modulus"] * thickness_m
-    return stretch, stretch / (2.0 * (1.0 + constants["poissons_ratio"]))
-
-
-def _genesis_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
-    # A diagonal of length sqrt(2) h in a cell of area h^2 extends by gamma h / sqrt(2): energy K gamma^2 / 4 per area.
-    return 1.0 / constants["stretch_compliance"], 0.5 / constants["stretch_compliance"]
-
-
-def _newton_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
-    mu, lame = constants["tri_ke"], constants["tri_ka"]
-    return 4.0 * mu * (lame + mu) / (lame + 2.0 * mu), mu
-
-
-def _mujoco_membrane(constants: Mapping[str, float], thickness_m: float) -> tuple[float, float]:
-    return constants["membrane_warp"], constants["membrane_shear"]
-
-
 _MEMBRANES: dict[str, Callable[[Mapping[str, float], float], tuple[float, float]]] = {
-    "isaac": _isaac_membrane,
-    "genesis": _genesis_membrane,
-    "newton": _newton_membrane,
-    "mujoco": _mujoco_membrane,
+    "isaac": lambda c, t: (c["youngs_modulus"] * t, c["youngs_modulus"] * t / (2.0 * (1.0 + c["poissons_ratio"]))),
+    # A diagonal of length sqrt(2) h in a cell of area h^2 extends by gamma h / sqrt(2): energy K gamma^2 / 4 per area.
+    "genesis": lambda c, t: (1.0 / c["stretch_compliance"], 0.5 / c["stretch_compliance"]),
+    "newton": lambda c, t: (
+        4.0 * c["tri_ke"] * (c["tri_ka"] + c["tri_ke"]) / (c["tri_ka"] + 2.0 * c["tri_ke"]),
+        c["tri_ke"],
+    ),
+    "mujoco": lambda c, t: (c["membrane_warp"], c["membrane_shear"]),
 }
 """Uniaxial and shear stiffness [N/m] of each engine's membrane, from its constants and the thickness [m]."""
 

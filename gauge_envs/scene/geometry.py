@@ -13,6 +13,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 Vector = tuple[float, float, float]
+FloatArray = NDArray[np.float64]
 
 # Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
 Positive = Annotated[float, Gt(0.0)]
@@ -53,11 +54,11 @@ class Pose:
         rotation = other.rotation.inv() * self.rotation
         return Pose.from_rotation(vector(other.to_body(np.asarray(self.position_m))), rotation)
 
-    def to_world(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_world(self, points_m: FloatArray) -> FloatArray:
         """Return body-frame points [m], shape [..., 3], in world coordinates."""
         return self.rotation.apply(points_m) + np.asarray(self.position_m)
 
-    def to_body(self, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_body(self, points_m: FloatArray) -> FloatArray:
         """Return world points [m], shape [..., 3], in body coordinates."""
         return self.rotation.apply(np.asarray(points_m) - np.asarray(self.position_m), inverse=True)
 
@@ -75,7 +76,7 @@ class Box:
         return float(np.prod(self.size_m))
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners in the body frame [m], shape [8, 3]."""
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         return 0.5 * signs * np.asarray(self.size_m)
@@ -94,7 +95,7 @@ class Sphere:
         return 4.0 / 3.0 * np.pi * self.radius_m**3
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(size_m=(2 * self.radius_m,) * 3).corners_m
 
@@ -113,7 +114,7 @@ class Cylinder:
         return np.pi * self.radius_m**2 * self.length_m
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)).corners_m
 
@@ -130,7 +131,7 @@ class Plane:
         return 0.0
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """The body origin, shape [1, 3]."""
         return np.zeros((1, 3))
 
@@ -153,7 +154,7 @@ class ConvexUnion:
         return float(sum(ConvexHull(np.asarray(piece)).volume for piece in self.pieces_m))
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """All vertices in the body frame [m], shape [vertex_count, 3]."""
         return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
 
@@ -176,7 +177,7 @@ class Capsule:
         return np.pi * self.radius_m**2 * (self.length_m + 4.0 / 3.0 * self.radius_m)
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the capsule [m], shape [8, 3]."""
         width = 2.0 * self.radius_m
         return Box(size_m=(width, width, self.length_m + width)).corners_m
@@ -194,7 +195,7 @@ class Ellipsoid:
         return 4.0 / 3.0 * np.pi * float(np.prod(self.radii_m))
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the frame of the ellipsoid [m], shape [8, 3]."""
         x, y, z = self.radii_m
         return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)).corners_m
@@ -223,7 +224,7 @@ class Compound:
         return float(sum(part.shape.volume_m3 for part in self.parts))
 
     @property
-    def corners_m(self) -> NDArray[np.float64]:
+    def corners_m(self) -> FloatArray:
         """Corners of all parts in the body frame [m], shape [corner_count, 3]."""
         return np.concatenate([part.pose.to_world(part.shape.corners_m) for part in self.parts])
 

@@ -6,19 +6,16 @@ from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import BodyHinge, Motion, RigidBody
-from gauge_envs.scene.geometry import Pose, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
 
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
 
 SAME_VELOCITY = 1e-5
 """Largest velocity with which a hinge may start to tear [m/s, rad/s], relative to the largest number."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

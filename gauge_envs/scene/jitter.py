@@ -8,13 +8,13 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.bodies import BodyHinge, Cloth, Hinge, Motion, RigidBody, Tether
 from gauge_envs.scene.contact_faces import blocked_directions, face_normal
-from gauge_envs.scene.geometry import Pose, Sphere, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, Sphere, Vector, vector
 from gauge_envs.scene.hinged import carried, moved_along, other_end, parent_hinges
 from gauge_envs.scene.scene import Scene
 
@@ -143,8 +143,8 @@ class _Move:
     """
 
     rotation: Rotation
-    point_m: NDArray[np.float64]
-    shift_m: NDArray[np.float64]
+    point_m: FloatArray
+    shift_m: FloatArray
 
     def __call__(self, pose: Pose) -> Pose:
         rotated = _rotated(pose, self.rotation, self.point_m)
@@ -152,7 +152,7 @@ class _Move:
 
 
 def _drawn(
-    point_m: Any, blocked: NDArray[np.float64], jitter: Jitter, random: np.random.Generator, *, is_ball: bool = False
+    point_m: Any, blocked: FloatArray, jitter: Jitter, random: np.random.Generator, *, is_ball: bool = False
 ) -> _Move:
     """Return a random move about a point that keeps the contacts with faces of given normals; a ball has none."""
     shift = jitter.position_m * random.standard_normal(3)
@@ -163,7 +163,7 @@ def _drawn(
     return _Move(Rotation.from_rotvec(turn), np.asarray(point_m), shift)
 
 
-def _along(vector_3: NDArray[np.float64], blocked: NDArray[np.float64]) -> NDArray[np.float64]:
+def _along(vector_3: FloatArray, blocked: FloatArray) -> FloatArray:
     """Return the part of a vector that is across no blocked direction."""
     for direction in blocked:
         vector_3 = vector_3 - (vector_3 @ direction) * direction
@@ -189,14 +189,14 @@ class _Groups:
         self.free = {name for name, one in bodies.items() if one.motion is Motion.DYNAMIC and name not in kept}
         faces = scene.contact_faces
         self._members: dict[str, tuple[str, ...]] = {}
-        self._normals: dict[tuple[str, ...], list[NDArray[np.float64]]] = {}
-        self._centre_m: dict[tuple[str, ...], NDArray[np.float64]] = {}
+        self._normals: dict[tuple[str, ...], list[FloatArray]] = {}
+        self._centre_m: dict[tuple[str, ...], FloatArray] = {}
         for members in faces.groups([name for name in bodies if name in self.free and name not in jointed]):
             self._members.update(dict.fromkeys(members, members))
             self._normals[members] = faces.normals(members)
             self._centre_m[members] = np.mean([bodies[name].pose.position_m for name in members], axis=0)
         self._moves: dict[tuple[str, ...], _Move] = {}
-        self._pushes: dict[tuple[str, ...], NDArray[np.float64]] = {}
+        self._pushes: dict[tuple[str, ...], FloatArray] = {}
 
     def moved(self, body: RigidBody, random: np.random.Generator) -> RigidBody:
         """Return a body at its random start."""
@@ -224,7 +224,7 @@ class _Groups:
         return _faster(body, linear, angular)
 
 
-def swung(body: RigidBody, rotation: Rotation, point_m: NDArray[np.float64]) -> RigidBody:
+def swung(body: RigidBody, rotation: Rotation, point_m: FloatArray) -> RigidBody:
     """Return a body whose pose and velocities are rotated about a world point."""
     pose = _rotated(body.pose, rotation, point_m)
     if body.starts_at_rest:
@@ -255,7 +255,7 @@ def _swinging(body: RigidBody, joint: Hinge | Tether, jitter: Jitter, random: np
     return _faster(body, linear, angular)
 
 
-def _faster(body: RigidBody, linear: NDArray[np.float64], angular: NDArray[np.float64]) -> RigidBody:
+def _faster(body: RigidBody, linear: FloatArray, angular: FloatArray) -> RigidBody:
     """Return a body with velocities in addition to its own."""
     return replace(
         body,
@@ -264,6 +264,45 @@ def _faster(body: RigidBody, linear: NDArray[np.float64], angular: NDArray[np.fl
     )
 
 
-def _rotated(pose: Pose, rotation: Rotation, point_m: NDArray[np.float64]) -> Pose:
+def _rotated(pose: Pose, rotation: Rotation, point_m: FloatArray) -> Pose:
     position = rotation.apply(np.asarray(pose.position_m) - point_m) + point_m
     return Pose.from_rotation(vector(position), rotation * pose.rotation)
+
+
+# --- tilt ----------------------------------------------------------------------------------------------------------
+# A scene that leans as a whole is the same as another direction of gravity.
+
+
+def tilted(scene: Scene, rotation_rad: ArrayLike, about_m: ArrayLike) -> Scene:
+    """Return a scene that is rotated as a whole about a point.
+
+    Gravity stays vertical. In the rotated frame, the motion is that of the original scene with leaning gravity.
+
+    Args:
+        scene: The scene.
+        rotation_rad: Rotation vector [rad], shape [3].
+        about_m: Fixed point of the rotation [m], shape [3].
+    """
+    rotation, centre = Rotation.from_rotvec(rotation_rad), np.asarray(about_m, dtype=np.float64)
+
+    def place(point_m: ArrayLike) -> Vector:
+        moved: FloatArray = rotation.apply(np.asarray(point_m) - centre) + centre
+        return vector(moved)
+
+    def turned(part: Any) -> Any:
+        """Return a joint or a motion after the rotation."""
+        changes = {name: place(getattr(part, name)) for name in ("anchor_m", "point_m") if hasattr(part, name)}
+        if hasattr(part, "axis"):
+            changes["axis"] = vector(rotation.apply(part.axis))
+        return replace(part, **changes)
+
+    markers = scene.markers
+    return replace(
+        scene,
+        bodies=tuple(swung(body, rotation, centre) for body in scene.bodies),
+        deformables=tuple(replace(body, pose=_rotated(body.pose, rotation, centre)) for body in scene.deformables),
+        joints=tuple(map(turned, scene.joints)),
+        body_hinges=tuple(map(turned, scene.body_hinges)),
+        drivers=tuple(replace(one, motions=tuple(map(turned, one.motions))) for one in scene.drivers),
+        markers=None if markers is None else replace(markers, positions_m=tuple(map(place, markers.positions_m))),
+    )

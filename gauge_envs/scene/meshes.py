@@ -7,7 +7,18 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
 from gauge_envs.scene.bodies import Region, RigidBody
-from gauge_envs.scene.geometry import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Shape, Sphere
+from gauge_envs.scene.geometry import (
+    Box,
+    Capsule,
+    Compound,
+    ConvexUnion,
+    Cylinder,
+    Ellipsoid,
+    FloatArray,
+    Part,
+    Shape,
+    Sphere,
+)
 
 GRID_SPACING_M = 0.02
 """Edge length of exported grids of cloth and soft bodies [m]; no physical constant depends on it."""
@@ -31,7 +42,7 @@ def prism(cylinder: Cylinder) -> ConvexUnion:
     return ConvexUnion(pieces_m=(tuple(map(tuple, np.concatenate(rings).tolist())),))
 
 
-def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
+def hull_faces(points_m: FloatArray) -> list[tuple[int, ...]]:
     """Return the faces of a convex polyhedron as polygons, counter-clockwise seen from outside.
 
     Faces and their first vertices are ordered by index, so that the result only depends on the solid.
@@ -40,7 +51,7 @@ def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
         points_m: Vertices [m], shape [vertex_count, 3].
     """
     hull = ConvexHull(points_m)
-    groups: list[tuple[NDArray[np.float64], set[int]]] = []
+    groups: list[tuple[FloatArray, set[int]]] = []
     for equation, simplex in zip(hull.equations, hull.simplices, strict=True):
         for known, members in groups:
             if np.abs(equation - known).max() < COPLANAR:
@@ -58,7 +69,7 @@ def hull_faces(points_m: NDArray[np.float64]) -> list[tuple[int, ...]]:
     return sorted(faces)
 
 
-def hull_triangles(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def hull_triangles(points_m: FloatArray) -> FloatArray:
     """Return the faces of a convex polyhedron as triangles, counter-clockwise seen from outside.
 
     Args:
@@ -75,7 +86,7 @@ def hull_triangles(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
     return triangles
 
 
-def grid(size_m: tuple[float, float, float]) -> tuple[NDArray[np.float64], tuple[int, int, int]]:
+def grid(size_m: tuple[float, float, float]) -> tuple[FloatArray, tuple[int, int, int]]:
     """Return the nodes of a regular grid about the origin [m], shape [node_count, 3], and the count along each axis."""
     counts = [max(round(edge / GRID_SPACING_M), 1) + 1 if edge else 1 for edge in size_m]
     axes = [
@@ -100,14 +111,14 @@ def tetrahedra(shape: tuple[int, int, int]) -> NDArray[np.intp]:
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2).reshape(-1, 4)
 
 
-def nodes_in(nodes_m: NDArray[np.float64], region: Region) -> NDArray[np.intp]:
+def nodes_in(nodes_m: FloatArray, region: Region) -> NDArray[np.intp]:
     """Return the indices of the nodes in a region of their body; the end itself always belongs to it."""
     along = nodes_m[:, "xyz".index(region.axis)]
     depth = along - along.min() if region.side == "low" else along.max() - along
     return np.flatnonzero(depth <= region.depth_m + TOUCHING_M)
 
 
-def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def mass_properties(shape: Shape, mass_kg: float) -> tuple[FloatArray, FloatArray]:
     """Return the centre of mass and the inertia of a uniform solid.
 
     Returns:
@@ -140,7 +151,7 @@ def mass_properties(shape: Shape, mass_kg: float) -> tuple[NDArray[np.float64], 
     return np.zeros(3), np.zeros((3, 3))
 
 
-def body_mass_properties(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def body_mass_properties(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     """Return the centre of mass and the inertia of a rigid body, as `mass_properties` does of a uniform solid.
 
     A body that states `inertia_kg_m2` has this moment about every axis through its centre.
@@ -149,7 +160,7 @@ def body_mass_properties(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[
     return centre, inertia if body.inertia_kg_m2 is None else body.inertia_kg_m2 * np.eye(3)
 
 
-def _compound_properties(shape: Compound, mass_kg: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _compound_properties(shape: Compound, mass_kg: float) -> tuple[FloatArray, FloatArray]:
     density = mass_kg / shape.volume_m3
     parts = [_part_properties(part, density) for part in shape.parts]
     centre = sum((mass * place for mass, place, _ in parts), np.zeros(3)) / mass_kg
@@ -160,7 +171,7 @@ def _compound_properties(shape: Compound, mass_kg: float) -> tuple[NDArray[np.fl
     return centre, inertia
 
 
-def _part_properties(part: Part, density_kg_per_m3: float) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+def _part_properties(part: Part, density_kg_per_m3: float) -> tuple[float, FloatArray, FloatArray]:
     """Return mass, centre of mass and inertia about it of a part, in the axes of its body."""
     shape = part.shape
     mass = density_kg_per_m3 * shape.volume_m3
@@ -175,7 +186,7 @@ def _part_properties(part: Part, density_kg_per_m3: float) -> tuple[float, NDArr
     return mass, part.pose.to_world(centre), turn @ inertia @ turn.T
 
 
-def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> NDArray[np.float64]:
+def _capsule_inertia(shape: Capsule, density_kg_per_m3: float) -> FloatArray:
     radius, length = shape.radius_m, shape.length_m
     tube = density_kg_per_m3 * np.pi * radius**2 * length
     ball = density_kg_per_m3 * 4.0 / 3.0 * np.pi * radius**3

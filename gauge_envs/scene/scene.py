@@ -13,7 +13,6 @@ from itertools import product
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.air import Air
@@ -31,7 +30,7 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.contact_faces import ContactFaces
-from gauge_envs.scene.geometry import Plane
+from gauge_envs.scene.geometry import FloatArray, Plane
 from gauge_envs.scene.hinged import hinge_fault
 from gauge_envs.scene.meshes import body_mass_properties
 
@@ -242,7 +241,7 @@ class Scene:
         return max((_point_speed_m_per_s(body) for body in self.dynamic_bodies), default=0.0)
 
 
-def _velocity_of_mass(body: RigidBody) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _velocity_of_mass(body: RigidBody) -> tuple[FloatArray, FloatArray]:
     """Return the start velocity of a body's centre of mass [m/s] and its angular velocity [rad/s], shape [3] each."""
     linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)
     if angular.any():

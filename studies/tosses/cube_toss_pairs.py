@@ -21,8 +21,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation, Slerp
 from toss_errors import VERTICES, bootstrap_interval, perturbed_start
 
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import load_experiment, with_trial
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 FloatArray = NDArray[np.float64]

@@ -23,8 +23,7 @@ from scipy.spatial.transform import Rotation
 from tosses import write
 
 from gauge_envs.backends import backend_for
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import load_experiment, with_trial
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 
 FloatArray = NDArray[np.float64]

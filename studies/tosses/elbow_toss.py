@@ -30,8 +30,7 @@ from tosses import Run, Toss, add_run_options, median, quartiles, recorded_tosse
 
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import load_experiment, with_trial
 from gauge_envs.references.single_shot import SingleShot, SingleShots
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2

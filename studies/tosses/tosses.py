@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from toss_errors import perturbed_scene
 
 from gauge_envs.backends import backend_for
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import load_experiment, with_trial
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 

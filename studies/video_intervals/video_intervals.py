@@ -27,7 +27,7 @@ from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.interval import WINDOW
 from gauge_envs.tools.video.laws import fit_constant_acceleration
 from gauge_envs.tools.video.page import find_videos
-from gauge_envs.tools.video.published import published_results
+from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.tracker import track_object
 
 FEWEST = 6

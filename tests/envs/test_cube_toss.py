@@ -12,7 +12,7 @@ from gauge_envs.backends import backend_for, backend_names
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.evaluation.reference import band_grade
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many

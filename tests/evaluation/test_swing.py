@@ -17,8 +17,7 @@ from gauge_envs.errors import ReferenceFileError
 from gauge_envs.evaluation.swing import EventTime
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
-from gauge_envs.references.events import recorded_events
-from gauge_envs.references.published import published_baselines
+from gauge_envs.references.published import published_baselines, recorded_events
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.run.words import estimator_lines

@@ -21,8 +21,7 @@ from gauge_envs.references.sensitivities import input_uncertainties, load_sensit
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
-from gauge_envs.scene.jitter import Jitter
-from gauge_envs.scene.tilt import tilted
+from gauge_envs.scene.jitter import Jitter, tilted
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.compare.experiment_figure import save_figures
 

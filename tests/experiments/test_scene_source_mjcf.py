@@ -23,7 +23,7 @@ from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.assets.mjcf import write_mjcf
+from gauge_envs.tools.assets.export import write_mjcf
 
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"

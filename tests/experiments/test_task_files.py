@@ -100,7 +100,7 @@ def test_a_wrong_file_names_file_key_and_reason(
     with pytest.raises(TaskFileError) as caught:
         load_task(path)
     assert caught.value.file == path
-    assert key in caught.value.key
+    assert key in caught.value.place
     assert reason in caught.value.reason
     assert str(path) in str(caught.value)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from build_recordings import statistic_uncertainty
 from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment, variants
@@ -15,7 +16,6 @@ from gauge_envs.observables.deformation import (
     deformation_statistics,
     independent_noise,
     marked_solid,
-    statistic_uncertainty,
     statistic_unit,
     trial_statistics,
     white_noise_m,

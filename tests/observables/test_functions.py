@@ -12,7 +12,6 @@ from gauge_envs.observables.functions import (
     assign_markers,
     face_areas_mm2,
     line_turning_angle,
-    positions_mm,
 )
 
 
@@ -34,10 +33,6 @@ def fan(count, apex_height):
     rim = np.column_stack((np.cos(angle), np.sin(angle), np.zeros(count)))
     faces = [[0, 1 + k, 1 + (k + 1) % count] for k in range(count)]
     return np.vstack(([[0.0, 0.0, apex_height]], rim))[None], faces
-
-
-def test_positions_become_one_row_of_millimetres_a_frame():
-    np.testing.assert_allclose(positions_mm(np.arange(12.0).reshape(2, 2, 3))[1], 1e3 * np.arange(6, 12))
 
 
 # Curvature

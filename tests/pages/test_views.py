@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.pages.document import Terminal
+from gauge_envs.references.imported import SpreadRecord
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -22,7 +23,6 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import result_file_name, write_result
 from gauge_envs.tools import sanity
 from gauge_envs.tools.dataset.importer import BaselineRow, ImportedTrials
-from gauge_envs.tools.dataset.statistics import TrialSpread
 from gauge_envs.tools.dataset.words import import_document
 from gauge_envs.tools.sanity.model import Report
 
@@ -134,7 +134,12 @@ def test_an_import_fits_the_terminal(width: int) -> None:
     variant = find_variant("NonsmoothContact-1-plastic")
     lines = published_baselines(variant.name)
     rows = tuple(
-        BaselineRow(metric=metric, unit="mm", own=TrialSpread(mean=12.3456, std=4.5678, count=20), published=line)
+        BaselineRow(
+            metric=metric,
+            unit="mm",
+            own=SpreadRecord(unit="mm", mean=12.3456, std=4.5678, trial_count=20),
+            published=line,
+        )
         for metric, line in lines.items()
     )
     driver: Any = SimpleNamespace(

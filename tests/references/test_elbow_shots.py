@@ -15,7 +15,7 @@ from toss_errors import angle_error, perturbed_scene
 from gauge_envs import beyond_variants, load_experiment, reference_band, variants
 from gauge_envs.backends import backend_for, backend_names
 from gauge_envs.errors import MissingExtraError, ParameterError, ShapeError
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.single_shot import ShotSidecar, SingleShots, single_shots
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
 

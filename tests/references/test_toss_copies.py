@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from toss_copies import TOLERANCE_M, copies, height_distances_m, placed_distance_m, recorded_corners_m
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.experiments.single_shot import with_trial
+from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references.single_shot import ShotSidecar, SingleShots, single_shots
 
 CUBE, BLOCKS = "CubeToss-acrylic", "ElbowToss-blocks"

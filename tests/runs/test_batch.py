@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from interruption import interrupt_in_episode
 
-from gauge_envs.backends.registry import backend as mujoco_backend
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
@@ -31,13 +31,13 @@ def result():
 def run_count(monkeypatch):
     """How many episodes were started, as a list that grows."""
     started = []
-    reset = mujoco_backend.SimulationMuJoCo.reset
+    reset = SimulationMuJoCo.reset
 
     def counted(self, seed):
         started.append(seed)
         reset(self, seed)
 
-    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", counted)
+    monkeypatch.setattr(SimulationMuJoCo, "reset", counted)
     return started
 
 
@@ -122,14 +122,14 @@ def test_a_request_that_fits_nothing_is_refused_before_anything_runs(run_count):
 
 @pytest.mark.usefixtures("rigid_only")
 def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
-    reset = mujoco_backend.SimulationMuJoCo.reset
+    reset = SimulationMuJoCo.reset
 
     def fails_for_plastic(self, seed):
         if abs(self.model.body_mass.max() - 0.1469) < 1e-6 or 0.1469 in self.model.body_mass.round(6):
             raise RuntimeError("the engine gave up")
         reset(self, seed)
 
-    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "reset", fails_for_plastic)
+    monkeypatch.setattr(SimulationMuJoCo, "reset", fails_for_plastic)
     results = list(run_many([RunRequest(name) for name in (SOFT, *THREE)], out=tmp_path))
     assert [r.outcome.value for r in results] == ["declined", "finished", "failed", "finished"]
     assert "deformable" in results[0].error
@@ -147,7 +147,7 @@ def test_a_missing_parameter_set_declines():
 
 
 def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
-    states = mujoco_backend.SimulationMuJoCo.body_states
+    states = SimulationMuJoCo.body_states
 
     def exploding(self, names):
         values = states(self, names)
@@ -156,7 +156,7 @@ def test_divergence_is_a_result_without_a_score(monkeypatch, tmp_path):
             values[:, 7:10] = np.inf
         return values
 
-    monkeypatch.setattr(mujoco_backend.SimulationMuJoCo, "body_states", exploding)
+    monkeypatch.setattr(SimulationMuJoCo, "body_states", exploding)
     (result,) = run_many([RunRequest(NAME)], out=tmp_path)
     assert (result.outcome, result.diverged, result.frames < 19) == (Outcome.DIVERGED, True, True)
     assert "not finite" in result.diverged_reason

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 from gauge_envs import load_experiment
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth
 from gauge_envs.scene.fabrics import (
     MAPPINGS,

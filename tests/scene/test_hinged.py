@@ -13,8 +13,7 @@ from gauge_envs.scene import BodyHinge, Box, Contact, Hinge, Motion, Pose, Rigid
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, hinge_trees, parent_hinges
-from gauge_envs.scene.jitter import Jitter, jittered
-from gauge_envs.scene.tilt import tilted
+from gauge_envs.scene.jitter import Jitter, jittered, tilted
 
 SHAPE = Box(size_m=(0.1, 0.05, 0.05))
 

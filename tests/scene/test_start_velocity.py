@@ -33,9 +33,8 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.contact_faces import face_normal
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scene.jitter import jittered
+from gauge_envs.scene.jitter import jittered, tilted
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.tilt import tilted
 
 LEANING = Pose.from_euler_deg((0.2, 0.1, 1.0), (50.0, -20.0, 70.0))
 BRICK = Box(size_m=(0.1, 0.06, 0.03))

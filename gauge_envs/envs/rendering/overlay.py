@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError, ShapeError
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.experiments.single_shot import shots_of
+from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

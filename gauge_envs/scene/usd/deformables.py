@@ -1,25 +1,20 @@
-"""Reader of deformable bodies, attachments and markers of USD layers that this package wrote."""
+"""Reader of deformable bodies, attachments, markers and air of USD layers that this package wrote."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdShade
 
-from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, Rod, Rope, SoftBody
-from gauge_envs.scene.geometry import Box, vector
-from gauge_envs.scene.usd.layer import KINDS, FloatArray
+from gauge_envs.errors import ParameterError
+from gauge_envs.scene.air import Air
+from gauge_envs.scene.bodies import Attachment, Cloth, Deformable, Markers, Region, SoftBody
+from gauge_envs.scene.geometry import Box, FloatArray, vector
+from gauge_envs.scene.usd.layer import AIR_KINDS, KINDS, MARKER_INDICES, OMNI_MATERIAL
 from gauge_envs.scene.usd.source import Source, single
-
-FABRIC = (
-    "areal_density_kg_per_m2",
-    "stretch_stiffness_n_per_m",
-    "shear_stiffness_n_per_m",
-    "bend_stiffness_n_m_per_rad",
-)
-"""Constants of a cloth without a standard attribute."""
 
 POINT_TYPES = ("Points", "Mesh")
 """Types of prims whose points can be markers."""
@@ -47,60 +42,64 @@ def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
         raise source.fault(prim, "is a scaled deformable body: remove the scale and edit its size")
     # The material of a body without contacts has no friction, so `Source.material` would not find it.
     material = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")[0].GetPrim()
-    values: dict[str, Any] = {
-        "name": name,
-        "pose": frame.pose,
-        "mass_kg": _positive(source, prim, "mass_kg", prim, "omniphysics:mass"),
-    }
-    if kind == "cloth":
-        x, y = _size(source, prim, 2)
-        values["thickness_m"] = _positive(source, prim, "thickness_m", material, "omniphysics:surfaceThickness")
-        values |= {constant: _positive(source, prim, constant) for constant in FABRIC}
-        return Cloth(**values, size_m=(x, y))
-    values["young_modulus_pa"] = _positive(source, prim, "young_modulus_pa", material, "omniphysics:youngsModulus")
-    if kind in ("soft_body", "rod"):
-        values["poisson_ratio"] = _poisson_ratio(source, prim, material)
-    if kind == "soft_body":
-        x, y, z = _size(source, prim, 3)
-        return SoftBody(**values, shape=Box(size_m=(x, y, z)))
-    values |= {"length_m": _positive(source, prim, "length_m"), "radius_m": _radius(source, prim)}
-    return Rope(**values) if kind == "rope" else Rod(**values)
+    model = next(model for model, known in KINDS.items() if known == kind)
+    values: dict[str, Any] = {"name": name, "pose": frame.pose}
+    values |= {f.name: _constant(source, prim, material, f.name) for f in fields(model) if f.type == "float"}
+    if model is Cloth:
+        values["size_m"] = _size(source, prim, 2)
+    elif model is SoftBody:
+        values["shape"] = Box(size_m=_size(source, prim, 3))
+    return model(**values)
 
 
-def _positive(source: Source, prim: Usd.Prim, name: str, holder: Usd.Prim | None = None, standard: str = "") -> float:
-    """Read a positive constant from its `gauge:` double and from an attribute of Omniverse's schema."""
-    reading = source.reading(holder.GetAttribute(standard)) if holder else None
-    return _checked(source, prim, name, source.counted(prim.GetAttribute(f"gauge:{name}"), [reading]))
-
-
-def _checked(source: Source, prim: Usd.Prim, name: str, value: FloatArray | None) -> float:
-    if value is None or not value > 0.0:
+def _constant(source: Source, prim: Usd.Prim, material: Usd.Prim, name: str) -> float:
+    """Read a constant of a body from its `gauge:` double and from the standard attribute, if it has one."""
+    own = prim.GetAttribute(f"gauge:{name}")
+    if name == "radius_m":
+        reading = source.reading(prim.GetAttribute("widths"), (1,), lambda width: 0.5 * width[0])
+        value = source.counted(own, [reading], rounded=lambda radius: 0.5 * single(2.0 * radius))
+    else:
+        holder, standard = (prim, "mass") if name == "mass_kg" else (material, OMNI_MATERIAL.get(name))
+        reading = source.reading(holder.GetAttribute(f"omniphysics:{standard}")) if holder and standard else None
+        value = source.counted(own, [reading])
+    low, high, expected = (0.0, np.inf, "a positive number")
+    if name == "poisson_ratio":
+        low, high, expected = (-1.0, 0.5, "more than -1 and less than 0.5")
+    if value is None or not low < value < high:
         found = "is missing" if value is None else f"is {float(value)}"
-        raise source.fault(prim, f"gauge:{name} {found}: a positive number is expected")
+        raise source.fault(prim, f"gauge:{name} {found}: {expected} is expected")
     return float(value)
 
 
-def _poisson_ratio(source: Source, prim: Usd.Prim, material: Usd.Prim | None) -> float:
-    reading = source.reading(material.GetAttribute("omniphysics:poissonsRatio")) if material else None
-    ratio = source.counted(prim.GetAttribute("gauge:poisson_ratio"), [reading])
-    if ratio is None or not -1.0 < ratio < 0.5:
-        found = "is missing" if ratio is None else f"is {float(ratio)}"
-        raise source.fault(prim, f"gauge:poisson_ratio {found}: more than -1 and less than 0.5 is expected")
-    return float(ratio)
-
-
-def _radius(source: Source, prim: Usd.Prim) -> float:
-    reading = source.reading(prim.GetAttribute("widths"), (1,), lambda width: 0.5 * width[0])
-    radius = source.counted(prim.GetAttribute("gauge:radius_m"), [reading], rounded=lambda r: 0.5 * single(2.0 * r))
-    return _checked(source, prim, "radius_m", radius)
-
-
-def _size(source: Source, prim: Usd.Prim, count: int) -> list[float]:
+def _size(source: Source, prim: Usd.Prim, count: int) -> tuple[Any, ...]:
     size = source.numbers(prim.GetAttribute("gauge:size_m"), (count,))
     if size is None or not (size > 0.0).all():
         raise source.fault(prim, f"gauge:size_m is missing or not positive: {count} lengths are expected")
-    listed: list[float] = size.tolist()
-    return listed
+    return tuple(size.tolist())
+
+
+def read_air(source: Source, prim: Usd.Prim) -> Air | None:
+    """Return the air of a PhysicsScene prim, which UsdPhysics has not; None without `gauge:air:` attributes."""
+    prefix, known = "gauge:air:", [field.name for field in fields(Air)]
+    values: dict[str, Any] = {}
+    for attribute in prim.GetAuthoredAttributes():
+        if not attribute.GetName().startswith(prefix):
+            continue
+        name = attribute.GetName().removeprefix(prefix)
+        if name not in known:
+            raise source.fault(attribute, f"is no property of air; known are {', '.join(known)}")
+        value = source.numbers(attribute, (3,) if name in AIR_KINDS else ())
+        if value is not None:
+            values[name] = vector(value) if name in AIR_KINDS else float(value)
+    if not values:
+        return None
+    missing = [name for name in ("density_kg_per_m3", "normal_coefficient") if name not in values]
+    if missing:
+        raise source.fault(prim, f"states air without {prefix}{missing[0]}: add it, or remove all {prefix} attributes")
+    try:
+        return Air(**values)
+    except ParameterError as error:
+        raise source.fault(prim, str(error)) from None
 
 
 def read_attachments(source: Source, names: Names) -> Iterator[Attachment]:
@@ -131,14 +130,10 @@ def read_markers(source: Source, names: Names) -> Markers | None:
         raise source.fault(prims[1], f"is a second set of markers beside {prims[0].GetPath()}: one is expected")
     (prim,) = prims
     positions = world_points(source, prim)
-    count = len(positions)
     return Markers(
         bodies=_targets(source, prim, "gauge:bodies", names),
         positions_m=tuple(map(vector, positions)),
-        faces=tuple((a, b, c) for a, b, c in _indices(source, prim, "faces", 3, count)),
-        lines=tuple((a, b) for a, b in _indices(source, prim, "lines", 2, count)),
-        corner=tuple(one for (one,) in _indices(source, prim, "corner", 1, count)),
-        edge=tuple(one for (one,) in _indices(source, prim, "edge", 1, count)),
+        **{name: _indices(source, prim, name, kind, len(positions)) for name, kind in MARKER_INDICES.items()},
     )
 
 
@@ -163,13 +158,13 @@ def _targets(source: Source, prim: Usd.Prim, relationship: str, names: Names) ->
     return tuple(names[path] for path in found)
 
 
-def _indices(source: Source, prim: Usd.Prim, name: str, width: int, count: int) -> list[list[int]]:
-    """Return indices of markers, shape [row_count, width]."""
-    attribute = prim.GetAttribute(f"gauge:{name}")
-    rows = source.numbers(attribute, (-1,) if width == 1 else (-1, width))
+def _indices(source: Source, prim: Usd.Prim, name: str, kind: str, count: int) -> tuple[Any, ...]:
+    """Return indices of markers: numbers, or tuples of them for a type such as `int3[]`."""
+    attribute, width = prim.GetAttribute(f"gauge:{name}"), kind.removeprefix("int").removesuffix("[]")
+    rows = source.numbers(attribute, (-1, int(width)) if width else (-1,))
     if rows is None:
-        return []
+        return ()
     if (rows < 0).any() or (rows >= count).any() or (rows != np.round(rows)).any():
         raise source.fault(attribute, f"names markers that do not exist: there are {count}")
-    listed: list[list[int]] = rows.reshape(-1, width).astype(int).tolist()
-    return listed
+    listed = rows.astype(int).tolist()
+    return tuple(map(tuple, listed)) if width else tuple(listed)

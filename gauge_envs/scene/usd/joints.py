@@ -8,8 +8,8 @@ import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import BodyHinge, Hinge, Motion, RigidBody, Tether
-from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, hinge_axis, hinge_frame, wxyz
+from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.usd.layer import WRITTEN, hinge_axis, hinge_frame, wxyz
 from gauge_envs.scene.usd.source import Source, StoredValue
 
 GAP_M = 1e-4
@@ -17,6 +17,62 @@ GAP_M = 1e-4
 
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
+
+
+class _End:
+    """One end of a joint.
+
+    Args:
+        source: The stage.
+        joint: The joint.
+        side: Index of the end, 0 or 1.
+
+    Attributes:
+        body: Prim of the moving body; None for an end in the world.
+        space: Prim in whose space the frame is; None for that of the world.
+        position: Attribute of the origin of the frame.
+        rotation: Attribute of its orientation.
+    """
+
+    def __init__(self, source: Source, joint: Usd.Prim, side: int) -> None:
+        api = UsdPhysics.Joint(joint)
+        targets = (api.GetBody0Rel(), api.GetBody1Rel())[side].GetTargets()
+        target = source.stage.GetPrimAtPath(targets[0]) if targets else None
+        if targets and not target:
+            raise source.fault(joint, f"joins {targets[0]}, which does not exist")
+        owner = source.body_of(target) if target else None
+        self._source = source
+        self.body = owner if owner and source.is_rigid(owner) else None
+        self.space = self.body or target
+        self.position = (api.GetLocalPos0Attr(), api.GetLocalPos1Attr())[side]
+        self.rotation = (api.GetLocalRot0Attr(), api.GetLocalRot1Attr())[side]
+
+    def reading(self) -> StoredValue | None:
+        """Return the authored origin of the frame in world coordinates [m]."""
+        source, space = self._source, self.space
+        convert = source.world_m if space is None else lambda points: source.to_world(space, points)
+        return source.reading(self.position, (3,), convert)
+
+    def place(self) -> FloatArray:
+        """Return the origin of the frame in world coordinates [m]; that of its space if none is authored."""
+        stated = self.reading()
+        if stated is not None:
+            return stated.value
+        return np.zeros(3) if self.space is None else self._source.to_world(self.space, np.zeros(3))
+
+    def axis(self, letter: str) -> FloatArray:
+        """Return the direction of an axis of the frame in the world."""
+        source, quaternion = self._source, self._source.numbers(self.rotation, (4,))
+        if quaternion is not None and not quaternion.any():
+            raise source.fault(self.rotation, "is a zero quaternion: a rotation is expected")
+        axis = hinge_axis(np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter)
+        if self.space is None:
+            return source.up @ axis
+        return source.frame(self.space, Usd.TimeCode(source.start)).pose.rotation.apply(axis)
+
+
+def _ends(source: Source, joint: Usd.Prim) -> list[_End]:
+    return [_End(source, joint, side) for side in (0, 1)]
 
 
 def joint_prims(source: Source) -> list[Usd.Prim]:
@@ -30,12 +86,12 @@ def joint_prims(source: Source) -> list[Usd.Prim]:
 
 def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
     """Return whether a joint fixes a body to the world."""
-    return joint.IsA(UsdPhysics.FixedJoint) and _moving_end(source, joint)[0] == body
+    return joint.IsA(UsdPhysics.FixedJoint) and _world_joint(source, joint)[1].body == body
 
 
 def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
     """Return whether a joint connects two moving bodies."""
-    return len(_moving_ends(source, joint)) == 2
+    return all(end.body for end in _ends(source, joint))
 
 
 def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> BodyHinge:
@@ -53,12 +109,9 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
     if kind != "PhysicsRevoluteJoint":
         raise source.fault(prim, f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read")
     _check_plain(source, prim)
-    prims = [owner for owner, _ in _moving_ends(source, prim)]
-    letter = source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
-    stated = [_in_world(source, body, place) for body, place in zip(prims, _positions(prim), strict=True)]
-    places = [_origin(source, body) if one is None else one.value for body, one in zip(prims, stated, strict=True)]
-    axes = [_axis(source, body, turn, letter) for body, turn in zip(prims, _rotations(prim), strict=True)]
-    edited = any(_is_edited(one) for one in (*_positions(prim), *_rotations(prim)))
+    ends, letter = _ends(source, prim), _letter(source, prim)
+    places, axes = [end.place() for end in ends], [end.axis(letter) for end in ends]
+    edited = any(_is_edited(one) for end in ends for one in (end.position, end.rotation))
     exact = [source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,)) for name in ("anchor_m", "axis")]
     anchor = places[0] if edited or exact[0] is None else exact[0]
     axis = axes[0] if edited or exact[1] is None else exact[1]
@@ -70,10 +123,8 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
             f"its frames in the two bodies lie up to {1e3 * gap:.3g} mm and {askew:.3g} rad off its anchor and axis at "
             "the start: they must meet",
         )
-    length = float(np.linalg.norm(axis))
-    axis = axis if abs(length - 1.0) < 1e-12 else axis / length
-    names = [bodies[body.GetPath()].name for body in prims]
-    return BodyHinge(first=names[0], second=names[1], anchor_m=vector(anchor), axis=vector(axis))
+    first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
+    return BodyHinge(first=first, second=second, anchor_m=vector(anchor), axis=vector(_normalized(axis)))
 
 
 def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
@@ -87,7 +138,7 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
     """
-    body_prim, side = _moving_end(source, prim)
+    world, held = _world_joint(source, prim)
     kind = str(prim.GetTypeName())
     if kind == "PhysicsFixedJoint":
         return None
@@ -95,76 +146,43 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         raise source.fault(
             prim, f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read"
         )
-    body = bodies[body_prim.GetPath()]
+    assert held.body is not None
+    body = bodies[held.body.GetPath()]
     if body.motion is not Motion.DYNAMIC:
         raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
     _check_plain(source, prim)
-    ends = _positions(prim)
-    world_prim = _target(source, prim, 1 - side)
     own = prim.GetAttribute("gauge:anchor_m")
-    anchor = source.counted(own, [_in_world(source, world_prim, ends[1 - side])], (3,))
+    anchor = source.counted(own, [world.reading()], (3,))
     if anchor is None:
-        anchor = _origin(source, world_prim)
-    stated = _in_world(source, body_prim, ends[side])
-    held = _origin(source, body_prim) if stated is None else stated.value
+        anchor = world.place()
     if kind == "PhysicsDistanceJoint":
-        return _tether(source, prim, body, anchor, held)
+        return _tether(source, prim, body, anchor, held.place())
     # If only the body was moved, the anchor stays.
-    is_free = bool(own and own.HasAuthoredValue()) and not _is_edited(ends[side])
-    return _hinge(source, prim, body_prim, body, anchor, None if is_free else held)
+    is_free = bool(own and own.HasAuthoredValue()) and not _is_edited(held.position)
+    return _hinge(source, prim, body, anchor, world, held, is_free=is_free)
 
 
-def _moving_end(source: Source, prim: Usd.Prim) -> tuple[Usd.Prim, int]:
-    """Return the moving body of a joint to the world, and the index of its end, 0 or 1."""
-    ends = _moving_ends(source, prim)
-    if len(ends) != 1:
-        joined = ", ".join(str(owner.GetPath()) for owner, _ in ends) or "no moving body"
+def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
+    """Return the ends of a joint in the world and in its moving body."""
+    ends = sorted(_ends(source, prim), key=lambda end: end.body is not None)
+    moving = [end.body for end in ends if end.body]
+    if len(moving) != 1:
+        joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
         raise source.fault(
             prim,
             f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world",
         )
-    return ends[0]
+    return ends[0], ends[1]
 
 
-def _moving_ends(source: Source, prim: Usd.Prim) -> list[tuple[Usd.Prim, int]]:
-    """Return the moving bodies of a joint with the index of their end, 0 or 1."""
-    ends = []
-    for side in (0, 1):
-        target = _target(source, prim, side)
-        owner = source.body_of(target) if target else None
-        if owner and source.is_rigid(owner):
-            ends.append((owner, side))
-    return ends
+def _letter(source: Source, prim: Usd.Prim) -> str:
+    return source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
 
 
-def _target(source: Source, prim: Usd.Prim, side: int) -> Usd.Prim | None:
-    joint = UsdPhysics.Joint(prim)
-    targets = (joint.GetBody0Rel(), joint.GetBody1Rel())[side].GetTargets()
-    if not targets:
-        return None
-    target = source.stage.GetPrimAtPath(targets[0])
-    if not target:
-        raise source.fault(prim, f"joins {targets[0]}, which does not exist")
-    return target
-
-
-def _positions(prim: Usd.Prim) -> tuple[Usd.Attribute, Usd.Attribute]:
-    joint = UsdPhysics.Joint(prim)
-    return joint.GetLocalPos0Attr(), joint.GetLocalPos1Attr()
-
-
-def _rotations(prim: Usd.Prim) -> tuple[Usd.Attribute, Usd.Attribute]:
-    joint = UsdPhysics.Joint(prim)
-    return joint.GetLocalRot0Attr(), joint.GetLocalRot1Attr()
-
-
-def _in_world(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute) -> StoredValue | None:
-    """Read a point in a prim's space, or in the stage's world without a prim, in world coordinates [m]."""
-    return source.reading(attribute, (3,), source.world_m if prim is None else lambda p: source.to_world(prim, p))
-
-
-def _origin(source: Source, prim: Usd.Prim | None) -> FloatArray:
-    return np.zeros(3) if prim is None else source.to_world(prim, np.zeros(3))
+def _normalized(axis: FloatArray) -> FloatArray:
+    """Return a unit vector; an axis that was edited has single precision, and an exact one stays."""
+    length = float(np.linalg.norm(axis))
+    return axis if abs(length - 1.0) < 1e-12 else axis / length
 
 
 def _is_edited(attribute: Usd.Attribute) -> bool:
@@ -199,39 +217,24 @@ def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray,
 
 
 def _hinge(
-    source: Source, prim: Usd.Prim, body_prim: Usd.Prim, body: RigidBody, anchor: FloatArray, held: FloatArray | None
+    source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, world: _End, held: _End, *, is_free: bool
 ) -> Hinge:
-    """Return the hinge; `held` is the joint's end in the body [m], or None if it does not count."""
-    side = _moving_end(source, prim)[1]
-    frames = _rotations(prim)
-    letter = source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
-    stated = _axis(source, _target(source, prim, 1 - side), frames[1 - side], letter)
-    standard = StoredValue(place=str(frames[1 - side].GetPath()), raw=stated, value=stated)
+    """Return the hinge; the place of a free one in its body does not count."""
+    letter = _letter(source, prim)
+    stated = world.axis(letter)
+    standard = StoredValue(place=str(world.rotation.GetPath()), raw=stated, value=stated)
     own = prim.GetAttribute("gauge:axis")
     axis = source.counted(own, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
     assert axis is not None
-    length = float(np.linalg.norm(axis))
-    if abs(length - 1.0) > UNIT:
+    if abs(float(np.linalg.norm(axis)) - 1.0) > UNIT:
         raise source.fault(prim, f"its axis {axis.tolist()} is not a unit vector: normalize it")
-    # An edited axis has single precision.
-    axis = axis if abs(length - 1.0) < 1e-12 else axis / length
-    if held is not None or _is_edited(frames[side]):
-        gap = 0.0 if held is None else float(np.linalg.norm(held - anchor))
-        askew = float(np.linalg.norm(_axis(source, body_prim, frames[side], letter) - axis))
+    axis = _normalized(axis)
+    if not is_free or _is_edited(held.rotation):
+        gap = 0.0 if is_free else float(np.linalg.norm(held.place() - anchor))
+        askew = float(np.linalg.norm(held.axis(letter) - axis))
         if max(gap, askew) > GAP_M:
             raise source.fault(
                 prim,
                 f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
             )
     return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis))
-
-
-def _axis(source: Source, prim: Usd.Prim | None, attribute: Usd.Attribute, letter: str) -> FloatArray:
-    """Return the direction of a joint's axis in the world, from its frame in a body or in the world."""
-    quaternion = source.numbers(attribute, (4,))
-    if quaternion is not None and not quaternion.any():
-        raise source.fault(attribute, "is a zero quaternion: a rotation is expected")
-    axis = hinge_axis(np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter)
-    if prim is None:
-        return source.up @ axis
-    return source.frame(prim, Usd.TimeCode(source.start)).pose.rotation.apply(axis)

@@ -7,15 +7,14 @@ import json
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pxr import Gf, Usd
 from pydantic import BaseModel, ConfigDict, NonNegativeInt
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import Cloth, Deformable, Rod, Rope, SoftBody
 from gauge_envs.scene.drivers import DriverMotion
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 WRITTEN = "written"
 """Custom data key of a `gauge:` attribute with the written value of its standard counterpart: a number, a vector, a
@@ -29,6 +28,19 @@ TEXT = "text"
 
 KINDS: dict[type[Deformable], str] = {Cloth: "cloth", SoftBody: "soft_body", Rope: "rope", Rod: "rod"}
 """Values of `gauge:kind`."""
+
+OMNI_MATERIAL = {
+    "thickness_m": "surfaceThickness",
+    "young_modulus_pa": "youngsModulus",
+    "poisson_ratio": "poissonsRatio",
+}
+"""Attributes of Omniverse's deformable material, by the constants of a body that they hold in single precision."""
+
+AIR_KINDS = {"wind_m_per_s": "double3"}
+"""Type in USD of the fields of the air that are no double."""
+
+MARKER_INDICES = {"faces": "int3[]", "lines": "int2[]", "corner": "int[]", "edge": "int[]"}
+"""Type in USD of each kind of marker indices."""
 
 DIGEST_DECIMALS = 9
 """Number of decimals in digests, so that the last digit of a sine, which differs between machines, has no effect."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
-from typing import Literal
+from typing import Any, Literal
 
 from pxr import Sdf, Usd, UsdPhysics
 
@@ -17,6 +17,17 @@ Pair = frozenset[str]
 
 COMBINATIONS = ("average", "min", "multiply", "max")
 """Combine modes of PhysX in increasing priority; the mode with higher priority counts if two materials differ."""
+
+COEFFICIENT_ATTRIBUTES = {
+    "friction": (
+        "physics:staticFriction",
+        "physics:dynamicFriction",
+        "omniphysics:staticFriction",
+        "omniphysics:dynamicFriction",
+    ),
+    "restitution": ("physics:restitution",),
+}
+"""Attributes of a material that hold each constant of a contact."""
 
 COMBINE_ATTRIBUTES = {
     "friction": "physxMaterial:frictionCombineMode",
@@ -62,8 +73,10 @@ class PairOptions:
         return next((mode for names, mode in self.mode.items() if frozenset(names) == pair), ContactMode.SUSTAINED)
 
 
-def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) -> tuple[Contact, ...]:
-    """Return the contacts of a stage.
+def contacts_of(
+    source: Source, physics: Usd.Prim, parties: Sequence[Party], options: PairOptions
+) -> tuple[Contact, ...]:
+    """Return the contacts of a stage with the given PhysicsScene prim.
 
     `gauge:first` and `gauge:second` define the pairs. If the pairs of UsdPhysics were edited, the edits add or remove
     pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
@@ -77,7 +90,7 @@ def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) 
     allowed = _colliding(source, parties)
     given = {pair for contact in options.contacts for pair in _pairs(contact)}
     if prims and listed != allowed:
-        written = _written_pairs(source)
+        written = source.text(physics.GetAttribute("gauge:colliding_pairs"))
         if names_digest(listed) == written:
             own = [part for contact in own for part in _without(contact, listed - allowed)]
         elif names_digest(allowed) != written:
@@ -94,19 +107,12 @@ def contacts_of(source: Source, parties: Sequence[Party], options: PairOptions) 
     return (*own, *_from_materials(source, parties, allowed - listed - given, options), *options.contacts)
 
 
-def _written_pairs(source: Source) -> str | None:
-    for prim in source.prims():
-        if prim.IsA(UsdPhysics.Scene):
-            return source.text(prim.GetAttribute("gauge:colliding_pairs"))
-    return None
-
-
 # --- contacts that this package wrote --------------------------------------------------------------------------------
 
 
 def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> Contact:
     names = {party.prim.GetPath(): party.name for party in parties}
-    sides = {}
+    sides: dict[str, Any] = {}
     for side in ("first", "second"):
         relationship = prim.GetRelationship(f"gauge:{side}")
         targets = relationship.GetTargets() if relationship else []
@@ -115,26 +121,15 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
             raise source.fault(prim, f"gauge:{side} names {unknown or 'nothing'}: bodies are expected")
         sides[side] = tuple(names[target] for target in targets)
     materials = _linked_materials(source, prim)
-    values = {}
-    for name, attributes in (
-        (
-            "friction",
-            (
-                "physics:staticFriction",
-                "physics:dynamicFriction",
-                "omniphysics:staticFriction",
-                "omniphysics:dynamicFriction",
-            ),
-        ),
-        ("restitution", ("physics:restitution",)),
-    ):
+    values: dict[str, Any] = {}
+    for name, attributes in COEFFICIENT_ATTRIBUTES.items():
         readings = [source.reading(material.GetAttribute(a)) for material in materials for a in attributes]
         value = source.counted(prim.GetAttribute(f"gauge:{name}"), readings)
         values[name] = _coefficient(source, prim, name, None if value is None else float(value))
     mode = source.text(prim.GetAttribute("gauge:mode"), tuple(ContactMode))
     if mode is None:
         raise source.fault(prim, f"gauge:mode is missing: {' or '.join(ContactMode)}")
-    return Contact(**sides, friction=values["friction"], restitution=values["restitution"], mode=ContactMode(mode))
+    return Contact(**sides, **values, mode=ContactMode(mode))
 
 
 def _linked_materials(source: Source, prim: Usd.Prim, name: str = "gauge:materials") -> list[Usd.Prim]:
@@ -148,18 +143,12 @@ def _check_bindings(
     source: Source, prims: Sequence[Usd.Prim], own: Sequence[Contact], parties: Sequence[Party]
 ) -> None:
     """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
-    materials = [
-        [
-            material.GetPath()
-            for name in ("gauge:materials", "gauge:derived_materials")
-            for material in _linked_materials(source, prim, name)
-        ]
-        for prim in prims
-    ]
+    kinds = ("gauge:materials", "gauge:derived_materials")
+    linked = [{one.GetPath() for kind in kinds for one in _linked_materials(source, prim, kind)} for prim in prims]
     for party in parties:
-        known = [paths for paths, c in zip(materials, own, strict=True) if party.name in (*c.first, *c.second)]
+        known = [paths for paths, c in zip(linked, own, strict=True) if party.name in (*c.first, *c.second)]
         bound = {material.GetPath() for material in map(source.material, party.colliders) if material}
-        strange = bound - {path for paths in known for path in paths}
+        strange = bound.difference(*known)
         if known and strange:
             raise source.fault(
                 party.prim,
@@ -203,14 +192,10 @@ def _without(contact: Contact, pairs: set[Pair]) -> list[Contact]:
 
 def _colliding(source: Source, parties: Sequence[Party]) -> set[Pair]:
     """Return the pairs of bodies that UsdPhysics lets collide."""
-    solid = [party for party in parties if any(_is_enabled(source, prim) for prim in party.colliders)]
+    solid = [party for party in parties if any(map(source.collides, party.colliders))]
     filtered = _filtered(source, solid) | _filtered_by_groups(source, solid)
     pairs = (frozenset((one.name, other.name)) for one, other in combinations(solid, 2) if one.moves or other.moves)
     return {pair for pair in pairs if pair not in filtered}
-
-
-def _is_enabled(source: Source, prim: Usd.Prim) -> bool:
-    return source.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
 
 
 def _filtered(source: Source, parties: Sequence[Party]) -> set[Pair]:

@@ -19,11 +19,11 @@ from pxr import Sdf, Tf, Usd, UsdPhysics
 from gauge_envs.errors import AssetError, ParameterError
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.geometry import Pose, vector
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
-from gauge_envs.scene.usd.air import read_air
 from gauge_envs.scene.usd.deformables import (
     is_deformable,
+    read_air,
     read_attachments,
     read_deformable,
     read_markers,
@@ -31,7 +31,7 @@ from gauge_envs.scene.usd.deformables import (
 )
 from gauge_envs.scene.usd.driven import driven_body
 from gauge_envs.scene.usd.joints import is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
-from gauge_envs.scene.usd.layer import WRITTEN, FloatArray
+from gauge_envs.scene.usd.layer import WRITTEN
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of
 from gauge_envs.scene.usd.source import LARGEST, Source, StoredValue, usd_reason
@@ -132,14 +132,6 @@ def _opened(file: Path) -> Iterator[Source]:
         raise AssetError(file, "", str(error)) from None
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Found:
-    """A rigid body whose properties have not been read yet."""
-
-    prim: Usd.Prim
-    colliders: tuple[Usd.Prim, ...]
-
-
 class _Reader:
     """Reader of one stage."""
 
@@ -154,21 +146,28 @@ class _Reader:
         source = self.source
         for prim in source.prims():
             source.check_followers(prim)
+        scenes = [UsdPhysics.Scene(prim) for prim in source.prims() if prim.IsA(UsdPhysics.Scene)]
+        if len(scenes) != 1:
+            raise source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
+        (self.physics,) = scenes
         self.joints = joint_prims(source)
         found = self._find()
         deformable = [prim for prim in source.prims() if is_deformable(prim)]
         if len(found) + len(deformable) > MOST_BODIES:
             raise source.fault("", f"it has {len(found) + len(deformable)} bodies, the limit is {MOST_BODIES}")
-        self.names = self._names([*(one.prim for one in found), *deformable])
+        self.names = self._names([*(prim for prim, _ in found), *deformable])
         bodies: dict[Sdf.Path, RigidBody] = {}
         drivers: list[tuple[int, Driver]] = []
-        for one in found:
-            body, driver, place = self._body(one)
-            bodies[one.prim.GetPath()] = body
+        for prim, colliders in found:
+            body, driver, place = self._body(prim, colliders)
+            bodies[prim.GetPath()] = body
             if driver is not None:
                 # Drivers without an index in the file come last, in the stage's order.
                 drivers.append((len(found) if place is None else place, driver))
-        parties = [self._party(one.prim, one.colliders, bodies[one.prim.GetPath()].motion) for one in found]
+        parties = [
+            self._party(prim, colliders, moves=bodies[prim.GetPath()].motion is Motion.DYNAMIC)
+            for prim, colliders in found
+        ]
         parties += [self._party(prim, (prim,) if prim.HasAPI(UsdPhysics.CollisionAPI) else ()) for prim in deformable]
         between = [prim for prim in self.joints if joins_bodies(source, prim)]
         joints = [read_joint(source, prim, bodies) for prim in self.joints if prim not in between]
@@ -178,12 +177,12 @@ class _Reader:
             joints=tuple(joint for joint in joints if joint is not None),
             body_hinges=tuple(read_body_hinge(source, prim, bodies) for prim in between),
             attachments=tuple(read_attachments(source, self.names)),
-            contacts=contacts_of(source, parties, self.options),
+            contacts=contacts_of(source, self.physics.GetPrim(), parties, self.options),
             drivers=tuple(driver for _, driver in sorted(drivers, key=lambda pair: pair[0])),
             markers=read_markers(source, self.names) if self.has_markers else None,
             duration_s=self._duration(),
             gravity_m_per_s2=self._gravity(),
-            air=read_air(source, self._physics().GetPrim()),
+            air=read_air(source, self.physics.GetPrim()),
         )
         noted = source.stage.GetRootLayer().customLayerData.get("gauge", {})
         return UsdScene(
@@ -195,14 +194,8 @@ class _Reader:
 
     # --- stage ---
 
-    def _physics(self) -> UsdPhysics.Scene:
-        scenes = [UsdPhysics.Scene(prim) for prim in self.source.prims() if prim.IsA(UsdPhysics.Scene)]
-        if len(scenes) != 1:
-            raise self.source.fault("", f"{len(scenes)} PhysicsScene prims: exactly one is expected, for gravity")
-        return scenes[0]
-
     def _gravity(self) -> float:
-        source, physics = self.source, self._physics()
+        source, physics = self.source, self.physics
         attribute = physics.GetGravityDirectionAttr()
         direction = source.numbers(attribute, (3,))
         if direction is not None and direction.any():
@@ -222,7 +215,7 @@ class _Reader:
 
     def _duration(self) -> float:
         source, stage = self.source, self.source.stage
-        attribute = self._physics().GetPrim().GetAttribute("gauge:duration_s")
+        attribute = self.physics.GetPrim().GetAttribute("gauge:duration_s")
         stated = None
         if stage.HasAuthoredTimeCodeRange():
             length = np.array(source.seconds(stage.GetEndTimeCode()))
@@ -244,8 +237,8 @@ class _Reader:
 
     # --- prims of bodies ---
 
-    def _find(self) -> list[_Found]:
-        """Return rigid bodies in the stage's order; a collider without a rigid body is a fixed body."""
+    def _find(self) -> list[tuple[Usd.Prim, tuple[Usd.Prim, ...]]]:
+        """Return rigid bodies in the stage's order with their colliders; one without a rigid body is a fixed body."""
         source = self.source
         roots: dict[Sdf.Path, list[Usd.Prim]] = {}
         for prim in source.prims():
@@ -258,16 +251,13 @@ class _Reader:
         found = []
         for path, colliders in roots.items():
             prim = source.stage.GetPrimAtPath(path)
-            enabled = [one for one in colliders if self._is_enabled(one)]
+            enabled = [one for one in colliders if source.collides(one)]
             if not enabled and not source.is_rigid(prim) and not prim.HasAttribute("gauge:name"):
                 continue
             if not colliders:
                 raise source.fault(prim, "is a rigid body without a collider, so its shape is unknown: add a collider")
-            found.append(_Found(prim=prim, colliders=tuple(enabled or colliders)))
+            found.append((prim, tuple(enabled or colliders)))
         return found
-
-    def _is_enabled(self, prim: Usd.Prim) -> bool:
-        return self.source.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
 
     def _names(self, prims: Sequence[Usd.Prim]) -> dict[Sdf.Path, str]:
         """Return names in the scene: `gauge:name` if given, else the prim's name if unique, else its path."""
@@ -282,18 +272,16 @@ class _Reader:
             names[prim.GetPath()], paths[name] = name, prim.GetPath()
         return names
 
-    def _party(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], motion: Motion = Motion.DYNAMIC) -> Party:
-        name = self.names[prim.GetPath()]
-        return Party(name=name, prim=prim, colliders=colliders, moves=motion is Motion.DYNAMIC)
+    def _party(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...], *, moves: bool = True) -> Party:
+        return Party(name=self.names[prim.GetPath()], prim=prim, colliders=colliders, moves=moves)
 
     # --- rigid bodies ---
 
-    def _body(self, found: _Found) -> tuple[RigidBody, Driver | None, int | None]:
-        source, prim = self.source, found.prim
-        motion = self._motion(prim)
+    def _body(self, prim: Usd.Prim, colliders: tuple[Usd.Prim, ...]) -> tuple[RigidBody, Driver | None, int | None]:
+        source, motion = self.source, self._motion(prim)
         frame = source.frame(prim, self.start)
-        solid = solid_of(source, prim, frame, found.colliders, motion)
-        mass = mass_kg(source, prim, found.colliders, solid, frame, motion)
+        solid = solid_of(source, prim, frame, colliders, motion)
+        mass = mass_kg(source, prim, colliders, solid, frame, motion)
 
         def pose_at(time: Usd.TimeCode) -> Pose:
             moved = source.frame(prim, time)

@@ -13,9 +13,8 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene.bodies import Motion
-from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, Plane, Shape, Sphere
+from gauge_envs.scene.geometry import Box, ConvexUnion, Cylinder, FloatArray, Plane, Shape, Sphere
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.usd.layer import FloatArray
 from gauge_envs.scene.usd.source import Frame, Source, StoredValue, single
 
 OFF_CENTRE_M = 1e-9

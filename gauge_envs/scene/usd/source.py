@@ -18,8 +18,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import AssetError
 from gauge_envs.files import MEGABYTE, child_refusal, file_folders, outside_reason, read_regular
-from gauge_envs.scene.geometry import Pose, vector
-from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, FloatArray, digest, wxyz
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.usd.layer import FOLLOWS, WRITTEN, digest, wxyz
 
 SINGLE_RELATIVE = 3e-7
 """Largest difference, relative to the largest number, at which numbers agree in single precision."""
@@ -125,7 +125,10 @@ class Source:
     def __init__(self, path: Path) -> None:
         self.file = path
         self.stage = self._open()
-        self._check_places()
+        # The child that tests the file may have missed some of the files that it refers to.
+        for file in self.used_files():
+            if reason := outside_reason(file, path):
+                raise self.fault("", reason)
         if not UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             raise self.fault("", "metersPerUnit is not given, so no length is known: set it")
         if not self.stage.HasAuthoredMetadata(UsdGeom.Tokens.upAxis):
@@ -158,12 +161,6 @@ class Source:
         if broken:
             raise self.fault("", str(broken[0]))
         return stage
-
-    def _check_places(self) -> None:
-        """Check that all files of the stage are in the folder of the main file, those that the child missed too."""
-        for file in self.used_files():
-            if reason := outside_reason(file, self.file):
-                raise self.fault("", reason)
 
     def _check_limits(self) -> None:
         """Check that the file and what it refers to stay within limits of size, memory and time.
@@ -231,7 +228,8 @@ class Source:
         if array is not None and not array.size and -1 in shape:
             # An empty array of vectors has no width of its own.
             return np.zeros([max(length, 0) for length in shape])
-        if array is None or len(array.shape) != len(shape) or not _fits(array.shape, shape):
+        sizes = array.shape if array is not None and array.ndim == len(shape) else None
+        if array is None or sizes is None or any(n not in (-1, m) for n, m in zip(shape, sizes, strict=True)):
             wanted = " x ".join("any" if n < 0 else str(n) for n in shape)
             raise self.fault(
                 attribute, f"holds {value!r}: {f'{wanted} numbers are' if shape else 'a number is'} expected"
@@ -321,7 +319,7 @@ class Source:
         if not edited:
             return own
         standard = self._agreed(edited)
-        if not _is(rounded(own), written) and not _near(rounded(own), written):
+        if not _is(rounded(own), written, nearly=True):
             if not _agree(rounded(own), standard.raw):
                 raise self._both(gauge, own, standard, "both were edited")
             return own
@@ -358,6 +356,10 @@ class Source:
         """Return the physics material that is bound to a prim or to a prim above it, or None if there is none."""
         material, _ = UsdShade.MaterialBindingAPI(prim).ComputeBoundMaterial("physics")
         return material.GetPrim() if material and material.GetPrim().HasAPI(UsdPhysics.MaterialAPI) else None
+
+    def collides(self, prim: Usd.Prim) -> bool:
+        """Return whether a collider is enabled."""
+        return self.flag(UsdPhysics.CollisionAPI(prim).GetCollisionEnabledAttr(), default=True)
 
     def is_rigid(self, prim: Usd.Prim) -> bool:
         """Return whether a prim is an enabled rigid body of UsdPhysics."""
@@ -497,28 +499,26 @@ def _array(value: Any) -> FloatArray | None:
         return None
 
 
-def _fits(shape: tuple[int, ...], expected: tuple[int, ...]) -> bool:
-    return all(wanted < 0 or wanted == n for n, wanted in zip(shape, expected, strict=True))
-
-
 def _decimals(values: FloatArray) -> FloatArray:
     """Return single-precision numbers as the shortest decimals that round to them."""
     flat = [float(str(number)) for number in np.asarray(values, dtype=np.float32).ravel()]
     return np.array(flat).reshape(values.shape)
 
 
-def _is(values: ArrayLike, written: Any) -> bool:
-    """Return whether a standard value equals its written value exactly, or to nine decimals if that is a digest."""
+def _is(values: ArrayLike, written: Any, *, nearly: bool = False) -> bool:
+    """Return whether a standard value equals its written value, to nine decimals if that is a digest.
+
+    Args:
+        values: The value.
+        written: The written value.
+        nearly: Whether numbers that agree in single precision are equal.
+    """
     if isinstance(written, str):
         return digest(values) == written
     as_written = None if written is None else _array(written)
-    return as_written is not None and np.array_equal(values, as_written)
-
-
-def _near(values: FloatArray, written: Any) -> bool:
-    """Return whether numbers equal their written values in single precision."""
-    as_written = None if isinstance(written, str) else _array(written)
-    return as_written is not None and as_written.shape == values.shape and _agree(values, as_written)
+    if as_written is None:
+        return False
+    return np.array_equal(values, as_written) or (nearly and _agree(np.asarray(values), as_written))
 
 
 def _agree(one: FloatArray, other: FloatArray) -> bool:

@@ -12,9 +12,9 @@ import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import RigidBody
-from gauge_envs.scene.geometry import Pose, Shape
+from gauge_envs.scene.geometry import FloatArray, Pose, Shape
 from gauge_envs.scene.meshes import mass_properties
-from gauge_envs.scene.usd.layer import WRITTEN, FloatArray, digest, record_written
+from gauge_envs.scene.usd.layer import WRITTEN, digest, record_written
 from gauge_envs.scene.usd.source import Frame, Source, single
 
 NAMES = ("linear_velocity_m_per_s", "angular_velocity_rad_per_s")

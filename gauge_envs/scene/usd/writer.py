@@ -13,7 +13,7 @@ as the mesh of a cloth, contains its written value and the names of the attribut
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from dataclasses import asdict, fields
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -40,13 +40,15 @@ from gauge_envs.scene.bodies import (
 )
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
-from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, Pose, Shape, Sphere
+from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, FloatArray, Pose, Shape, Sphere, vector
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scene.usd.air import write_air
 from gauge_envs.scene.usd.layer import (
+    AIR_KINDS,
     KINDS,
+    MARKER_INDICES,
+    OMNI_MATERIAL,
     TEXT,
     digest,
     hinge_axis,
@@ -81,13 +83,6 @@ ISAAC_ATTRIBUTES = {
     "surfaceBendStiffness": "surfaceBendStiffness",
 }
 """Attributes of Omniverse's deformable material, by the names of `gauge_envs.scene.fabrics.isaac_surface`."""
-
-Token = Sdf.ValueTypeNames.Token
-Double = Sdf.ValueTypeNames.Double
-Double3 = Sdf.ValueTypeNames.Double3
-Float = Sdf.ValueTypeNames.Float
-String = Sdf.ValueTypeNames.String
-Int3Array = Sdf.ValueTypeNames.Int3Array
 
 
 def to_usd(scene: Scene, path: str | Path) -> None:
@@ -140,45 +135,33 @@ class _Writer:
         self.paths = _paths(names)
         self.deformables = {body.name: body for body in self.scene.deformables}
         self.collides = {name for contact in self.scene.contacts for name in (*contact.first, *contact.second)}
-        self.points: dict[str, NDArray[np.float64]] = {}
+        self.points: dict[str, FloatArray] = {}
 
     def write(self) -> None:
-        self._metadata()
-        world = UsdGeom.Xform.Define(self.stage, "/World")
-        self.stage.SetDefaultPrim(world.GetPrim())
-        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
-        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
-        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
-        record_written(_custom(physics, "gravity_m_per_s2", Double, self.scene.gravity_m_per_s2), magnitude.Get())
-        if self.scene.air is not None:
-            write_air(physics.GetPrim(), self.scene.air)
-        duration = _custom(physics, "duration_s", Double, self.scene.duration_s)
-        record_written(duration, (self.frame_count - 1) / FRAME_RATE_HZ)
-        materials = [self._contact_material(index, contact) for index, contact in enumerate(self.scene.contacts)]
-        for body in self.scene.bodies:
+        scene, physics = self.scene, self._physics()
+        materials = [self._contact_material(index, contact) for index, contact in enumerate(scene.contacts)]
+        for body in scene.bodies:
             self._body(body)
-            self._bind(self.paths[body.name], self._own(body.name, materials))
-        for index, driver in enumerate(self.scene.drivers):
+            if (index := self._first_contact(body.name)) is not None:
+                self._bind(self.paths[body.name], materials[index])
+        for index, driver in enumerate(scene.drivers):
             self._drive(index, driver)
-        for deformable in self.scene.deformables:
+        for deformable in scene.deformables:
             self._deformable(deformable)
-        _custom(physics, "colliding_pairs", String, self._filtered_pairs())
-        for index, joint in enumerate(self.scene.joints):
-            path = f"{self._group('Joints')}/joint_{index}"
-            if isinstance(joint, Hinge):
-                self._hinge(path, joint)
-            else:
-                self._tether(path, joint)
-        for index, hinge in enumerate(self.scene.body_hinges):
+        _custom(physics, "colliding_pairs", self._filtered_pairs(), "string")
+        for index, joint in enumerate(scene.joints):
+            self._joint(f"{self._group('Joints')}/joint_{index}", joint)
+        for index, hinge in enumerate(scene.body_hinges):
             self._body_hinge(f"{self._group('Joints')}/body_hinge_{index}", hinge)
-        for index, attachment in enumerate(self.scene.attachments):
+        for index, attachment in enumerate(scene.attachments):
             self._attachment(index, attachment)
-        if self.scene.markers is not None:
-            self._markers(self.scene.markers)
+        if scene.markers is not None:
+            self._markers(scene.markers)
 
     # --- stage ---
 
-    def _metadata(self) -> None:
+    def _physics(self) -> UsdPhysics.Scene:
+        """Write the units and rates of the stage, and the scene prim with gravity, air and duration."""
         UsdGeom.SetStageMetersPerUnit(self.stage, 1.0)
         UsdPhysics.SetStageKilogramsPerUnit(self.stage, 1.0)
         UsdGeom.SetStageUpAxis(self.stage, UsdGeom.Tokens.z)
@@ -186,6 +169,15 @@ class _Writer:
         self.stage.SetFramesPerSecond(FRAME_RATE_HZ)
         self.stage.SetStartTimeCode(0)
         self.stage.SetEndTimeCode(self.frame_count - 1)
+        self.stage.SetDefaultPrim(UsdGeom.Xform.Define(self.stage, "/World").GetPrim())
+        physics = UsdPhysics.Scene.Define(self.stage, "/World/PhysicsScene")
+        physics.CreateGravityDirectionAttr(Gf.Vec3f(0.0, 0.0, -1.0))
+        magnitude = physics.CreateGravityMagnitudeAttr(self.scene.gravity_m_per_s2)
+        _custom(physics, "gravity_m_per_s2", self.scene.gravity_m_per_s2, written=magnitude.Get())
+        for name, value in (asdict(self.scene.air) if self.scene.air else {}).items():
+            _custom(physics, f"air:{name}", value, AIR_KINDS.get(name, "double"))
+        _custom(physics, "duration_s", self.scene.duration_s, written=(self.frame_count - 1) / FRAME_RATE_HZ)
+        return physics
 
     def _group(self, name: str) -> str:
         """Return the path of a group below the world, which is created if it does not exist."""
@@ -200,31 +192,25 @@ class _Writer:
         prim = UsdGeom.Scope.Define(self.stage, f"{self._group('Contacts')}/contact_{index}").GetPrim()
         for side, names in (("first", contact.first), ("second", contact.second)):
             prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
-        friction = _custom(prim, "friction", Double, contact.friction)
-        restitution = _custom(prim, "restitution", Double, contact.restitution)
-        _custom(prim, "mode", Token, contact.mode.value)
+        friction = _custom(prim, "friction", contact.friction)
+        restitution = _custom(prim, "restitution", contact.restitution)
+        _custom(prim, "mode", contact.mode.value, "token")
         material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
         constants = _friction(material.GetPrim(), contact)
         record_written(friction, constants.GetDynamicFrictionAttr().Get())
         record_written(restitution, constants.GetRestitutionAttr().Get())
-        deformable = [name for name in self.deformables if self._first_contact(name) is contact]
+        deformable = [name for name in self.deformables if self._first_contact(name) == index]
         targets = [material.GetPath(), *map(self._deformable_material_path, deformable)]
         prim.CreateRelationship("gauge:materials", custom=True).SetTargets(targets)
         return material
 
-    def _first_contact(self, name: str) -> Contact | None:
-        """Return the first contact of a body."""
-        return next((c for c in self.scene.contacts if name in c.first or name in c.second), None)
+    def _first_contact(self, name: str) -> int | None:
+        """Return the index of the first contact of a body: UsdPhysics has materials per body and not per pair."""
+        return next((i for i, c in enumerate(self.scene.contacts) if name in c.first or name in c.second), None)
 
-    def _own(self, name: str, materials: Sequence[UsdShade.Material]) -> UsdShade.Material | None:
-        """Return the material of a body's first contact, since UsdPhysics has materials per body and not per pair."""
-        contact = self._first_contact(name)
-        return next((m for c, m in zip(self.scene.contacts, materials, strict=True) if c is contact), None)
-
-    def _bind(self, path: str, material: UsdShade.Material | None) -> None:
-        if material is not None:
-            binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
-            binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
+    def _bind(self, path: str, material: UsdShade.Material) -> None:
+        binding = UsdShade.MaterialBindingAPI.Apply(self.stage.GetPrimAtPath(path))
+        binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
 
     def _filtered_pairs(self) -> str:
         """Filter all pairs without a contact, since UsdPhysics lets all collide; return a hash of the other pairs."""
@@ -246,15 +232,15 @@ class _Writer:
         xform = UsdGeom.Xform.Define(self.stage, self.paths[body.name])
         prim = xform.GetPrim()
         self._place(xform, body.name, body.pose)
-        record_written(_custom(prim, "motion", Token, body.motion.value), body.motion.value)
-        mass = _custom(prim, "mass_kg", Double, body.mass_kg)
+        _custom(prim, "motion", body.motion.value, "token", written=body.motion.value)
+        mass = _custom(prim, "mass_kg", body.mass_kg)
         if body.motion is not Motion.FIXED:
             rigid = UsdPhysics.RigidBodyAPI.Apply(prim)
             rigid.CreateKinematicEnabledAttr(body.motion is Motion.KINEMATIC)
             api = UsdPhysics.MassAPI.Apply(prim)
             record_written(mass, api.CreateMassAttr(body.mass_kg).Get())
             if body.inertia_kg_m2 is not None:
-                _custom(prim, "inertia_kg_m2", Double, body.inertia_kg_m2)
+                _custom(prim, "inertia_kg_m2", body.inertia_kg_m2)
                 api.CreateDiagonalInertiaAttr(Gf.Vec3f(body.inertia_kg_m2))
             if not body.starts_at_rest:
                 write_velocities(rigid, body)
@@ -266,7 +252,7 @@ class _Writer:
         precision = UsdGeom.XformOp.PrecisionDouble
         xform.AddTranslateOp(precision).Set(Gf.Vec3d(*pose.position_m))
         xform.AddOrientOp(precision).Set(_quatd(pose.quaternion))
-        _custom(xform, "name", String, name)
+        _custom(xform, "name", name, "string")
 
     def _drive(self, index: int, driver: Driver) -> None:
         """Write the exact motion and its time samples; a constant position or rotation has a single value."""
@@ -287,9 +273,9 @@ class _Writer:
                 # Take the closer of the two quaternions of a rotation, so that interpolation takes the short path.
                 last = np.asarray(pose.quaternion) * (1.0 if last @ pose.quaternion >= 0.0 else -1.0)
                 orient.Set(_quatd(last.tolist()), code)
-        _custom(xform, "driver_provenance", String, driver.provenance)
+        _custom(xform, "driver_provenance", driver.provenance, "string")
         text = motions_to_json(driver.motions, index)
-        attribute = _custom(xform, "driver", String, text)
+        attribute = _custom(xform, "driver", text, "string")
         attribute.SetCustomDataByKey(TEXT, motions_digest(text))
         if translates or rotates:
             positions = np.array([pose.position_m for pose in poses])
@@ -322,14 +308,14 @@ class _Writer:
         _extent(geometry)
         return [geometry]
 
-    def _piece(self, path: str, points_m: NDArray[np.float64]) -> UsdGeom.Mesh:
+    def _piece(self, path: str, points_m: FloatArray) -> UsdGeom.Mesh:
         mesh = self._mesh(path, points_m, hull_faces(points_m))
-        exact = _custom(mesh, "points_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(points_m))
-        record_written(exact, digest(mesh.GetPointsAttr().Get()))
+        written = digest(mesh.GetPointsAttr().Get())
+        _custom(mesh, "points_m", Vt.Vec3dArray.FromNumpy(points_m), "double3[]", written=written)
         UsdPhysics.MeshCollisionAPI.Apply(mesh.GetPrim()).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)
         return mesh
 
-    def _mesh(self, path: str, points_m: NDArray[np.float64], faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
+    def _mesh(self, path: str, points_m: FloatArray, faces: Sequence[Sequence[int]]) -> UsdGeom.Mesh:
         mesh = UsdGeom.Mesh.Define(self.stage, path)
         mesh.CreatePointsAttr(_points(points_m))
         mesh.CreateFaceVertexCountsAttr([len(face) for face in faces])
@@ -350,20 +336,21 @@ class _Writer:
             geometry, api = self._line(path, body), None
         prim = geometry.GetPrim()
         self._place(geometry, body.name, body.pose)
-        _custom(prim, "kind", Token, KINDS[type(body)])
-        _constants(prim, body)
+        _custom(prim, "kind", KINDS[type(body)], "token")
+        for field in fields(body):
+            if isinstance(value := getattr(body, field.name), float):
+                _custom(prim, field.name, value)
         # usd-core does not have these schemas; Omniverse recognizes their names.
         prim.AddAppliedSchema("OmniPhysicsBodyAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableBodyAPI")
-        _omni(prim, "deformableBodyEnabled", Sdf.ValueTypeNames.Bool, True)
-        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", Float, body.mass_kg).Get())
+        _omni(prim, "deformableBodyEnabled", "bool", True)
+        record_written(prim.GetAttribute("gauge:mass_kg"), _omni(prim, "mass", "float", body.mass_kg).Get())
         size = f"gauge:{'length_m' if api is None else 'size_m'}"
         points = UsdGeom.PointBased(prim).GetPointsAttr()
         record_follower(points, size)
         if api is not None:
             prim.AddAppliedSchema(api)
-            rest = _omni(prim, "restShapePoints", Sdf.ValueTypeNames.Point3fArray, points.Get())
-            record_follower(rest, size)
+            record_follower(_omni(prim, "restShapePoints", "point3f[]", points.Get()), size)
             collision = UsdPhysics.CollisionAPI.Apply(prim)
             collision.CreateCollisionEnabledAttr(body.name in self.collides)
         self._bind(path, self._deformable_material(body))
@@ -376,8 +363,8 @@ class _Writer:
         self.points[cloth.name] = nodes
         mesh = self._mesh(path, nodes, triangles.tolist())
         record_follower(mesh.GetFaceVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTriVtxIndices", Int3Array, _integers(triangles)), "gauge:size_m")
-        _custom(mesh, "size_m", Sdf.ValueTypeNames.Double2, Gf.Vec2d(*cloth.size_m))
+        record_follower(_omni(mesh, "restTriVtxIndices", "int3[]", _integers(triangles)), "gauge:size_m")
+        _custom(mesh, "size_m", cloth.size_m, "double2")
         return mesh
 
     def _soft_body(self, path: str, body: SoftBody) -> UsdGeom.TetMesh:
@@ -390,8 +377,8 @@ class _Writer:
         mesh.CreateSurfaceFaceVertexIndicesAttr(UsdGeom.TetMesh.ComputeSurfaceFaces(mesh))
         _extent(mesh)
         record_follower(mesh.GetTetVertexIndicesAttr(), "gauge:size_m")
-        record_follower(_omni(mesh, "restTetVtxIndices", Sdf.ValueTypeNames.Int4Array, indices), "gauge:size_m")
-        _custom(mesh, "size_m", Double3, Gf.Vec3d(*body.shape.size_m))
+        record_follower(_omni(mesh, "restTetVtxIndices", "int4[]", indices), "gauge:size_m")
+        _custom(mesh, "size_m", body.shape.size_m, "double3")
         return mesh
 
     def _line(self, path: str, body: Rope | Rod) -> UsdGeom.BasisCurves:
@@ -418,31 +405,26 @@ class _Writer:
         prim, gauge = material.GetPrim(), self.stage.GetPrimAtPath(self.paths[body.name])
         prim.AddAppliedSchema("OmniPhysicsBaseMaterialAPI")
         prim.AddAppliedSchema("OmniPhysicsDeformableMaterialAPI")
-        contact = self._first_contact(body.name)
-        if contact is not None:
+        if (index := self._first_contact(body.name)) is not None:
+            contact = self.scene.contacts[index]
             _friction(prim, contact)
-            _omni(prim, "staticFriction", Float, contact.friction)
-            _omni(prim, "dynamicFriction", Float, contact.friction)
+            _omni(prim, "staticFriction", "float", contact.friction)
+            _omni(prim, "dynamicFriction", "float", contact.friction)
         if isinstance(body, Cloth):
             prim.AddAppliedSchema("OmniPhysicsSurfaceDeformableMaterialAPI")
-            density = _omni(prim, "density", Float, body.areal_density_kg_per_m2 / body.thickness_m)
+            density = _omni(prim, "density", "float", body.areal_density_kg_per_m2 / body.thickness_m)
             record_follower(density, "gauge:areal_density_kg_per_m2")
-            thickness = _omni(prim, "surfaceThickness", Float, body.thickness_m)
-            record_written(gauge.GetAttribute("gauge:thickness_m"), thickness.Get())
+        for name, attribute in OMNI_MATERIAL.items():
+            if hasattr(body, name):
+                written = _omni(prim, attribute, "float", getattr(body, name)).Get()
+                record_written(gauge.GetAttribute(f"gauge:{name}"), written)
+        if isinstance(body, Cloth):
             isaac = isaac_surface(Fabric.of(body))
             for name, attribute in ISAAC_ATTRIBUTES.items():
-                for one in (
-                    _omni(prim, attribute, Float, isaac.constants[name]),
-                    _custom(prim, f"isaac:{name}", Double, isaac.constants[name]),
-                ):
+                value = isaac.constants[name]
+                for one in (_omni(prim, attribute, "float", value), _custom(prim, f"isaac:{name}", value)):
                     record_follower(one, "gauge:stretch_, gauge:shear_ and gauge:bend_stiffness_...")
-            _custom(prim, "isaac:notes", Sdf.ValueTypeNames.StringArray, [*isaac.fallbacks, *isaac.lost])
-        else:
-            young = _omni(prim, "youngsModulus", Float, body.young_modulus_pa)
-            record_written(gauge.GetAttribute("gauge:young_modulus_pa"), young.Get())
-        if isinstance(body, SoftBody | Rod):
-            poisson = _omni(prim, "poissonsRatio", Float, body.poisson_ratio)
-            record_written(gauge.GetAttribute("gauge:poisson_ratio"), poisson.Get())
+            _custom(prim, "isaac:notes", [*isaac.fallbacks, *isaac.lost], "string[]")
         if isinstance(body, Rope | Rod):
             (width,) = UsdGeom.BasisCurves(gauge).GetWidthsAttr().Get()
             record_written(gauge.GetAttribute("gauge:radius_m"), 0.5 * width)
@@ -450,16 +432,29 @@ class _Writer:
 
     # --- joints ---
 
-    def _hinge(self, path: str, hinge: Hinge) -> None:
-        body = self.scene.body(hinge.body)
-        joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
-        joint.CreateAxisAttr(UsdPhysics.Tokens.x)
-        rotation = hinge_frame(hinge.axis)
-        world = joint.CreateLocalRot0Attr(rotation)
-        local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(body.pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
+    def _joint(self, path: str, stated: Hinge | Tether) -> None:
+        """Write a joint of a body and the world; a joint without a first body is one to the world."""
+        pose, anchor_m = self.scene.body(stated.body).pose, stated.anchor_m
+        local_m = (0.0, 0.0, 0.0)
+        joint: UsdPhysics.Joint
+        if isinstance(stated, Hinge):
+            local_m = vector(pose.to_body(np.asarray(anchor_m)))
+            joint = UsdPhysics.RevoluteJoint.Define(self.stage, path)
+            joint.CreateAxisAttr(UsdPhysics.Tokens.x)
+            rotation = hinge_frame(stated.axis)
+            world = joint.CreateLocalRot0Attr(rotation)
+            local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
+            record_written(local, local.Get())
+            _custom(joint, "axis", stated.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
+        else:
+            joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
+            longest = joint.CreateMaxDistanceAttr(stated.length_m)
+            _custom(joint, "length_m", stated.length_m, written=longest.Get())
+        joint.CreateBody1Rel().SetTargets([self.paths[stated.body]])
+        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*anchor_m))
+        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m))
         record_written(local, local.Get())
-        record_written(_custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis)), digest(hinge_axis(wxyz(world.Get()))))
-        self._anchor(joint, body, np.asarray(hinge.anchor_m), body.pose.to_body(np.asarray(hinge.anchor_m)))
+        _custom(joint, "anchor_m", anchor_m, "double3", written=world.Get())
 
     def _body_hinge(self, path: str, hinge: BodyHinge) -> None:
         """Write a joint of two bodies, with its frame in each, and the exact anchor and axis in the world."""
@@ -477,24 +472,8 @@ class _Writer:
             along = turn(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * rotation))
             for one in (at, along):
                 record_written(one, one.Get())
-        _custom(joint, "anchor_m", Double3, Gf.Vec3d(*hinge.anchor_m))
-        _custom(joint, "axis", Double3, Gf.Vec3d(*hinge.axis))
-
-    def _tether(self, path: str, tether: Tether) -> None:
-        joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
-        longest = joint.CreateMaxDistanceAttr(tether.length_m)
-        record_written(_custom(joint, "length_m", Double, tether.length_m), longest.Get())
-        self._anchor(joint, self.scene.body(tether.body), np.asarray(tether.anchor_m), np.zeros(3))
-
-    def _anchor(
-        self, joint: UsdPhysics.Joint, body: RigidBody, world_m: NDArray[np.float64], local_m: NDArray[np.float64]
-    ) -> None:
-        """Join the body to the world; a joint without a first body is a joint to the world."""
-        joint.CreateBody1Rel().SetTargets([self.paths[body.name]])
-        world = joint.CreateLocalPos0Attr(Gf.Vec3f(*world_m.tolist()))
-        local = joint.CreateLocalPos1Attr(Gf.Vec3f(*local_m.tolist()))
-        record_written(local, local.Get())
-        record_written(_custom(joint, "anchor_m", Double3, Gf.Vec3d(*world_m.tolist())), world.Get())
+        _custom(joint, "anchor_m", hinge.anchor_m, "double3")
+        _custom(joint, "axis", hinge.axis, "double3")
 
     # --- attachments and markers ---
 
@@ -509,23 +488,23 @@ class _Writer:
         pose = self.scene.body(attachment.to).pose if other is None else other.pose
         local = pose.to_body(body.pose.to_world(nodes[attached]))
         if other is None:
-            follows = [_omni(prim, "localPositionsSrc1", Sdf.ValueTypeNames.Point3fArray, _points(local))]
+            follows = [_omni(prim, "localPositionsSrc1", "point3f[]", _points(local))]
         else:
             partners = self.points[attachment.to]
             distance = np.linalg.norm(local[:, None] - partners[None], axis=-1)
             touching = distance.min(axis=1) < TOUCHING_M
             attached = attached[touching]
             nearest = distance.argmin(axis=1)[touching]
-            follows = [_omni(prim, "vtxIndicesSrc1", Sdf.ValueTypeNames.IntArray, Vt.IntArray(nearest.tolist()))]
-        follows.append(_omni(prim, "vtxIndicesSrc0", Sdf.ValueTypeNames.IntArray, Vt.IntArray(attached.tolist())))
+            follows = [_omni(prim, "vtxIndicesSrc1", "int[]", nearest.tolist())]
+        follows.append(_omni(prim, "vtxIndicesSrc0", "int[]", attached.tolist()))
         for one in follows:
             record_follower(one, "gauge:region_axis, gauge:region_side and gauge:region_depth_m")
-        _omni(prim, "attachmentEnabled", Sdf.ValueTypeNames.Bool, True)
+        _omni(prim, "attachmentEnabled", "bool", True)
         for name, target in (("src0", attachment.deformable), ("src1", attachment.to)):
             prim.CreateRelationship(f"omniphysics:{name}", custom=False).SetTargets([self.paths[target]])
-        _custom(prim, "region_axis", Token, attachment.region.axis)
-        _custom(prim, "region_side", Token, attachment.region.side)
-        _custom(prim, "region_depth_m", Double, attachment.region.depth_m)
+        _custom(prim, "region_axis", attachment.region.axis, "token")
+        _custom(prim, "region_side", attachment.region.side, "token")
+        _custom(prim, "region_depth_m", attachment.region.depth_m)
 
     def _markers(self, markers: Markers) -> None:
         positions = np.asarray(markers.positions_m)
@@ -538,12 +517,10 @@ class _Writer:
         prim = points.GetPrim()
         bodies = prim.CreateRelationship("gauge:bodies", custom=True)
         bodies.SetTargets([self.paths[name] for name in markers.bodies])
-        exact = _custom(prim, "positions_m", Sdf.ValueTypeNames.Double3Array, Vt.Vec3dArray.FromNumpy(positions))
-        record_written(exact, digest(points.GetPointsAttr().Get()))
-        _custom(prim, "faces", Int3Array, [Gf.Vec3i(*face) for face in markers.faces])
-        _custom(prim, "lines", Sdf.ValueTypeNames.Int2Array, [Gf.Vec2i(*line) for line in markers.lines])
-        _custom(prim, "corner", Sdf.ValueTypeNames.IntArray, list(markers.corner))
-        _custom(prim, "edge", Sdf.ValueTypeNames.IntArray, list(markers.edge))
+        written = digest(points.GetPointsAttr().Get())
+        _custom(prim, "positions_m", Vt.Vec3dArray.FromNumpy(positions), "double3[]", written=written)
+        for name, kind in MARKER_INDICES.items():
+            _custom(prim, name, list(getattr(markers, name)), kind)
 
 
 # --- attributes ------------------------------------------------------------------------------------------------------
@@ -561,27 +538,33 @@ def _paths(names: Sequence[str]) -> dict[str, str]:
     return paths
 
 
-def _custom(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
-    prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    attribute = prim.CreateAttribute(f"gauge:{name}", kind, custom=True)
-    attribute.Set(value)
+def _custom(schema: Any, name: str, value: Any, kind: str = "double", *, written: Any = None) -> Usd.Attribute:
+    """Write a `gauge:` attribute.
+
+    Args:
+        schema: Prim or schema.
+        name: Name without the prefix.
+        value: Its value.
+        kind: Name of its type in USD.
+        written: Written value of its standard counterpart, if it has one.
+    """
+    attribute = _set(schema, f"gauge:{name}", kind, value)
+    if written is not None:
+        record_written(attribute, written)
     return attribute
 
 
-def _omni(schema: Any, name: str, kind: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
+def _omni(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     """Write an attribute of the deformable schema, which is not custom for tools with that schema."""
+    return _set(schema, f"omniphysics:{name}", kind, value)
+
+
+def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     prim = schema if isinstance(schema, Usd.Prim) else schema.GetPrim()
-    attribute = prim.CreateAttribute(f"omniphysics:{name}", kind, custom=False)
+    is_custom = name.startswith("gauge:")
+    attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Find(kind), custom=is_custom)
     attribute.Set(value)
     return attribute
-
-
-def _constants(prim: Usd.Prim, body: Deformable) -> None:
-    """Write every number of a deformable body as a double under its name in the scene."""
-    for field in fields(body):
-        value = getattr(body, field.name)
-        if isinstance(value, float):
-            _custom(prim, field.name, Double, value)
 
 
 def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:
@@ -601,7 +584,7 @@ def _quatd(quaternion: Iterable[float]) -> Gf.Quatd:
     return Gf.Quatd(w, x, y, z)
 
 
-def _points(points_m: NDArray[np.float64]) -> Vt.Vec3fArray:
+def _points(points_m: FloatArray) -> Vt.Vec3fArray:
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(points_m, dtype=np.float32))
 
 

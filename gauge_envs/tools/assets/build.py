@@ -15,17 +15,16 @@ from typing import Any
 
 import numpy as np
 import trimesh
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.mjcf_writer import NUMBER, expanded
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
-from gauge_envs.files import data_folder
+from gauge_envs.files import data_folder, os_errors
 from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import hull_faces
-from gauge_envs.tools.assets.mjcf import mjcf_text
-from gauge_envs.tools.assets.usd_layer import usd_layer_text
+from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
 
 FOLDERS = ("mjcf", "obj", "usd")
 
@@ -67,7 +66,7 @@ def build_assets(folder: Path) -> list[Path]:
         Paths of the written files.
     """
     written = []
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{folder}: assets cannot be written there: {cause}")):
         for name, text in asset_texts():
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
@@ -75,8 +74,6 @@ def build_assets(folder: Path) -> list[Path]:
             written.append(path)
         for path in set(_generated(folder)) - set(written):
             path.unlink()
-    except OSError as error:
-        raise ResultFileError(f"{folder}: assets cannot be written there: {error.strerror or error}") from error
     return written
 
 
@@ -139,15 +136,13 @@ def solid_shapes() -> dict[str, SharedSolid]:
     for variant in variants():
         experiment = load_experiment(variant)
         scene, listed = experiment.scene, experiment.spec.names
-        for name, shape in [
-            *((body.name, body.shape) for body in scene.bodies if not isinstance(body.shape, Plane)),
-            *((body.name, body.shape) for body in scene.deformables if isinstance(body, SoftBody)),
-            *(
-                (body.name, Cylinder(radius_m=body.radius_m, length_m=body.length_m))
-                for body in scene.deformables
-                if isinstance(body, Rope | Rod)
-            ),
-        ]:
+        shapes = {body.name: body.shape for body in scene.bodies if not isinstance(body.shape, Plane)}
+        for body in scene.deformables:
+            if isinstance(body, SoftBody):
+                shapes[body.name] = body.shape
+            elif isinstance(body, Rope | Rod):
+                shapes[body.name] = Cylinder(radius_m=body.radius_m, length_m=body.length_m)
+        for name, shape in shapes.items():
             # Counted bodies share one entry of the task file.
             label = name if name in listed else name.rpartition("-")[0]
             users.setdefault(shape, {}).setdefault(f"{variant.family}/{label}", label)
@@ -190,7 +185,7 @@ def shape_to_obj(shape: Shape, name: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-Polyhedron = tuple[NDArray[np.float64], list[tuple[int, ...]]]
+Polyhedron = tuple[FloatArray, list[tuple[int, ...]]]
 
 
 def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
@@ -216,5 +211,5 @@ def _pieces(shape: Shape) -> tuple[list[Polyhedron], str]:
     raise ParameterError(f"{kind} has no OBJ file")
 
 
-def _polyhedron(points_m: NDArray[np.float64]) -> Polyhedron:
+def _polyhedron(points_m: FloatArray) -> Polyhedron:
     return points_m, hull_faces(points_m)

@@ -54,8 +54,8 @@ def data_isaac_sim(
 
     examples/isaac_sim/run_layer.py runs them.
     """
-    from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.experiments.variants import matching_variants
     from gauge_envs.tools.assets.isaac_sim import unsupported_reason, write_isaac_sim_layer
 
     experiments = [load_experiment(variant) for variant in matching_variants(pattern)]

@@ -17,12 +17,13 @@ from pxr import Gf, Sdf, Usd, UsdPhysics, UsdShade, Vt
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
+from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import record_follower
 from gauge_envs.scene.usd.writer import export_stage
-from gauge_envs.tools.assets.usd_layer import experiment_stage
+from gauge_envs.tools.assets.export import experiment_stage
 
 RIGID_AND_CLOTH_HZ = 180
 """Steps per second of rigid bodies and cloth (paper, section on physics engines)."""
@@ -61,10 +62,8 @@ def write_isaac_sim_layer(experiment: TaskExperiment, path: Path) -> None:
         path: File to write; the suffix selects text (`.usda`) or binary (`.usdc`, `.usd`). Its folder is created.
     """
     stage = isaac_sim_stage(experiment)
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{path.parent}: cannot be created: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise ResultFileError(f"{path.parent}: cannot be created: {error.strerror or error}") from error
     export_stage(stage, path)
 
 
@@ -160,7 +159,12 @@ def _write_body_constants(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.P
             material = materials[values]
             binding.Bind(material, UsdShade.Tokens.weakerThanDescendants, "physics")
         _write_coefficients(material.GetPrim(), *values, is_deformable=body in deformable)
-        _relate(stage, scene, body, material)
+        # The material's constants follow from those of the contacts of the body.
+        for index, contact in enumerate(scene.contacts):
+            if body in (*contact.first, *contact.second):
+                prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
+                prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
+                prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
 
 
 def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, is_deformable: bool) -> None:
@@ -174,15 +178,6 @@ def _write_coefficients(prim: Usd.Prim, friction: float, restitution: float, *, 
     for attribute, value in attributes:
         attribute.Set(value)
         record_follower(attribute, "the constants in /World/Contacts")
-
-
-def _relate(stage: Usd.Stage, scene: Scene, body: str, material: UsdShade.Material) -> None:
-    """Record the material of a body on its contacts as one whose constants follow from theirs."""
-    for index, contact in enumerate(scene.contacts):
-        if body in (*contact.first, *contact.second):
-            prim = stage.GetPrimAtPath(f"/World/Contacts/contact_{index}")
-            prim.GetRelationship("gauge:materials").RemoveTarget(material.GetPath())
-            prim.CreateRelationship("gauge:derived_materials", custom=True).AddTarget(material.GetPath())
 
 
 def _write_material_points(stage: Usd.Stage, scene: Scene, paths: dict[str, Usd.Prim]) -> None:

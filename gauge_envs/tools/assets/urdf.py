@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from xml.etree import ElementTree
 
 import numpy as np
@@ -24,6 +24,9 @@ ROOT_LINK = "anchor"
 
 GROUND_BOX = Box(size_m=(10.0, 10.0, 1.0))
 """Box that stands for a plane; its upper face is the plane."""
+
+
+NOWHERE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,10 +45,10 @@ class BodyFile:
 
     file: str
     texts: Mapping[str, str]
-    root_position_m: Vector
-    root_quaternion: tuple[float, float, float, float]
+    root_position_m: Vector = NOWHERE
+    root_quaternion: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     link: str
-    origin_in_link_m: Vector
+    origin_in_link_m: Vector = NOWHERE
     is_root_fixed: bool
 
 
@@ -69,23 +72,13 @@ def body_files(scene: Scene) -> dict[str, BodyFile]:
             files[body.name] = _hinged(body, hinges[body.name])
             continue
         key = (body.shape, body.mass_kg, body.inertia_kg_m2, body.motion)
-        known = shared.setdefault(key, _free(body))
-        files[body.name] = BodyFile(
-            file=known.file,
-            texts=known.texts,
-            root_position_m=body.pose.position_m,
-            root_quaternion=body.pose.quaternion,
-            link=known.link,
-            origin_in_link_m=(0.0, 0.0, 0.0),
-            is_root_fixed=body.motion is Motion.FIXED,
-        )
+        if key not in shared:
+            robot = ElementTree.Element("robot", name=body.name)
+            meshes = _add_link(robot, body, NOWHERE)
+            shared[key] = _file(body, robot, meshes, is_root_fixed=body.motion is Motion.FIXED)
+        pose = body.pose
+        files[body.name] = replace(shared[key], root_position_m=pose.position_m, root_quaternion=pose.quaternion)
     return files
-
-
-def _free(body: RigidBody) -> BodyFile:
-    robot = ElementTree.Element("robot", name=body.name)
-    meshes = _add_link(robot, body, (0.0, 0.0, 0.0))
-    return _file(body, robot, meshes, origin_in_link_m=(0.0, 0.0, 0.0), is_root_fixed=False)
 
 
 def _hinged(body: RigidBody, hinge: Hinge) -> BodyFile:
@@ -105,28 +98,14 @@ def _hinged(body: RigidBody, hinge: Hinge) -> BodyFile:
     ElementTree.SubElement(joint, "axis", xyz=_text(vector(turn.apply(hinge.axis, inverse=True))))
     ElementTree.SubElement(joint, "dynamics", damping="0", friction="0")
     meshes = _add_link(robot, body, offset)
-    return _file(body, robot, meshes, origin_in_link_m=offset, is_root_fixed=True)
+    return replace(_file(body, robot, meshes, is_root_fixed=True), origin_in_link_m=offset)
 
 
-def _file(
-    body: RigidBody,
-    robot: ElementTree.Element,
-    meshes: Mapping[str, str],
-    *,
-    origin_in_link_m: Vector,
-    is_root_fixed: bool,
-) -> BodyFile:
+def _file(body: RigidBody, robot: ElementTree.Element, meshes: Mapping[str, str], *, is_root_fixed: bool) -> BodyFile:
     ElementTree.indent(robot)
     name = f"{body.name}.urdf"
-    return BodyFile(
-        file=name,
-        texts={name: ElementTree.tostring(robot, encoding="unicode") + "\n", **meshes},
-        root_position_m=(0.0, 0.0, 0.0),
-        root_quaternion=(1.0, 0.0, 0.0, 0.0),
-        link=body.name,
-        origin_in_link_m=origin_in_link_m,
-        is_root_fixed=is_root_fixed,
-    )
+    texts = {name: ElementTree.tostring(robot, encoding="unicode") + "\n", **meshes}
+    return BodyFile(file=name, texts=texts, link=body.name, is_root_fixed=is_root_fixed)
 
 
 def _add_link(robot: ElementTree.Element, body: RigidBody, offset_m: Vector) -> dict[str, str]:
@@ -141,21 +120,17 @@ def _add_link(robot: ElementTree.Element, body: RigidBody, offset_m: Vector) -> 
         entries = {name: _text((float(inertia[place]),)) for name, place in names.items()}
         ElementTree.SubElement(inertial, "inertia", entries)
     meshes = {}
-    for index, shape in enumerate(_convex_parts(body.shape)):
-        place, tag, attributes = _geometry(shape, f"meshes/{body.name}-{index}.obj")
+    shape = body.shape
+    pieces = shape.pieces_m if isinstance(shape, ConvexUnion) else ()
+    for index, part in enumerate([ConvexUnion(pieces_m=(piece,)) for piece in pieces] or [shape]):
+        place, tag, attributes = _geometry(part, f"meshes/{body.name}-{index}.obj")
         if tag == "mesh":
-            meshes[attributes["filename"]] = shape_to_obj(shape, f"{body.name}-{index}")
-        for part in ("visual", "collision"):
-            element = ElementTree.SubElement(link, part)
+            meshes[attributes["filename"]] = shape_to_obj(part, f"{body.name}-{index}")
+        for purpose in ("visual", "collision"):
+            element = ElementTree.SubElement(link, purpose)
             ElementTree.SubElement(element, "origin", xyz=_text(vector(np.add(place, offset_m))), rpy="0 0 0")
             ElementTree.SubElement(ElementTree.SubElement(element, "geometry"), tag, attributes)
     return meshes
-
-
-def _convex_parts(shape: Shape) -> list[Shape]:
-    if isinstance(shape, ConvexUnion):
-        return [ConvexUnion(pieces_m=(piece,)) for piece in shape.pieces_m]
-    return [shape]
 
 
 def _geometry(shape: Shape, mesh: str) -> tuple[Vector, str, dict[str, str]]:

@@ -38,9 +38,8 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.patterns import matching_variants
     from gauge_envs.experiments.task_files import task_file_faults
-    from gauge_envs.experiments.variants import beyond_variants
+    from gauge_envs.experiments.variants import beyond_variants, matching_variants
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
     from gauge_envs.references.bands import BandGrade

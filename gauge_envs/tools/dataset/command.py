@@ -76,7 +76,7 @@ def data_import(
 
 def list_references(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the reference and drivers of experiments, with imported and published baselines."""
-    from gauge_envs.experiments.patterns import matching_variants
+    from gauge_envs.experiments.variants import matching_variants
     from gauge_envs.tools.dataset.status import status_rows
     from gauge_envs.tools.dataset.words import status_table
 

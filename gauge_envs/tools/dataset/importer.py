@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.score import score_trajectory
-from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.files import json_ready, read_regular
+from gauge_envs.files import json_ready, os_errors, read_regular
 from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandGrade
@@ -31,6 +30,7 @@ from gauge_envs.references.imported import (
 from gauge_envs.references.metrics import EVENT_METRICS, METRICS
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (
@@ -40,7 +40,7 @@ from gauge_envs.tools.dataset.observation import (
     trial_markers_m,
     trial_trajectory,
 )
-from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialSpread, TrialStatistics
+from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialStatistics
 from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
@@ -54,8 +54,6 @@ LEAST_TRIALS = 2
 
 MOST_TRIAL_NUMBERS = 4_000_000
 """Largest count of numbers of single trials that an import keeps, 32 MB: 20 trials of 1,000 frames of 200 areas."""
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,7 +69,7 @@ class BaselineRow:
 
     metric: str
     unit: str
-    own: TrialSpread | None
+    own: SpreadRecord | None
     published: Baseline | None
 
     @property
@@ -94,7 +92,7 @@ class BaselineRow:
                 "unit": self.unit,
                 "own_mean": self.own and self.own.mean,
                 "own_std": self.own and self.own.std,
-                "own_trial_count": self.own.count if self.own else 0,
+                "own_trial_count": self.own.trial_count if self.own else 0,
                 "published_mean": self.published and self.published.mean,
                 "published_std": self.published and self.published.std,
                 "difference": self.difference,
@@ -153,7 +151,7 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
     seen: dict[str, str] = {}
     for variant, files in layout.files.items():
         importer = _VariantImporter(variant, layout, seen)
-        with importer.spool:
+        with closing(importer.spool):
             for path in files:
                 importer.read(path)
                 if advance is not None:
@@ -176,9 +174,11 @@ class _VariantImporter:
         self._layout = layout
         self._seen = seen
         self._coordinates = self._experiment.coordinates
-        self.spool = TrialSpool(self._experiment.frame_count, len(self._coordinates))
-        self._drivers = {driver.body: _DriverMean(driver) for driver in self._experiment.scene.drivers}
-        self._events: dict[str, list[float]] = {metric: [] for metric in _event_metrics(self._experiment)}
+        self.spool = TrialSpool((self._experiment.frame_count, len(self._coordinates)))
+        frame_count, drivers = self._experiment.frame_count, self._experiment.scene.drivers
+        self._drivers = {driver.body: _DriverMean(driver, frame_count) for driver in drivers}
+        metrics = self._experiment.score.metrics
+        self._events: dict[str, list[float]] = {metric: [] for metric in metrics if metric in EVENT_METRICS}
         self._solid = marked_solid(self._experiment.scene)
         self._statistics: list[FloatArray] = []
         self._starts: list[FloatArray] = []
@@ -189,37 +189,35 @@ class _VariantImporter:
         """Add one trial file, or a finding that says why it is left out."""
         file = self._layout.relative(path)
         try:
-            content = self._content(path)
+            if not self._layout.holds(path):
+                raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of it is expected")
+            with os_errors(lambda cause: TrialError("(file)", f"it cannot be read: {cause}", "a file is expected")):
+                content = read_regular(path, MOST_TRIAL_BYTES)
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
             trial = parse_trial(content)
             trajectory = trial_trajectory(trial, self._experiment)
-            starts = start_quaternions(trial, self._experiment) if self._observes_positions else None
+            is_rigid = self._experiment.score.observable is Observable.POSITION
+            starts = [start_quaternions(trial, self._experiment)] if is_rigid else []
         except TrialError as error:
-            self._add_finding(file, error, left_out=True)
+            self._findings.append(error.finding(file, left_out=True))
             return
         self._seen[digest] = file
         self._files[file] = digest
         self.spool.add(trajectory)
-        if starts is not None:
-            self._starts.append(starts)
+        self._starts += starts
         if _is_doubled(trajectory):
             twice = "every frame occurs twice"
             note = TrialError("(file)", twice, f"{FRAME_RATE_HZ:g} different frames a second are expected")
-            self._add_finding(file, note, left_out=False)
+            self._findings.append(note.finding(file, left_out=False))
         self._add_statistics(trial)
         self._add_events(file, trajectory)
         self._add_drivers(file, trial)
-        self._add_unused_faults(file, trial)
-
-    @property
-    def _observes_positions(self) -> bool:
-        return self._experiment.score.observable is Observable.POSITION
 
     def finish(self) -> ImportedTrials:
         """Store the variant."""
-        used, left_out = self.spool.trial_count, sum(finding.left_out for finding in self._findings)
+        used, left_out = len(self.spool), sum(finding.left_out for finding in self._findings)
         statistics = self.spool.statistics() if used else None
         rows = self._rows(statistics)
         record = None
@@ -227,7 +225,7 @@ class _VariantImporter:
             record = self._store(statistics, rows, left_out)
         else:
             error = TrialError("(folder)", f"{used} of its trials can be used", f"{LEAST_TRIALS} or more are needed")
-            self._add_finding(self._experiment.name, error, left_out=True)
+            self._findings.append(error.finding(self._experiment.name, left_out=True))
         return ImportedTrials(
             variant=self._experiment.variant,
             record=record,
@@ -235,19 +233,6 @@ class _VariantImporter:
             left_out=left_out,
             rows=rows,
             findings=tuple(self._findings),
-        )
-
-    def _content(self, path: Path) -> bytes:
-        if not self._layout.holds(path):
-            raise TrialError("(file)", "it links to a file outside of the dataset", "a copy of the file is expected")
-        try:
-            return read_regular(path, MOST_TRIAL_BYTES)
-        except OSError as error:
-            raise TrialError("(file)", f"it cannot be read: {error.strerror or error}", "a file is expected") from None
-
-    def _add_finding(self, file: str, error: TrialError, *, left_out: bool) -> None:
-        self._findings.append(
-            ImportFinding(file=file, key=error.key, problem=error.problem, expected=error.expected, left_out=left_out)
         )
 
     def _add_statistics(self, trial: Trial) -> None:
@@ -263,14 +248,11 @@ class _VariantImporter:
         """Return mean and scatter of the statistics that some frame of at least two trials has."""
         if not self._statistics:
             return None
-        values = np.stack(self._statistics)
-        mean = CoordinateMean(values.shape[1:])
-        for trial in values:
+        mean = CoordinateMean(self._statistics[0].shape)
+        for trial in self._statistics:
             mean.add(trial)
-        often = (mean.counts > 1) & (2 * mean.counts >= len(values))
-        squares = np.nansum(np.square(values - mean.mean), axis=0)
-        sigma = np.sqrt(np.divide(squares, mean.counts - 1, out=np.full(often.shape, np.nan), where=often))
-        known = np.flatnonzero(often.any(axis=0))
+        sigma = mean.scatter(self._statistics)
+        known = np.flatnonzero(np.isfinite(sigma).any(axis=0))
         if not known.size:
             return None
         return DeformationReference(
@@ -278,7 +260,7 @@ class _VariantImporter:
             markers=None,
             mean=mean.mean[:, known],
             sigma=sigma[:, known],
-            trial_count=len(values),
+            trial_count=len(self._statistics),
             source="import",
         )
 
@@ -290,7 +272,7 @@ class _VariantImporter:
             error = TrialError(
                 f"[{frame}]", "a sample is missing", "period and pauses need all samples; the band does not"
             )
-            self._add_finding(file, error, left_out=False)
+            self._findings.append(error.finding(file, left_out=False))
             return
         times_s = np.arange(len(trajectory)) / FRAME_RATE_HZ
         score = score_trajectory(self._experiment, None, times_s=times_s, values=trajectory)
@@ -300,45 +282,36 @@ class _VariantImporter:
 
     def _add_drivers(self, file: str, trial: Trial) -> None:
         """Add the driver's motion; a trial without it still counts for the band."""
+        # Faults of assets that the experiment does not use are stated too, as of a board that never moves.
+        unused = [error for name, error in trial.faults.items() if name not in self._drivers]
         try:
-            tracks = driver_tracks(trial, self._experiment)
+            for track in driver_tracks(trial, self._experiment):
+                self._drivers[track.body].add_track(track)
         except TrialError as error:
-            self._add_finding(file, error, left_out=False)
-            return
-        for track in tracks:
-            self._drivers[track.body].add(track)
-
-    def _add_unused_faults(self, file: str, trial: Trial) -> None:
-        """Add findings for assets that the experiment does not use, as a board that never moves."""
-        for name, error in trial.faults.items():
-            if name not in self._drivers:
-                self._add_finding(file, error, left_out=False)
+            unused.insert(0, error)
+        self._findings += [error.finding(file, left_out=False) for error in unused]
 
     def _rows(self, statistics: TrialStatistics | None) -> tuple[BaselineRow, ...]:
         published = published_baselines(self._experiment.name)
-        own: dict[str, TrialSpread | None] = {}
+        values = {metric: np.array(found) for metric, found in self._events.items()}
         if statistics is not None:
-            own = {"rmse": TrialSpread.of(statistics.rmse), "dtw": TrialSpread.of(statistics.dtw)}
-        own |= {metric: TrialSpread.of(np.array(values)) for metric, values in self._events.items()}
+            values = {"rmse": statistics.rmse, "dtw": statistics.dtw, **values}
         unit = self._experiment.score.observable.unit
+        units = {metric: METRICS[metric].unit_of(unit) for metric in (*values, *published)}
         return tuple(
             BaselineRow(
                 metric=metric,
-                unit=METRICS[metric].unit_of(unit),
-                own=own.get(metric),
+                unit=units[metric],
+                own=SpreadRecord.of(values[metric], units[metric]) if metric in values else None,
                 published=published.get(metric),
             )
-            for metric in dict.fromkeys([*own, *published])
+            for metric in units
         )
-
-    def _trials(self) -> FloatArray | None:
-        """Return the trials, which intervals of scores resample; None if they are too many numbers to keep."""
-        if self.spool.trial_count * self._experiment.frame_count * len(self._coordinates) > MOST_TRIAL_NUMBERS:
-            return None
-        return np.stack(list(self.spool.trials()))
 
     def _store(self, statistics: TrialStatistics, rows: tuple[BaselineRow, ...], left_out: int) -> VariantRecord:
         experiment = self._experiment
+        # Intervals of scores resample the trials, if they are not too many numbers to keep.
+        is_small = len(self.spool) * experiment.frame_count * len(self._coordinates) <= MOST_TRIAL_NUMBERS
         band = Band(
             grade=BandGrade.TRIALS,
             unit=experiment.score.observable.unit,
@@ -347,11 +320,11 @@ class _VariantImporter:
             mean=statistics.mean,
             sigma=statistics.sigma,
             measured=statistics.measured,
-            trial_count=self.spool.trial_count,
+            trial_count=len(self.spool),
             source="import",
-            trials=self._trials(),
+            trials=np.stack(list(self.spool)) if is_small else None,
         )
-        drivers = {body: mean for body, mean in self._drivers.items() if mean.is_usable}
+        drivers = {body: driven for body, driven in self._drivers.items() if driven.is_usable}
         deformation = self._deformation()
         facts = ImportFacts(
             variant=experiment.name,
@@ -360,97 +333,68 @@ class _VariantImporter:
             files=tuple(self._files),
             files_sha256=hashlib.sha256("\n".join(self._files.values()).encode()).hexdigest(),
             task_sha256=experiment.file_sha256,
-            metrics=_spread_records(rows),
-            drivers=tuple(mean.record() for mean in drivers.values()),
+            metrics={row.metric: row.own for row in rows if row.own is not None},
+            drivers=tuple(driven.record() for driven in drivers.values()),
             statistics=() if deformation is None else deformation.statistics,
         )
-        coordinates = {body: mean.coordinates for body, mean in drivers.items()}
+        coordinates = {body: driven.mean for body, driven in drivers.items()}
         starts = np.stack(self._starts) if self._starts else None
         return write_imported(band, coordinates, facts, deformation, starts)
 
 
-@dataclass
-class _DriverMean:
+class _DriverMean(CoordinateMean):
     """Mean over trials of one driven body's coordinates, and the motion that they do not cover.
 
-    Attributes:
+    Args:
         driver: Bundled driver of the body.
-        sums: Running means of the coordinates and of their squares; None before the first trial.
-        offsets_mm: Distance of each trial's start from the calibrated start.
-        squares_mm: Mean square over each trial's frames of the distance that the coordinates do not cover.
-        squares_rad: Mean square of the angle that they do not cover, for trials with orientations.
+        frame_count: Frames of the experiment.
     """
 
-    driver: Driver
-    sums: tuple[CoordinateMean, CoordinateMean] | None = None
-    offsets_mm: list[float] = field(default_factory=list)
-    squares_mm: list[float] = field(default_factory=list)
-    squares_rad: list[float] = field(default_factory=list)
+    def __init__(self, driver: Driver, frame_count: int) -> None:
+        super().__init__((frame_count, len(driver.motions)))
+        self._driver = driver
+        self._squares = CoordinateMean((frame_count, len(driver.motions)))
+        self._offsets_mm: list[float] = []
+        self._squares_mm: list[float] = []
+        self._squares_rad: list[float] = []
 
-    def add(self, track: DriverTrack) -> None:
+    def add_track(self, track: DriverTrack) -> None:
         """Add one trial."""
-        if self.sums is None:
-            self.sums = CoordinateMean(track.coordinates.shape), CoordinateMean(track.coordinates.shape)
-        self.sums[0].add(track.coordinates)
-        self.sums[1].add(np.square(track.coordinates))
-        self.offsets_mm.append(track.start_offset_mm)
-        self.squares_mm.append(float(np.nanmean(np.square(track.residual_mm))))
+        self.add(track.coordinates)
+        self._squares.add(np.square(track.coordinates))
+        self._offsets_mm.append(track.start_offset_mm)
+        self._squares_mm.append(float(np.nanmean(np.square(track.residual_mm))))
         angles = track.residual_rad[~np.isnan(track.residual_rad)]
         if angles.size:
-            self.squares_rad.append(float(np.square(angles).mean()))
-
-    @property
-    def coordinates(self) -> FloatArray:
-        """Mean coordinates [m or rad], shape [frame_count, motion_count]."""
-        if self.sums is None:
-            raise ValueError(f"no trial shows {self.driver.body}")
-        return self.sums[0].mean
+            self._squares_rad.append(float(np.square(angles).mean()))
 
     @property
     def is_usable(self) -> bool:
         """Whether each motion has at least two known frames."""
-        return self.sums is not None and bool((np.isfinite(self.coordinates).sum(axis=0) >= 2).all())
+        return bool(((self.counts > 0).sum(axis=0) >= 2).all())
 
     def record(self) -> DriverRecord:
         """Return the record that is stored beside the coordinates."""
-        scatter = self._scatter()
+        spread = np.where(self.counts > 1, self._squares.mean - np.square(self.mean), 0.0)
+        factor = self.counts / np.maximum(self.counts - 1, 1)
+        # The largest standard deviation (n - 1) over frames, shape [motion_count].
+        scatter = np.sqrt(np.maximum(factor * spread, 0.0).max(axis=0))
         lengths, angles = (
-            scatter[[motion.kind == kind for motion in self.driver.motions]] for kind in ("translate", "rotate")
+            scatter[[motion.kind == kind for motion in self._driver.motions]] for kind in ("translate", "rotate")
         )
         return DriverRecord(
-            body=self.driver.body,
-            trial_count=len(self.offsets_mm),
-            residual_mm=float(np.sqrt(np.mean(self.squares_mm))),
-            residual_deg=float(np.degrees(np.sqrt(np.mean(self.squares_rad)))) if self.squares_rad else None,
-            start_offset_mm=float(np.mean(self.offsets_mm)),
+            body=self._driver.body,
+            trial_count=len(self._offsets_mm),
+            residual_mm=float(np.sqrt(np.mean(self._squares_mm))),
+            residual_deg=float(np.degrees(np.sqrt(np.mean(self._squares_rad)))) if self._squares_rad else None,
+            start_offset_mm=float(np.mean(self._offsets_mm)),
             scatter_mm=_largest(1e3 * lengths),
             scatter_deg=_largest(np.degrees(angles)),
         )
 
-    def _scatter(self) -> FloatArray:
-        """Return the largest standard deviation (n - 1) over frames, shape [motion_count]."""
-        if self.sums is None:
-            raise ValueError(f"no trial shows {self.driver.body}")
-        mean, square = self.sums
-        spread = np.where(mean.counts > 1, square.mean - np.square(mean.mean), 0.0)
-        factor = mean.counts / np.maximum(mean.counts - 1, 1)
-        return np.sqrt(np.maximum(factor * spread, 0.0).max(axis=0))
-
 
 def _largest(values: FloatArray) -> float | None:
     return float(values.max()) if values.size else None
-
-
-def _event_metrics(experiment: Experiment) -> tuple[str, ...]:
-    return tuple(metric for metric in experiment.score.metrics if metric in EVENT_METRICS)
-
-
-def _spread_records(rows: tuple[BaselineRow, ...]) -> dict[str, SpreadRecord]:
-    return {
-        row.metric: SpreadRecord(unit=row.unit, mean=row.own.mean, std=row.own.std, trial_count=row.own.count)
-        for row in rows
-        if row.own is not None
-    }
 
 
 def _is_doubled(trajectory: FloatArray) -> bool:

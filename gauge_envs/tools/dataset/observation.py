@@ -6,7 +6,6 @@ from collections.abc import Container, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
@@ -20,9 +19,8 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.dataset.trial import PoseTrack, Trial, TrialError
-
-FloatArray = NDArray[np.float64]
 
 START_RANGE_MM = 300.0
 """Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""
@@ -74,8 +72,15 @@ def trial_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
             _check_start(name, positions, np.asarray(experiment.scene.body(name).pose.position_m))
         values = np.concatenate(tracks, axis=1)
     else:
-        values = _marker_trajectory(trial, experiment)
-    _check_length(len(values), experiment)
+        markers_m, markers = trial_markers_m(trial, experiment), experiment.scene.markers
+        assert markers is not None
+        try:
+            values = observe_markers(markers_m, markers, experiment.score.observable)
+        except ShapeError as error:
+            raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
+    needed = experiment.frame_count if published_baselines(experiment.name) else 2
+    if len(values) < needed:
+        raise TrialError("(file)", f"it has {len(values)} frames", f"{needed} or more are needed")
     frames = np.full((experiment.frame_count, values.shape[1]), np.nan)
     count = min(len(values), experiment.frame_count)
     frames[:count] = values[:count]
@@ -106,12 +111,6 @@ def driver_tracks(trial: Trial, experiment: Experiment) -> tuple[DriverTrack, ..
         )
         for driver in experiment.scene.drivers
     )
-
-
-def _check_length(frame_count: int, experiment: Experiment) -> None:
-    needed = experiment.frame_count if published_baselines(experiment.name) else 2
-    if frame_count < needed:
-        raise TrialError("(file)", f"it has {frame_count} frames", f"{needed} or more are needed")
 
 
 def _plain(name: str) -> str:
@@ -167,15 +166,6 @@ def trial_markers_m(trial: Trial, experiment: Experiment) -> FloatArray:
     rest_mm = 1e3 * np.asarray(markers.positions_m)
     _check_order(ids, positions_mm, rest_mm)
     return 1e-3 * positions_mm
-
-
-def _marker_trajectory(trial: Trial, experiment: Experiment) -> FloatArray:
-    positions_m, markers = trial_markers_m(trial, experiment), experiment.scene.markers
-    assert markers is not None
-    try:
-        return observe_markers(positions_m, markers, experiment.score.observable)
-    except ShapeError as error:
-        raise TrialError("markers", str(error), "markers as in the metadata are expected") from None
 
 
 def _markers(trial: Trial, bodies: Iterable[str], count: int) -> tuple[list[str], FloatArray]:

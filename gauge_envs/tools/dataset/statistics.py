@@ -7,42 +7,15 @@ the trials are plain numbers in a temporary file, which is read a hundred times 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
-
-FloatArray = NDArray[np.float64]
-
-
-@dataclass(frozen=True, kw_only=True)
-class TrialSpread:
-    """Mean and sample standard deviation (n - 1) over trials of one number per trial.
-
-    Attributes:
-        mean: Mean over trials.
-        std: Sample standard deviation; None for a single trial.
-        count: Number of trials with a finite number.
-    """
-
-    mean: float
-    std: float | None
-    count: int
-
-    @classmethod
-    def of(cls, values: FloatArray) -> TrialSpread | None:
-        """Return the spread of the finite values; None without any."""
-        finite = values[np.isfinite(values)]
-        if not finite.size:
-            return None
-        std = float(finite.std(ddof=1)) if finite.size > 1 else None
-        return cls(mean=float(finite.mean()), std=std, count=int(finite.size))
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +26,6 @@ class TrialStatistics:
         mean: Mean over the trials with a sample, shape [frame_count, coordinate_count]; NaN without a sample.
         sigma: Sample standard deviation (n - 1), same shape; NaN where fewer than half of the trials, or fewer than
             two, have a sample.
-        counts: Number of trials with a sample, same shape.
         measured: Whether some coordinate of a frame has samples of at least half of the trials, shape [frame_count].
         rmse: E_RMSE of each trial to the mean, shape [trial_count].
         dtw: E_DTW of each trial to the mean, shape [trial_count]; NaN without an alignment.
@@ -61,7 +33,6 @@ class TrialStatistics:
 
     mean: FloatArray
     sigma: FloatArray
-    counts: NDArray[np.int64]
     measured: NDArray[np.bool_]
     rmse: FloatArray
     dtw: FloatArray
@@ -89,65 +60,60 @@ class CoordinateMean:
         """Mean over the trials with an entry; NaN without one."""
         return np.divide(self._sum, self.counts, out=np.full(self._sum.shape, np.nan), where=self.counts > 0)
 
+    def scatter(self, trials: TrialSpool | Sequence[FloatArray]) -> FloatArray:
+        """Return the standard deviation (n - 1); NaN where fewer than two, or fewer than half, have an entry.
 
-class TrialSpool:
-    """Temporary file of the trials of one variant, as a context manager that frees it.
+        Args:
+            trials: The trials that were added.
+        """
+        mean, squares = self.mean, np.zeros(self._sum.shape)
+        for trial in trials:
+            squares += np.square(np.where(np.isnan(trial), 0.0, trial - mean))
+        often = (2 * self.counts >= len(trials)) & (self.counts > 1)
+        return np.sqrt(np.divide(squares, self.counts - 1, out=np.full(squares.shape, np.nan), where=often))
+
+
+class TrialSpool(CoordinateMean):
+    """Temporary file of the trials of one variant, which is freed by `close`.
 
     Args:
-        frame_count: Frames of each trial.
-        coordinate_count: Coordinates of g(t).
+        shape: Frames of each trial, and coordinates of g(t).
     """
 
-    def __init__(self, frame_count: int, coordinate_count: int) -> None:
-        self.trial_count = 0
-        self._shape = (frame_count, coordinate_count)
-        self._mean = CoordinateMean(self._shape)
-        self._file = tempfile.TemporaryFile(prefix="gauge-import-")  # noqa: SIM115  # closed on leaving this object
+    def __init__(self, shape: tuple[int, int]) -> None:
+        super().__init__(shape)
+        self._shape = shape
+        self._trial_count = 0
+        self._file = tempfile.TemporaryFile(prefix="gauge-import-")  # noqa: SIM115  # `close` closes it.
+        self.close = self._file.close
 
-    def __enter__(self) -> Self:
-        return self
+    def __len__(self) -> int:
+        return self._trial_count
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._file.close()
-
-    def add(self, trajectory: FloatArray) -> None:
-        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is a missing sample."""
-        if trajectory.shape != self._shape:
-            raise ShapeError(f"trial has shape {trajectory.shape}; {self._shape} is needed")
-        self._mean.add(trajectory)
-        self._file.seek(0, 2)
-        self._file.write(np.ascontiguousarray(trajectory, dtype=np.float64).tobytes())
-        self.trial_count += 1
-
-    def trials(self) -> Iterator[FloatArray]:
-        """Yield the trials, one after another."""
+    def __iter__(self) -> Iterator[FloatArray]:
         size = 8 * self._shape[0] * self._shape[1]
-        for number in range(self.trial_count):
+        for number in range(self._trial_count):
             self._file.seek(number * size)
             yield np.frombuffer(self._file.read(size)).reshape(self._shape)
 
+    def add(self, values: FloatArray) -> None:
+        """Add g(t) of one trial, shape [frame_count, coordinate_count]; NaN is a missing sample."""
+        super().add(values)
+        self._file.seek(0, 2)
+        self._file.write(np.ascontiguousarray(values, dtype=np.float64).tobytes())
+        self._trial_count += 1
+
     def statistics(self) -> TrialStatistics:
-        """Return the statistics of the trials that were added."""
-        if not self.trial_count:
-            raise ShapeError("no trial was added")
-        mean, counts = self._mean.mean, self._mean.counts
-        squares, rmse, dtw = np.zeros(self._shape), [], []
-        for trial in self.trials():
-            deviation = np.where(np.isnan(trial), 0.0, trial - mean)
-            squares += np.square(deviation)
-            rmse.append(trajectory_rmse(trial, mean, allow_missing=True))
-            dtw.append(_dtw(trial, mean))
-        often = (2 * counts >= self.trial_count) & (counts > 1)
-        sigma = np.sqrt(np.divide(squares, counts - 1, out=np.full(self._shape, np.nan), where=often))
+        """Return the statistics of the trials that were added, one or more."""
+        mean = self.mean
+        distances = [(trajectory_rmse(trial, mean, allow_missing=True), _dtw(trial, mean)) for trial in self]
+        rmse, dtw = np.array(distances).T
         return TrialStatistics(
             mean=mean,
-            sigma=sigma,
-            counts=counts,
-            measured=np.asarray((2 * counts >= self.trial_count).any(axis=1)),
-            rmse=np.array(rmse),
-            dtw=np.array(dtw),
+            sigma=self.scatter(self),
+            measured=np.asarray((2 * self.counts >= len(self)).any(axis=1)),
+            rmse=rmse,
+            dtw=dtw,
         )
 
 

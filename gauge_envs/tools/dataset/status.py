@@ -49,24 +49,19 @@ def _row(variant: Variant) -> dict[str, Any]:
 
 
 def _baselines(variant: Variant) -> list[dict[str, Any]]:
-    published, own = published_baselines(variant.name), _own(variant)
+    """Return mean and standard deviation of each metric: own are those of the trials of the band."""
+    published, imported = published_baselines(variant.name), load_imported(variant.name)
+    sidecar = bundled_sidecar(variant.name) if imported is None else None
+    scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
+    own = imported.record.metrics if imported else {metric: score for metric, score in scores.items() if score}
     return [
         {
             "metric": metric,
-            "own_mean": own.get(metric, (None, None))[0],
-            "own_std": own.get(metric, (None, None))[1],
-            "published_mean": published[metric].mean if metric in published else None,
-            "published_std": published[metric].std if metric in published else None,
+            **{
+                f"{whose}_{key}": getattr(spreads.get(metric), key, None)
+                for whose, spreads in (("own", own), ("published", published))
+                for key in ("mean", "std")
+            },
         }
         for metric in dict.fromkeys([*published, *own])
     ]
-
-
-def _own(variant: Variant) -> dict[str, tuple[float | None, float | None]]:
-    """Return mean and standard deviation of each metric over the trials of the band, imported or bundled."""
-    imported = load_imported(variant.name)
-    if imported is not None:
-        return {metric: (spread.mean, spread.std) for metric, spread in imported.record.metrics.items()}
-    sidecar = bundled_sidecar(variant.name)
-    scores = {} if sidecar is None else {"rmse": sidecar.rmse, "dtw": sidecar.dtw}
-    return {metric: (score.mean, score.std) for metric, score in scores.items() if score is not None}

@@ -14,12 +14,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.files import MEGABYTE, check_json_size, printable
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
-FloatArray = NDArray[np.float64]
+Lengths = dict[str, int]
+"""Number of samples of each list of an asset, by its place; all have as many as the first."""
 
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
@@ -72,6 +73,10 @@ class TrialError(Exception):
         self.problem = printable(problem)
         self.expected = expected
 
+    def finding(self, file: str, *, left_out: bool) -> ImportFinding:
+        """Return the problem as one of a file."""
+        return ImportFinding(file=file, key=self.key, problem=self.problem, expected=self.expected, left_out=left_out)
+
 
 @dataclass(frozen=True, eq=False)
 class PoseTrack:
@@ -108,14 +113,18 @@ def parse_trial(content: bytes) -> Trial:
         content: The file's bytes.
     """
     values = _json_object(content)
-    _check_header(values)
+    rate, unit = values.get("FPS"), values.get("translation unit")
+    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
+        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
+    if unit != UNIT:
+        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
     for name, asset in values.items():
         if not isinstance(asset, dict):
             continue
-        lengths = _Lengths()
+        lengths: Lengths = {}
         try:
             if any(isinstance(entry, dict) for entry in asset.values()):
                 markers[name] = {marker: _marker(f"{name}.{marker}", entry, lengths) for marker, entry in asset.items()}
@@ -153,31 +162,21 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
-def _check_header(values: Mapping[str, Any]) -> None:
-    rate, unit = values.get("FPS"), values.get("translation unit")
-    if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
-        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
-    if unit != UNIT:
-        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
-
-
-class _Lengths:
-    """Check that all lists of an asset have as many samples as its first."""
-
-    def __init__(self) -> None:
-        self.count: int | None = None
-        self._first = ""
-
-    def check(self, key: str, count: int) -> None:
-        if self.count is None:
-            self.count, self._first = count, key
-        if count != self.count:
-            raise TrialError(key, f"it has {count} samples", f"{self.count} are expected, as in {self._first}")
-
-
-def _pose(name: str, asset: Mapping[str, Any], lengths: _Lengths) -> PoseTrack:
+def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths) -> FloatArray:
     positions = _table(name, asset, POSITION_KEYS, lengths)
-    _check_range(name, positions)
+    far = np.abs(positions) > LARGEST_MM
+    if far.any():
+        frame, axis = np.argwhere(far)[0]
+        raise TrialError(
+            f"{name}.{POSITION_KEYS[axis]}[{frame}]",
+            f"it is {positions[frame, axis]:.4g} mm",
+            "the capture volume is a few metres wide",
+        )
+    return positions
+
+
+def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths) -> PoseTrack:
+    positions = _positions(name, asset, lengths)
     given = [key for key in QUATERNION_KEYS if key in asset]
     if not given:
         return PoseTrack(positions, None)
@@ -190,24 +189,26 @@ def _pose(name: str, asset: Mapping[str, Any], lengths: _Lengths) -> PoseTrack:
     return PoseTrack(positions, quaternions / norms[:, None])
 
 
-def _marker(key: str, entry: Any, lengths: _Lengths) -> FloatArray:
+def _marker(key: str, entry: Any, lengths: Lengths) -> FloatArray:
     if not isinstance(entry, dict):
         raise TrialError(key, f"it is {_shown(entry)}", "a marker is an object with x, y, z")
-    positions = _table(key, entry, POSITION_KEYS, lengths)
-    _check_range(key, positions)
+    positions = _positions(key, entry, lengths)
     # A marker is captured in all three coordinates or not at all.
     positions[np.isnan(positions).any(axis=1)] = np.nan
     return positions
 
 
-def _table(name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: _Lengths) -> FloatArray:
+def _table(name: str, asset: Mapping[str, Any], keys: tuple[str, ...], lengths: Lengths) -> FloatArray:
     """Return lists of an asset as columns, shape [frame_count, column_count]."""
     missing = [key for key in keys if key not in asset]
     if missing:
         raise TrialError(f"{name}.{missing[0]}", "it is missing", f"an asset has {', '.join(keys)}")
     columns = [_numbers(f"{name}.{key}", asset[key]) for key in keys]
     for key, column in zip(keys, columns, strict=True):
-        lengths.check(f"{name}.{key}", len(column))
+        lengths[f"{name}.{key}"] = len(column)
+        first, count = next(iter(lengths.items()))
+        if len(column) != count:
+            raise TrialError(f"{name}.{key}", f"it has {len(column)} samples", f"{count} are expected, as in {first}")
     return np.column_stack(columns)
 
 
@@ -227,17 +228,6 @@ def _numbers(key: str, values: Any) -> FloatArray:
         frame = int(infinite.argmax())
         raise TrialError(f"{key}[{frame}]", f"it is {numbers[frame]}", "a finite number, or null, is expected")
     return numbers
-
-
-def _check_range(name: str, positions: FloatArray) -> None:
-    far = np.abs(positions) > LARGEST_MM
-    if far.any():
-        frame, axis = np.argwhere(far)[0]
-        raise TrialError(
-            f"{name}.{POSITION_KEYS[axis]}[{frame}]",
-            f"it is {positions[frame, axis]:.4g} mm",
-            "the capture volume is a few metres wide",
-        )
 
 
 def _shown(value: Any) -> str:

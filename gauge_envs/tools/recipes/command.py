@@ -125,7 +125,7 @@ def _print_fabric(name: str, engine: str, timestep_s: float | None, form: Format
 
 
 def _fabrics() -> Mapping[str, Fabric]:
-    from gauge_envs.experiments.fabrics import fabrics
+    from gauge_envs.experiments.task_files import fabrics
 
     return fabrics()
 

@@ -50,7 +50,7 @@ def run(
     Exit code 1 when an episode failed or diverged, or when an experiment given by its id was declined. Experiments of
     a pattern may be declined.
     """
-    from gauge_envs.experiments.patterns import is_glob, matching_subjects
+    from gauge_envs.experiments.variants import is_glob, matching_subjects
     from gauge_envs.pages.document import Terminal
     from gauge_envs.runs.batch import check_requests, run_many
     from gauge_envs.runs.isolation import TIME_LIMIT_S

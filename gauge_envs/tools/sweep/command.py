@@ -219,7 +219,7 @@ def _run(
     form: Format,
 ) -> bool:
     """Run what is left of a plan, print the outcomes, and return whether one is bad."""
-    from gauge_envs.experiments.patterns import is_glob
+    from gauge_envs.experiments.variants import is_glob
     from gauge_envs.runs.result import Outcome
     from gauge_envs.tools.sweep.session import SweepSession
     from gauge_envs.tools.sweep.words import outcome_table

@@ -28,9 +28,7 @@ from typing import Annotated, Any
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from gauge_envs.errors import ParameterError, SweepFileError, first_fault
-from gauge_envs.experiments.patterns import matching_subjects
-from gauge_envs.experiments.scene_source import is_experiment_file
-from gauge_envs.experiments.variants import Variant
+from gauge_envs.experiments.variants import Variant, is_experiment_file, matching_subjects
 from gauge_envs.files import MEGABYTE, outside_reason, read_regular, toml_document
 from gauge_envs.scene.jitter import Jitter
 

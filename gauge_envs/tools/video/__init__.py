@@ -6,11 +6,9 @@ Example:
     ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
 """
 
-from gauge_envs.tools.video.camera_file import read_camera
 from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.grade import Grade
-from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose
-from gauge_envs.tools.video.scoring import METRICS, VideoScore, score, score_track
+from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose, read_camera
+from gauge_envs.tools.video.scoring import METRICS, Grade, VideoScore, score, score_track
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task, video_tasks
 from gauge_envs.tools.video.track import Event, Track, read_track
 

@@ -7,13 +7,108 @@ model, so a text prompt is not needed: the first frame of each task is known.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import islice
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.background import Background, brightness, noise_level
-from gauge_envs.tools.video.grid import Picture, opencv
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.frames import Picture, cv2
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
+
+Region: TypeAlias = tuple[int, int, int, int]
+"""Left, top, right and bottom of a part of a picture [px]."""
+
+MOST_SAMPLED = 80
+"""Most frames from which the background is built; they are spread over the video."""
+
+CHANGED = 30
+"""Difference of a colour channel with which a pixel has changed since the first frame."""
+
+LEAST_CHANGED = 2
+"""Fewest sampled frames without the object from which the background behind it is known."""
+
+ADAPTATION = 0.05
+"""Share of a frame that the background takes over where nothing moves: generated scenes drift."""
+
+
+class Background:
+    """Background that follows slow drifts of a scene.
+
+    Args:
+        picture: Picture of the scene without the object.
+    """
+
+    def __init__(self, picture: Picture) -> None:
+        self._picture = picture.astype(np.float32)
+
+    @property
+    def grey(self) -> NDArray[np.float32]:
+        """Brightness of the background, shape [480, 832], 0 to 255."""
+        return brightness(self._picture)
+
+    def difference(self, picture: Picture) -> NDArray[np.float32]:
+        """Return the largest difference of the three colour channels at each pixel, shape [480, 832], smoothed."""
+        blue, green, red = cv2.split(cv2.absdiff(picture.astype(np.float32), self._picture))
+        difference = cv2.max(cv2.max(blue, green), red)
+        return np.asarray(cv2.GaussianBlur(difference, (5, 5), 0), dtype=np.float32)
+
+    def follow(self, picture: Picture, moving: NDArray[np.bool_]) -> None:
+        """Take over a share of a picture where nothing moves."""
+        cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=(~moving).astype(np.uint8))
+
+
+def background(first: Picture, pictures: Iterator[Picture], frame_count: int, occupied: Region) -> Background:
+    """Return the background of a video.
+
+    The first frame shows the scene; only the object hides a part of it. That part is the median of the frames in which
+    the middle of it has changed.
+
+    Args:
+        first: The first frame.
+        pictures: Pictures of the video, the first one included.
+        frame_count: Their number.
+        occupied: Part of the first frame that the object and its shadow may hide.
+    """
+    left, top, right, bottom = occupied
+    stride = max(1, frame_count // MOST_SAMPLED)
+    sampled = islice(pictures, stride, None, stride)
+    parts = [picture[top:bottom, left:right].copy() for picture in sampled]
+    if len(parts) < LEAST_CHANGED:
+        return Background(first)
+    stack = np.stack(parts)
+    hidden = first[top:bottom, left:right]
+    has_changed = np.abs(stack.astype(np.int16) - hidden).max(axis=3) > CHANGED
+    height, width = has_changed.shape[1:]
+    core = has_changed[:, height // 3 : 2 * height // 3, width // 3 : 2 * width // 3].mean(axis=(1, 2))
+    left_at = np.flatnonzero(core > 0.5)
+    result = first.copy()
+    if len(left_at) >= LEAST_CHANGED:
+        # The object passes other pixels for a moment only, so the median after its start shows what it hid.
+        result[top:bottom, left:right] = np.median(stack[left_at], axis=0).astype(np.uint8)
+    else:
+        # An object that never leaves hides its background; the surroundings stand in for it.
+        mask = np.zeros(REFERENCE_SIZE_PX[::-1], dtype=np.uint8)
+        mask[top:bottom, left:right] = 255
+        result = np.asarray(cv2.inpaint(first, mask, 3, cv2.INPAINT_TELEA))
+    return Background(result)
+
+
+def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Return the mean of the three colour channels of a picture, shape [height, width]."""
+    return np.asarray(cv2.transform(picture, np.full((1, 3), 1.0 / 3.0, dtype=np.float32)), dtype=np.float32)
+
+
+def noise_level(difference: NDArray[np.float32]) -> float:
+    """Return the standard deviation of the noise of a difference, from its median: most pixels do not move."""
+    return float(np.median(difference)) / 0.6745
+
+
+# --- followers --------------------------------------------------------------------------------------------------------
+
 
 LEAST_DIFFERENCE = 14.0
 """Smallest difference from the background that counts as an object, in grey values of 255."""
@@ -59,14 +154,14 @@ class Sight:
 class _Motion:
     """Last place and velocity of an object, which predict where it is looked for."""
 
-    place: NDArray[np.float64]
-    velocity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    place: FloatArray
+    velocity: FloatArray = field(default_factory=lambda: np.zeros(2))
     lost_count: int = 0
 
-    def predicted(self) -> NDArray[np.float64]:
+    def predicted(self) -> FloatArray:
         return self.place + self.velocity * (self.lost_count + 1)
 
-    def update(self, place: NDArray[np.float64] | None) -> None:
+    def update(self, place: FloatArray | None) -> None:
         if place is None:
             self.lost_count += 1
             return
@@ -85,19 +180,16 @@ class PatchFollower:
         area_px: Area of the object [px^2].
     """
 
-    def __init__(
-        self, background: Background, *, centre_px: NDArray[np.float64], size_px: float, area_px: float
-    ) -> None:
+    def __init__(self, background: Background, *, centre_px: FloatArray, size_px: float, area_px: float) -> None:
         self._background = background
         self._size_px = size_px
         self._area_px = area_px
         self._motion = _Motion(place=centre_px.astype(float))
-        self._colour: NDArray[np.float64] | None = None
+        self._colour: FloatArray | None = None
         self._areas: list[float] = []
 
     def see(self, picture: Picture) -> Sight:
         """Return where the object is in the next frame."""
-        cv2 = opencv()
         difference = self._background.difference(picture)
         threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * noise_level(difference))
         mask = (difference > threshold).astype(np.uint8)
@@ -157,13 +249,11 @@ class PatchFollower:
         return at_border and bool(self._areas) and area < CUT * float(np.median(self._areas))
 
 
-def _mean_colour(
-    picture: Picture, labels: NDArray[np.int32], box: NDArray[np.int32], label: int
-) -> NDArray[np.float64]:
+def _mean_colour(picture: Picture, labels: NDArray[np.int32], box: NDArray[np.int32], label: int) -> FloatArray:
     """Return the mean colour of a component, from its bounding box: left, top, width, height, area."""
     left, top, width, height = (int(value) for value in box[:4])
     part = np.s_[top : top + height, left : left + width]
-    colour: NDArray[np.float64] = picture[part][labels[part] == label].mean(axis=0)
+    colour: FloatArray = picture[part][labels[part] == label].mean(axis=0)
     return colour
 
 
@@ -193,8 +283,8 @@ class DiskFollower:
         background: Background,
         *,
         diameter_px: float,
-        centre_px: NDArray[np.float64],
-        pivot_px: NDArray[np.float64],
+        centre_px: FloatArray,
+        pivot_px: FloatArray,
         reach_px: tuple[float, float],
         sector_rad: tuple[float, float] = (-math.pi, math.pi),
     ) -> None:
@@ -223,7 +313,6 @@ class DiskFollower:
 
     def see(self, picture: Picture) -> Sight:
         """Return where the disk is in the next frame."""
-        cv2 = opencv()
         light_grey = np.ascontiguousarray(self._background.grey[self._part])
         grey = brightness(picture[self._part].astype(np.float32))
         valid = (light_grey > self._dark + self.LIGHT).astype(np.float32)
@@ -276,7 +365,7 @@ class FaceFollower:
     RENEWAL = 0.15
     """Share of the sight of each frame that the remembered face takes over."""
 
-    def __init__(self, picture: Picture, *, centre_px: NDArray[np.float64], size_px: float) -> None:
+    def __init__(self, picture: Picture, *, centre_px: FloatArray, size_px: float) -> None:
         self._half = math.ceil(0.64 * size_px)
         self._size_px = size_px
         self._motion = _Motion(place=centre_px.astype(float))
@@ -290,7 +379,7 @@ class FaceFollower:
         reach += int(np.linalg.norm(self._motion.velocity))
         side = self._half + reach
         window = _window(picture, predicted, side)
-        best: tuple[float, float, NDArray[np.float64]] = (-1.0, 0.0, predicted)
+        best: tuple[float, float, FloatArray] = (-1.0, 0.0, predicted)
         turns = self.TURNS_DEG if self._motion.lost_count < 3 else tuple(np.arange(-45.0, 45.0, 6.0))
         for turn in turns:
             face, mask = self._turned(self._angle_deg + turn)
@@ -310,9 +399,8 @@ class FaceFollower:
         self._face = (1.0 - self.RENEWAL) * self._face + self.RENEWAL * seen
         return Sight(x_px=float(place[0]), y_px=float(place[1]), confidence=max(0.0, value), size_ratio=1.0)
 
-    def _cut(self, picture: Picture, place: NDArray[np.float64], angle_deg: float) -> NDArray[np.float32]:
+    def _cut(self, picture: Picture, place: FloatArray, angle_deg: float) -> NDArray[np.float32]:
         """Return the surroundings of a place, turned back by an angle."""
-        cv2 = opencv()
         matrix = cv2.getRotationMatrix2D((float(place[0]), float(place[1])), angle_deg, 1.0)
         matrix[:, 2] += self._half - place
         side = 2 * self._half + 1
@@ -323,7 +411,6 @@ class FaceFollower:
 
     def _turned(self, angle_deg: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return the remembered face turned by an angle, and the mask of its pixels."""
-        cv2 = opencv()
         centre = (float(self._half), float(self._half))
         matrix = cv2.getRotationMatrix2D(centre, -angle_deg, 1.0)
         side = 2 * self._half + 1
@@ -335,9 +422,8 @@ class FaceFollower:
         return np.asarray(face, dtype=np.float32), np.asarray(mask, dtype=np.float32)
 
 
-def _window(picture: Picture, place: NDArray[np.float64], side: int) -> NDArray[np.float32]:
+def _window(picture: Picture, place: FloatArray, side: int) -> NDArray[np.float32]:
     """Return the part of a picture around a place with fractions of pixels, shape [2 side + 1, 2 side + 1, 3]."""
-    cv2 = opencv()
     matrix = np.array([[1.0, 0.0, side - place[0]], [0.0, 1.0, side - place[1]]])
     size = (2 * side + 1, 2 * side + 1)
     cut = cv2.warpAffine(picture.astype(np.float32), matrix, size, borderMode=cv2.BORDER_REPLICATE)
@@ -346,9 +432,8 @@ def _window(picture: Picture, place: NDArray[np.float64], side: int) -> NDArray[
 
 def _centred_correlation(
     window: NDArray[np.float32], face: NDArray[np.float32], mask: NDArray[np.float32]
-) -> NDArray[np.float64]:
+) -> FloatArray:
     """Return the normalized correlation of a face with each place of a window, without means, all channels."""
-    cv2 = opencv()
     count = float(mask.sum())
     product = np.zeros((window.shape[0] - face.shape[0] + 1, window.shape[1] - face.shape[1] + 1))
     square, energy = product.copy(), 0.0
@@ -359,11 +444,11 @@ def _centred_correlation(
         total = cv2.matchTemplate(part, mask, cv2.TM_CCORR)
         square += cv2.matchTemplate(part * part, mask, cv2.TM_CCORR) - total**2 / count
         energy += float((centred**2).sum())
-    correlation: NDArray[np.float64] = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
+    correlation: FloatArray = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
     return correlation
 
 
-def _refined(response: NDArray[np.floating], row: int, column: int) -> NDArray[np.float64]:
+def _refined(response: NDArray[np.floating], row: int, column: int) -> FloatArray:
     """Return a peak with fractions of pixels, by a parabola in each direction, as x and y."""
     place = np.array([float(column), float(row)])
     for axis, (r, c) in enumerate(((0, 1), (1, 0))):

@@ -1,4 +1,4 @@
-"""Read the frames of a video, on the grid of the first frames.
+"""Read the frames of a video, on the grid of the first frames, and their times; write pictures as a video.
 
 A source is read more than once, so frames are decoded again instead of being kept: ten seconds of video at full size
 would take gigabytes.
@@ -7,16 +7,106 @@ would take gigabytes.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import VideoError
-from gauge_envs.files import MEGABYTE
-from gauge_envs.tools.video.grid import Picture, Registration, opencv, stretched
+from gauge_envs.errors import MissingExtraError, VideoError
+from gauge_envs.files import MEGABYTE, os_errors
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
+
+Picture: TypeAlias = NDArray[np.uint8]
+"""A picture on the reference grid, blue, green and red, shape [480, 832, 3]."""
+
+EXACT = 1e-9
+"""Largest difference with which a registration is the plain scaling of both axes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Registration:
+    """How the pixels of a video lie on the reference grid: `grid = scale * pixel + offset` on each axis.
+
+    Coordinates count from the corner of a picture, so the middle of its first pixel is at 0.5.
+
+    Attributes:
+        scale_x: Pixels of the grid for each pixel of the video, horizontally.
+        scale_y: The same vertically.
+        offset_x_px: Place of the left edge of the video on the grid [px].
+        offset_y_px: Place of the top edge of the video on the grid [px].
+        method: `stretch`: width and height are scaled each on its own; `crop` and `pad`: both by one factor, about the
+            middle; `first frame`: freely, by the points of the given first frame.
+        inliers: Points of the outline, or of the first frame, that agree.
+        support: Share of the points that agree, 1.
+        problem: Why the registration is doubtful; empty when it is not.
+    """
+
+    scale_x: float
+    scale_y: float
+    offset_x_px: float = 0.0
+    offset_y_px: float = 0.0
+    method: str = "stretch"
+    inliers: int = 0
+    support: float = 1.0
+    problem: str = ""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all fields, JSON-ready."""
+        return asdict(self)
+
+    def applied(self, picture: NDArray[np.uint8]) -> Picture:
+        """Return a picture of the video on the reference grid; beyond its edges, the edge repeats.
+
+        Args:
+            picture: Picture of the video, shape [height, width, 3].
+        """
+        height, width = picture.shape[:2]
+        plain = stretched((width, height))
+        place = (self.scale_x, self.scale_y, self.offset_x_px, self.offset_y_px)
+        if np.allclose(place, (plain.scale_x, plain.scale_y, 0.0, 0.0), rtol=0.0, atol=EXACT):
+            return _resized(picture, REFERENCE_SIZE_PX)
+        # Large pictures are averaged to the size of the grid first, as interpolation would skip pixels.
+        size = (max(1, round(width * self.scale_x)), max(1, round(height * self.scale_y)))
+        near = _resized(picture, size) if min(self.scale_x, self.scale_y) < 1.0 else picture
+        scale = np.array([self.scale_x * width / near.shape[1], self.scale_y * height / near.shape[0]])
+        offset = np.array([self.offset_x_px, self.offset_y_px]) + 0.5 * scale - 0.5
+        matrix = np.column_stack([np.diag(scale), offset])
+        return np.asarray(cv2.warpAffine(near, matrix, REFERENCE_SIZE_PX, borderMode=cv2.BORDER_REPLICATE))
+
+
+def stretched(size_px: tuple[int, int]) -> Registration:
+    """Return the plain scaling of width and height of a video, each on its own, as in the paper."""
+    width, height = REFERENCE_SIZE_PX
+    return Registration(scale_x=width / size_px[0], scale_y=height / size_px[1])
+
+
+class _OpenCV:
+    """OpenCV, which is imported when one of its names is used: it is optional, and slow to import."""
+
+    def __getattr__(self, name: str) -> Any:
+        try:
+            import cv2
+        except ImportError as error:
+            raise MissingExtraError("OpenCV", "video", error) from error
+        return getattr(cv2, name)
+
+
+cv2: Any = _OpenCV()
+
+
+def _resized(picture: NDArray[np.uint8], size_px: tuple[int, int]) -> Picture:
+    if (picture.shape[1], picture.shape[0]) == size_px:
+        return np.ascontiguousarray(picture)
+    method = cv2.INTER_AREA if picture.shape[1] >= size_px[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(picture, size_px, interpolation=method))
+
+
+# --- reading and writing ----------------------------------------------------------------------------------------------
+
 
 MOST_BYTES = 2000 * MEGABYTE
 """Largest size of a video file."""
@@ -57,7 +147,7 @@ class Frames(ABC):
         """Yield all pictures in their own size: blue, green and red, shape [height, width, 3]."""
 
     @property
-    def times_s(self) -> NDArray[np.float64] | None:
+    def times_s(self) -> FloatArray | None:
         """Times at which a file shows its frames [s], shape [frame_count]; None when they follow from the rate."""
         return None
 
@@ -92,11 +182,7 @@ class FileFrames(Frames):
     def __init__(self, path: Path, *, fps: float | None = None) -> None:
         self.name = str(path)
         self._path = path
-        if not path.is_file():
-            raise VideoError(f"{path}: there is no such file")
-        if path.stat().st_size > MOST_BYTES:
-            raise VideoError(f"{path}: it is larger than {MOST_BYTES // MEGABYTE} MB; cut the clip to the event")
-        cv2 = opencv()
+        _check_size(path, MOST_BYTES, "cut the clip to the event")
         capture = self._opened()
         try:
             if not capture.isOpened():
@@ -112,7 +198,7 @@ class FileFrames(Frames):
         self._check()
 
     @property
-    def times_s(self) -> NDArray[np.float64] | None:
+    def times_s(self) -> FloatArray | None:
         """Times at which the file shows its frames [s], shape [frame_count], known once it has been read.
 
         None when the rate was given instead.
@@ -121,7 +207,6 @@ class FileFrames(Frames):
 
     def native(self) -> Iterator[NDArray[np.uint8]]:
         """Yield all pictures in their own size."""
-        cv2 = opencv()
         capture = self._opened()
         times: list[float] = []
         try:
@@ -140,7 +225,6 @@ class FileFrames(Frames):
         self._times_s = times
 
     def _opened(self) -> Any:
-        cv2 = opencv()
         logging = cv2.utils.logging
         level = logging.getLogLevel()
         # The error of this package says more than the warnings of OpenCV.
@@ -183,14 +267,156 @@ class ArrayFrames(Frames):
             yield np.ascontiguousarray(np.asarray(frame)[:, :, ::-1])
 
 
-def read_picture(path: Path) -> NDArray[np.uint8]:
-    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
+def _check_size(path: Path, most_bytes: int, advice: str) -> None:
     if not path.is_file():
         raise VideoError(f"{path}: there is no such file")
-    if path.stat().st_size > MOST_PICTURE_BYTES:
-        raise VideoError(f"{path}: it is larger than {MOST_PICTURE_BYTES // MEGABYTE} MB; give the first frame as PNG")
-    cv2 = opencv()
+    if path.stat().st_size > most_bytes:
+        raise VideoError(f"{path}: it is larger than {most_bytes // MEGABYTE} MB; {advice}")
+
+
+def read_picture(path: Path) -> NDArray[np.uint8]:
+    """Return a picture from a file: blue, green and red, shape [height, width, 3]."""
+    _check_size(path, MOST_PICTURE_BYTES, "give the first frame as PNG")
     picture = cv2.imdecode(np.fromfile(path, dtype=np.uint8), cv2.IMREAD_COLOR)
     if picture is None:
         raise VideoError(f"{path}: OpenCV cannot decode it; give the first frame as PNG or JPEG")
     return np.asarray(picture)
+
+
+def write_mp4(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -> None:
+    """Write pictures in blue, green and red as MP4; the folder is created."""
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    writer = None
+    for picture in pictures:
+        if writer is None:
+            size = (picture.shape[1], picture.shape[0])
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), fps, size)
+            if not writer.isOpened():
+                raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
+        writer.write(picture)
+    if writer is not None:
+        writer.release()
+
+
+# --- cadence ----------------------------------------------------------------------------------------------------------
+# A film of 25 pictures a second that is shown at 30 repeats every sixth frame. Judged as it is, its object would halt
+# and jump. An object at rest repeats pictures too, but without a rhythm that goes on while it moves.
+
+
+SMALL_PX = (208, 120)
+"""Width and height to which pictures are averaged before they are compared [px]."""
+
+LEAST_MOTION = 12.0
+"""Largest difference of the brightness of two such pictures from which something moves, in grey values of 255."""
+
+REPEAT_SHARE = 0.25
+"""Difference of a repeated picture, against those of its neighbours; compression leaves up to a tenth."""
+
+REACH = 5
+"""Frames on both sides within which something must move, so that a repeat is no rest."""
+
+MOST_PERIOD = 12
+"""Longest rhythm of repeats, in frames."""
+
+CLEAR_SHARE = 0.8
+"""Share of the frames in one place of the rhythm that must repeat, or be new."""
+
+LEAST_REPEATS = 3
+"""Fewest repeats while something moves."""
+
+MOST_JITTER = 0.2
+"""Difference of a stated time from a uniform rate that is rounding, in frames."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cadence:
+    """When the pictures of a video were taken.
+
+    Attributes:
+        is_new: Whether a frame shows a new picture, shape [frame_count].
+        times_s: Times of the new pictures [s], shape [new_count].
+        fps: New pictures per second, on average.
+        text: What differs from the stated rate; empty when nothing does.
+    """
+
+    is_new: NDArray[np.bool_]
+    times_s: FloatArray
+    fps: float
+    text: str = ""
+
+
+def read_cadence(frames: Frames) -> Cadence:
+    """Read a video once, and return when its pictures were taken.
+
+    Args:
+        frames: The video.
+    """
+    differences: list[float] = []
+    before: NDArray[np.float32] | None = None
+    for picture in frames.native():
+        small = cv2.cvtColor(cv2.resize(picture, SMALL_PX, interpolation=cv2.INTER_AREA), cv2.COLOR_BGR2GRAY)
+        small = np.asarray(small, dtype=np.float32)
+        differences.append(np.inf if before is None else float(np.abs(small - before).max()))
+        before = small
+    return cadence_of(np.array(differences), frames.fps, frames.times_s)
+
+
+def cadence_of(differences: FloatArray, fps: float, times_s: FloatArray | None = None) -> Cadence:
+    """Return when pictures were taken, from their differences and the times that the file states.
+
+    Args:
+        differences: Largest difference of each picture from the one before, shape [frame_count]; the first is infinite.
+        fps: Frames per second.
+        times_s: Times that the file states [s], shape [frame_count]; None where it states a rate alone.
+    """
+    count = len(differences)
+    every = np.ones(count, dtype=bool)
+    if times_s is not None and len(times_s) == count and count > 1:
+        steps = np.diff(times_s)
+        is_uniform = np.abs(times_s - times_s[0] - np.arange(count) / fps).max() * fps <= MOST_JITTER
+        if not is_uniform and (steps > 0.0).all():
+            rate = (count - 1) / float(times_s[-1] - times_s[0])
+            shortest, longest = 1000.0 * steps.min(), 1000.0 * steps.max()
+            text = f"frames last {shortest:.0f} to {longest:.0f} ms: the times that the file states are used"
+            return Cadence(is_new=every, times_s=times_s - times_s[0], fps=rate, text=text)
+    rhythm = _rhythm(differences)
+    if rhythm is None:
+        return Cadence(is_new=every, times_s=np.arange(count) / fps, fps=fps)
+    period = len(rhythm)
+    is_new = ~np.resize(rhythm, count)
+    is_new[0] = True
+    rate = fps * float((~rhythm).sum()) / period
+    text = (
+        f"{int(rhythm.sum())} of every {period} frames show the picture before again: "
+        f"the {int(is_new.sum())} new pictures count, at {rate:.4g} per second"
+    )
+    return Cadence(is_new=is_new, times_s=np.arange(int(is_new.sum())) / rate, fps=rate, text=text)
+
+
+def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
+    """Return which frames of one period repeat the one before, shape [period]; None without a rhythm."""
+    values = np.array(differences)
+    values[0] = 0.0
+    moves = values > LEAST_MOTION
+    count = len(values)
+    near = [values[max(0, row - 2) : row + 3].max() for row in range(count)]
+    repeats = values < REPEAT_SHARE * np.array(near)
+    # Only frames with motion before and after say something: a body at rest repeats pictures without a rhythm.
+    counts = np.array(
+        [moves[max(0, row - REACH) : row].any() and moves[row + 1 : row + 1 + REACH].any() for row in range(count)]
+    )
+    for period in range(2, MOST_PERIOD + 1):
+        places = [np.flatnonzero(counts & (np.arange(count) % period == phase)) for phase in range(period)]
+        if min(len(place) for place in places) < 2:
+            break
+        shares = np.array([repeats[place].mean() for place in places])
+        rhythm = shares >= CLEAR_SHARE
+        is_clear = (rhythm | (shares <= 1.0 - CLEAR_SHARE)).all()
+        if (
+            is_clear
+            and not rhythm.all()
+            and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm)) >= (LEAST_REPEATS)
+        ):
+            return rhythm
+    return None

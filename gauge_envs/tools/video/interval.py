@@ -7,15 +7,12 @@ same for every clip. Lengths are in pixels of the reference grid.
 
 from __future__ import annotations
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.tasks import Motion, VideoTask
 from gauge_envs.tools.video.track import Track
-
-FloatArray: TypeAlias = NDArray[np.float64]
 
 WINDOW = 6
 """Frames of the window in which motion or rest is decided, as in the paper."""

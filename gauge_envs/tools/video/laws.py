@@ -15,15 +15,13 @@ Example:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import minimize, minimize_scalar
 
 from gauge_envs.errors import ParameterError
-
-FloatArray: TypeAlias = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 GRAVITY_M_PER_S2 = 9.80665
 """Gravity in the friction limit of the turntable, as the paper states it."""

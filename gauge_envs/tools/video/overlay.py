@@ -7,9 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gauge_envs.errors import VideoError
-from gauge_envs.tools.video.frames import FileFrames, Frames
-from gauge_envs.tools.video.grid import Picture, opencv
+from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.scoring import VideoScore
 
 COUNTED = (80, 200, 80)
@@ -26,35 +24,19 @@ def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
         result: Its result.
         path: File to write, MP4.
     """
-    cv2 = opencv()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise VideoError(f"{path}: cannot be written: {error.strerror or error}") from error
-    writer = None
-    for picture in drawn_frames(source, result):
-        if writer is None:
-            size = (picture.shape[1], picture.shape[0])
-            writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), source.fps, size)
-            if not writer.isOpened():
-                raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
-        writer.write(picture)
-    if writer is None:
-        raise VideoError(f"{source.name}: there is no frame to draw")
-    writer.release()
+    write_mp4(path, drawn_frames(source, result), source.fps)
     return path
 
 
 def drawn_frames(source: Frames, result: VideoScore) -> Iterator[Picture]:
     """Yield the frames of a video on the reference grid, with the track drawn into them."""
     for number, picture in enumerate(source.pictures(result.track.registration)):
-        yield _drawn(picture, result, number, result.interval_frames)
+        yield _drawn(picture, result, number)
 
 
-def _drawn(picture: Picture, result: VideoScore, number: int, span: tuple[int, int] | None) -> Picture:
-    cv2 = opencv()
+def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
     drawn = picture.copy()
-    track = result.track
+    track, span = result.track, result.interval_frames
     # A frame that repeats a picture shows the place of the one before.
     row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
     for frame, place in zip(track.frames[: row + 1], track.points_px[: row + 1], strict=True):

@@ -13,10 +13,9 @@ from gauge_envs.pages.document import Heading, Part, page
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, video_task, video_tasks
-from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.tools.video.frames import FileFrames, cv2
 from gauge_envs.tools.video.overlay import drawn_frames
-from gauge_envs.tools.video.published import published_results
+from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.words import TITLES, interval_text, short_text, span_text
 
 SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
@@ -132,7 +131,6 @@ def _clip(model: str, result: VideoScore, file: Path) -> Html:
 
 def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
     """Yield frames of a video with the track drawn into them."""
-    cv2 = opencv()
     first, last = result.interval_frames or (0, len(result.track.frames) - 1)
     wanted = set(np.linspace(first, last, PICTURES).astype(int).tolist())
     for number, picture in enumerate(drawn_frames(FileFrames(file, fps=result.track.fps), result)):

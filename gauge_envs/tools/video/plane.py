@@ -7,17 +7,19 @@ Hartley and Zisserman, Multiple View Geometry (2004), sections 4.1 and 8.1.1.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.errors import VideoError
+from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Track
-
-FloatArray: TypeAlias = NDArray[np.float64]
 
 ORIGIN_PX = 0.5 * np.array(REFERENCE_SIZE_PX)
 """Place of the origin of the plane in the frontal picture [px]."""
@@ -34,7 +36,7 @@ class Lens:
     """
 
     matrix: FloatArray
-    distortion: FloatArray
+    distortion: FloatArray = field(default_factory=lambda: np.zeros(2))
     focal_sigma: float = 0.0
 
     def straight(self, points_px: FloatArray) -> FloatArray:
@@ -81,7 +83,7 @@ class PointPairs:
     def to_plane(self, lens: Lens | None) -> FloatArray:
         """Return the homography from straight coordinates to the plane, shape [3, 3]."""
         straight = self.points_px if lens is None else lens.straight(self.points_px)
-        homography, _ = opencv().findHomography(straight, self.points_m)
+        homography, _ = cv2.findHomography(straight, self.points_m)
         return np.asarray(homography, dtype=float)
 
     def drawn(self, rng: np.random.Generator) -> PointPairs:
@@ -120,7 +122,7 @@ class Pose:
     @property
     def rotation(self) -> FloatArray:
         """Rotation from the world to the camera, shape [3, 3]."""
-        return np.asarray(opencv().Rodrigues(self.rvec)[0], dtype=float)
+        return np.asarray(cv2.Rodrigues(self.rvec)[0], dtype=float)
 
     @property
     def axes(self) -> FloatArray:
@@ -142,11 +144,11 @@ class Pose:
         """Return the pose and the plane moved within their uncertainty."""
         rotation = self.rotation
         camera = -rotation.T @ self.tvec + rng.normal(0.0, self.position_sigma_m, 3)
-        turned = opencv().Rodrigues(rng.normal(0.0, self.rotation_sigma_rad, 3))[0] @ rotation
+        turned = cv2.Rodrigues(rng.normal(0.0, self.rotation_sigma_rad, 3))[0] @ rotation
         normal = self.normal / np.linalg.norm(self.normal)
         return replace(
             self,
-            rvec=np.asarray(opencv().Rodrigues(turned)[0], dtype=float)[:, 0],
+            rvec=np.asarray(cv2.Rodrigues(turned)[0], dtype=float)[:, 0],
             tvec=-turned @ camera,
             point_m=self.point_m + rng.normal(0.0, self.sigma_m) * normal,
         )
@@ -204,10 +206,6 @@ class PlaneView:
         steps = [self.grid_to_plane_m(points_px + step) for step in ([-1, 0], [1, 0], [0, -1], [0, 1])]
         across, down = 0.5 * (steps[1] - steps[0]), 0.5 * (steps[3] - steps[2])
         return np.asarray(np.sqrt(np.abs(across[:, 0] * down[:, 1] - across[:, 1] * down[:, 0])))
-
-    def plane_to_grid_px(self, points_m: FloatArray) -> FloatArray:
-        """Return places on the reference grid [px] of places in the plane [m], both of shape [count, 2]."""
-        return self.to_picture_px(points_m) / self._from_grid
 
     @property
     def _from_grid(self) -> FloatArray:
@@ -284,3 +282,146 @@ def _main_direction(places_m: FloatArray) -> FloatArray:
 def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray:
     moved = np.column_stack([points, np.ones(len(points))]) @ matrix.T
     return np.asarray(moved[:, :2] / moved[:, 2:])
+
+
+# --- camera file -----------------------------------------------------------------------------------------------------
+
+SHAPES: dict[str, dict[str, tuple[int | None, ...]]] = {
+    "points": {"px": (None, 2), "m": (None, 2), "sigma_px": (), "sigma_m": ()},
+    "lens": {"matrix": (3, 3), "distortion": (2,), "focal_sigma": ()},
+    "pose": {"rvec": (3,), "tvec": (3,), "position_sigma_m": (), "rotation_sigma_rad": ()},
+    "plane": {"point_m": (3,), "normal": (3,), "up": (3,), "sigma_m": ()},
+    "motion": {"pivot_m": (2,), "pivot_sigma_m": (), "length_m": (), "release_height_m": (), "direction": (2,)},
+}
+"""Shape of the numbers under each key of a table; None stands for any length. A pivot in a world has three."""
+
+OPTIONAL = {"distortion", "focal_sigma", "position_sigma_m", "rotation_sigma_rad", *SHAPES["motion"]}
+DIRECTIONS = {"normal", "up", "direction"}
+
+LARGEST = 1e300
+"""Bound of numbers: an integer of a file may have more digits than any other type holds."""
+
+LEAST_SPREAD = 0.02
+"""Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
+
+
+def read_camera(path: Path | str) -> PlaneView:
+    """Return the view that a camera file describes.
+
+    The keys are on the page "World models": `size_px`, then either `[points]` or `[lens]`, `[pose]` and `[plane]`, and
+    `[motion]`. Lengths are in metres, pixels in pictures of the stated size.
+
+    Args:
+        path: The file; one that ends in `.json` is JSON, any other is TOML.
+
+    Raises:
+        VideoError: The file cannot be read, a key is missing, unknown or of another shape, or the points span no plane.
+        MissingExtraError: OpenCV is not installed.
+    """
+    path = Path(path)
+    is_json = path.suffix == ".json"
+    try:
+        content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
+        values = json_document(content) if is_json else toml_document(content)
+    except (OSError, UnicodeDecodeError) as error:
+        raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
+    except ValueError as error:
+        raise VideoError(f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}") from None
+    _check_keys(path, "", values, {"size_px", *SHAPES})
+    size = _numbers(path, "size_px", values.get("size_px"), (2,))
+    if (size < 1).any() or (size != np.round(size)).any():
+        raise VideoError(f"{path}: size_px is {size.tolist()}; give width and height in whole pixels, as [1280, 720]")
+    if ("points" in values) == ("pose" in values):
+        raise VideoError(f"{path}: give either [points], or [lens], [pose] and [plane]")
+    if "pose" in values and "lens" not in values:
+        raise VideoError(f"{path}: [pose] needs [lens] with the camera matrix")
+    shapes = SHAPES | {"motion": SHAPES["motion"] | {"pivot_m": (3 if "pose" in values else 2,)}}
+    tables = {name: _table(path, name, table, shapes[name]) for name, table in values.items() if name in shapes}
+    source = _points(path, tables["points"]) if "points" in values else _pose(path, tables["pose"], tables.get("plane"))
+    motion = tables.get("motion", {})
+    if "pivot_m" in motion:
+        if isinstance(source, Pose):
+            motion["pivot_m"] = source.axes @ (motion["pivot_m"] - source.point_m)
+        motion["pivot_sigma_m"] = _number(path, "motion.pivot_sigma_m", motion.get("pivot_sigma_m"))
+    lens = _lens(path, tables["lens"]) if "lens" in tables else None
+    return PlaneView(size_px=(int(size[0]), int(size[1])), source=source, lens=lens, **motion)
+
+
+def _table(path: Path, name: str, values: Any, shapes: dict[str, tuple[int | None, ...]]) -> dict[str, Any]:
+    """Return the numbers of a table of the file by key."""
+    _check_keys(path, name, values, set(shapes))
+    found: dict[str, Any] = {}
+    for key, shape in shapes.items():
+        if key in values or key not in OPTIONAL:
+            place, value = f"{name}.{key}", values.get(key)
+            found[key] = _numbers(path, place, value, shape) if shape else _number(path, place, value)
+        if key in DIRECTIONS and key in found and not np.linalg.norm(found[key]) > 0.0:
+            raise VideoError(f"{path}: {name}.{key} is zero; give a direction")
+    return found
+
+
+def _check_keys(path: Path, name: str, values: Any, known: set[str]) -> None:
+    if not isinstance(values, dict):
+        raise VideoError(f"{path}: {name or 'the file'} must be a table of keys and values")
+    if unknown := sorted(set(values) - known):
+        key = f"{name}.{unknown[0]}".lstrip(".")
+        raise VideoError(f"{path}: there is no key {key}; known: {', '.join(sorted(known))}")
+
+
+def _numbers(path: Path, key: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
+    shown = " x ".join("n" if one is None else str(one) for one in shape)
+    if value is None:
+        raise VideoError(f"{path}: there is no {key}; give {shown} numbers")
+    try:
+        numbers = np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.full(1, np.nan)
+    fits = numbers.ndim == len(shape) and all(s is None or s == n for s, n in zip(shape, numbers.shape, strict=True))
+    if not fits or not np.isfinite(numbers).all():
+        raise VideoError(f"{path}: {key} must be {shown} finite numbers")
+    return numbers
+
+
+def _number(path: Path, key: str, value: Any) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < LARGEST:
+        raise VideoError(f"{path}: {key} must be a finite number from 0")
+    return float(value)
+
+
+def _lens(path: Path, table: dict[str, Any]) -> Lens:
+    matrix = table["matrix"]
+    if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or list(matrix[2]) != [0.0, 0.0, 1.0]:
+        raise VideoError(f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
+    return Lens(**table)
+
+
+def _points(path: Path, table: dict[str, Any]) -> PointPairs:
+    points_px, points_m = table.pop("px"), table.pop("m")
+    if len(points_px) != len(points_m) or len(points_px) < 4:
+        raise VideoError(
+            f"{path}: points.px has {len(points_px)} and points.m {len(points_m)} points; give at least 4 "
+            "of each, in the same order"
+        )
+    for name, points in (("px", points_px), ("m", points_m)):
+        if _least_spread(points) < LEAST_SPREAD:
+            raise VideoError(f"{path}: points.{name} has three of four points on a line: they span no plane")
+    return PointPairs(points_px=points_px, points_m=points_m, **table)
+
+
+def _least_spread(points: FloatArray) -> float:
+    """Return the smallest ratio of spreads over the points without any one of them: a plane needs three off a line."""
+    ratios = []
+    for left_out in range(len(points)):
+        kept = np.delete(points, left_out, axis=0)
+        spreads = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)
+        ratios.append(float(spreads[1] / spreads[0]) if spreads[0] > 0.0 else 0.0)
+    return min(ratios)
+
+
+def _pose(path: Path, pose: dict[str, Any], plane: dict[str, Any] | None) -> Pose:
+    if plane is None:
+        raise VideoError(f"{path}: there is no table [plane]")
+    normal, up = plane["normal"], plane["up"]
+    if np.linalg.norm(np.cross(normal, up)) < 0.1 * np.linalg.norm(normal) * np.linalg.norm(up):
+        raise VideoError(f"{path}: plane.up is along plane.normal; give a direction within the plane")
+    return Pose(**pose, **plane)

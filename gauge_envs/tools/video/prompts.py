@@ -7,6 +7,7 @@ each one is, its size and its hash.
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable
 from functools import cache, partial
 from http.client import HTTPException
@@ -17,7 +18,7 @@ from urllib.parse import quote
 from urllib.request import Request, urlopen
 
 from gauge_envs.errors import DatasetError, ParameterError
-from gauge_envs.files import MEGABYTE, read_regular, write_whole
+from gauge_envs.files import MEGABYTE, os_errors, read_regular, write_whole
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
 REPOSITORY = "https://github.com/InternRobotics/GAUGE"
@@ -31,6 +32,11 @@ SOURCE = f"https://raw.githubusercontent.com/InternRobotics/GAUGE/{COMMIT}"
 
 NOTE = "world_model_inputs.md"
 """Name of the note beside the inputs; it is written last, so a folder that holds it is complete."""
+
+BY_HAND = (
+    f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` elsewhere, bring its folder `input` "
+    "here, and give the folder that holds it as source; files that are complete are kept"
+)
 
 TIMEOUT_S = 30.0
 """Longest wait for an answer or for the next bytes [s]."""
@@ -89,7 +95,12 @@ def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str],
     Returns:
         The files that were written.
     """
-    read = _reader(source)
+    is_address = source.lower().startswith(("http://", "https://"))
+    if "://" in source and not is_address:
+        raise ParameterError(f"source {source!r}: give an address that starts with https:// or http://, or a folder")
+    if not is_address and not Path(source).is_dir():
+        raise ParameterError(f"source {source!r} is no folder: {BY_HAND}")
+    read = partial(_download, source.rstrip("/")) if is_address else partial(_copy, Path(source))
     # Before anything is fetched, all files that are there are checked.
     contents = {
         file.file: content for file in input_files() if (content := _kept(folder / file.file, file.fault)) is not None
@@ -106,16 +117,6 @@ def fetch_inputs(folder: Path, *, source: str = SOURCE, advance: Callable[[str],
     if not has_note:
         written.append(_write(folder / NOTE, note))
     return written
-
-
-def _reader(source: str) -> Callable[[InputFile], bytes]:
-    if source.lower().startswith(("http://", "https://")):
-        return partial(_download, source.rstrip("/"))
-    if "://" in source:
-        raise ParameterError(f"source {source!r}: give an address that starts with https:// or http://, or a folder")
-    if not Path(source).is_dir():
-        raise ParameterError(f"source {source!r} is no folder: {_by_hand()}")
-    return partial(_copy, Path(source))
 
 
 def _fetched(file: InputFile, read: Callable[[InputFile], bytes], contents: dict[str, bytes]) -> bytes:
@@ -137,54 +138,41 @@ def _download(source: str, file: InputFile) -> bytes:
         with urlopen(request, timeout=TIMEOUT_S) as response:
             content: bytes = response.read(file.size_bytes + 1)
     except HTTPError as error:
-        raise DatasetError(f"{address}: the server answers {error.code} {error.reason}; {_by_hand()}") from error
+        raise DatasetError(f"{address}: the server answers {error.code} {error.reason}; {BY_HAND}") from error
     except (OSError, HTTPException, ValueError) as error:
         cause = error.reason if isinstance(error, URLError) else error
-        raise DatasetError(f"{address}: cannot be downloaded: {cause or type(error).__name__}; {_by_hand()}") from error
+        raise DatasetError(f"{address}: cannot be downloaded: {cause or type(error).__name__}; {BY_HAND}") from error
     if fault := file.fault(content):
         # One byte more than expected is read, so that a longer answer shows.
         longer = " or more" if len(content) > file.size_bytes else ""
-        raise DatasetError(f"{address}: {fault}{longer}: the answer is damaged or another file; {_by_hand()}")
+        raise DatasetError(f"{address}: {fault}{longer}: the answer is damaged or another file; {BY_HAND}")
     return content
 
 
 def _copy(source: Path, file: InputFile) -> bytes:
     path = source / (file.source or "")
-    try:
+    with os_errors(lambda cause: DatasetError(f"{path}: cannot be read: {cause}; {BY_HAND}")):
         content = read_regular(path, MEGABYTE)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}; {_by_hand()}") from error
     if fault := file.fault(content):
-        raise DatasetError(f"{path}: {fault}; {_by_hand()}")
+        raise DatasetError(f"{path}: {fault}; {BY_HAND}")
     return content
-
-
-def _by_hand() -> str:
-    return (
-        f"without a network, run `git clone {REPOSITORY}` and `git checkout {COMMIT}` elsewhere, bring its folder "
-        "`input` here, and give the folder that holds it as source; files that are complete are kept"
-    )
 
 
 def _kept(path: Path, fault_of: Callable[[bytes], str]) -> bytes | None:
     """Return the content of a file that is there already; None if it is missing."""
-    try:
-        content = read_regular(path, MEGABYTE)
-    except FileNotFoundError:
+    if not os.path.lexists(path):
         return None
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be read: {error.strerror or error}; name another folder") from error
+    with os_errors(lambda cause: DatasetError(f"{path}: cannot be read: {cause}; name another folder")):
+        content = read_regular(path, MEGABYTE)
     if fault := fault_of(content):
         raise DatasetError(f"{path} {fault}: move it away, or name another folder; no file was changed")
     return content
 
 
 def _write(path: Path, content: bytes) -> Path:
-    try:
+    with os_errors(lambda cause: DatasetError(f"{path}: cannot be written: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, content)
-    except OSError as error:
-        raise DatasetError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path
 
 

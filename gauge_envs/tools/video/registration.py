@@ -12,7 +12,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.grid import Registration, opencv, stretched
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.frames import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
 
 CLOSE_PX = 2.0
@@ -100,7 +101,6 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
         picture: First frame of the video in its own size, shape [height, width, 3].
         first_frame: The known first frame; it fills the reference grid.
     """
-    cv2 = opencv()
     plain = stretched((picture.shape[1], picture.shape[0]))
     finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
     small, factor = _shrunk(picture)
@@ -151,7 +151,6 @@ class _Scene:
     """First frame of a video, and the outline of the objects that the task knows in it."""
 
     def __init__(self, picture: NDArray[np.uint8], task: VideoTask) -> None:
-        cv2 = opencv()
         small, self._shrinkage = _shrunk(picture)
         self._size = (picture.shape[1], picture.shape[0])
         blur = max(small.shape[1] / REFERENCE_SIZE_PX[0], small.shape[0] / REFERENCE_SIZE_PX[1])
@@ -173,9 +172,8 @@ class _Scene:
         move = self._move(one)
         return float(np.sqrt((move**2).sum(axis=1).mean()))
 
-    def _profiles(self, one: Registration) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    def _profiles(self, one: Registration) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
         """Return distances along the normals, the strength of the edge there, and which points are in the picture."""
-        cv2 = opencv()
         distances = np.arange(-REACH_PX - 0.5, REACH_PX + 1.0, 0.5)
         places = self.points[:, None, :] + distances[None, :, None] * self.normals[:, None, :]
         native = (places - (one.offset_x_px, one.offset_y_px)) / (one.scale_x, one.scale_y)
@@ -186,7 +184,7 @@ class _Scene:
         strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
         return distances[1:-1], strength, is_seen
 
-    def _move(self, one: Registration) -> NDArray[np.float64]:
+    def _move(self, one: Registration) -> FloatArray:
         """Return the motion of the outline's points that brings it to the edges [px]: a shift and a factor per axis."""
         distances, strength, is_seen = self._profiles(one)
         along = distances[strength.argmax(axis=1)]
@@ -226,7 +224,7 @@ def _is_harmless(first: Registration, second: Registration, task: VideoTask) -> 
     return bool(np.linalg.norm(moved - places, axis=1).max() <= HARMLESS_PX)
 
 
-def _outline(task: VideoTask) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _outline(task: VideoTask) -> tuple[FloatArray, FloatArray]:
     """Return points of the outlines that a task knows on the grid [px], and their normals, shape [point_count, 2]."""
     if task.motion is Motion.SLIDE:
         parts = [_square(task.centre_px, task.size_px, SLOPE_DIRECTION)]
@@ -242,15 +240,13 @@ def _outline(task: VideoTask) -> tuple[NDArray[np.float64], NDArray[np.float64]]
     return np.vstack([points for points, _ in parts]), np.vstack([normals for _, normals in parts])
 
 
-def _circle(centre: tuple[float, float], diameter: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _circle(centre: tuple[float, float], diameter: float) -> tuple[FloatArray, FloatArray]:
     angles = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
     normals = np.column_stack([np.cos(angles), np.sin(angles)])
     return np.array(centre) + 0.5 + 0.5 * diameter * normals, normals
 
 
-def _square(
-    centre: tuple[float, float], edge: float, direction: tuple[float, float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _square(centre: tuple[float, float], edge: float, direction: tuple[float, float]) -> tuple[FloatArray, FloatArray]:
     first = np.array(direction)
     second = np.array([-first[1], first[0]])
     points, normals = [], []
@@ -263,7 +259,6 @@ def _square(
 
 def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     """Return a picture that is small enough for edges and points, and its factor."""
-    cv2 = opencv()
     factor = MOST_SIDE_PX / max(picture.shape[:2])
     if factor >= 1.0:
         return picture, 1.0
@@ -271,9 +266,7 @@ def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
     return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA)), factor
 
 
-def _axis_fit(
-    seen: NDArray[np.float64], wanted: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+def _axis_fit(seen: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
     best = np.zeros(len(seen), dtype=bool)
     scale, offset = np.ones(2), np.zeros(2)

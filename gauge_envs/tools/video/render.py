@@ -22,16 +22,15 @@ from gauge_envs.envs.rendering.flat import FlatView
 from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import write_whole
+from gauge_envs.files import os_errors, write_whole
 from gauge_envs.scene import Hinge, RigidBody, Scene
 from gauge_envs.scene import Motion as BodyMotion
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.video.grid import opencv
+from gauge_envs.tools.video.frames import write_mp4
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
-
-FloatArray = NDArray[np.float64]
 
 SAMPLE_RATE_HZ = round(1.0 / SAMPLE_INTERVAL_S)
 """Rate at which an engine is read [Hz]."""
@@ -45,19 +44,6 @@ MIDDLE_PX = 0.5 * (np.array(REFERENCE_SIZE_PX) - 1.0)
 DARK = (0.09, 0.09, 0.10, 1.0)
 COLORS = {"wood": (0.80, 0.62, 0.42, 1.0), "plastic": (0.16, 0.17, 0.20, 1.0), "metal": (0.78, 0.76, 0.78, 1.0)}
 """Colours of the cubes by material; balls are dark, as in the first frames."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class FilmFrame:
-    """One frame of a film.
-
-    Attributes:
-        picture: Picture in red, green and blue, shape [480, 832, 3].
-        place_px: Centre of the tracked object, the mean over the exposure [px], shape [2].
-    """
-
-    picture: NDArray[np.uint8]
-    place_px: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,25 +64,12 @@ class Film:
 
     def save(self, path: Path) -> Path:
         """Write the film as MP4 and its exact track beside it, as `NAME.track.csv`; return the path of the track."""
-        cv2 = opencv()
-        size = (self.pictures[0].shape[1], self.pictures[0].shape[0])
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise VideoError(f"{path}: cannot be written: {error.strerror or error}") from error
-        writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), self.fps, size)
-        if not writer.isOpened():
-            raise VideoError(f"{path}: cannot be written as MP4; choose another folder or name")
-        for picture in self.pictures:
-            writer.write(picture[:, :, ::-1])
-        writer.release()
+        write_mp4(path, (picture[:, :, ::-1] for picture in self.pictures), self.fps)
         places = zip(self.track.frames, self.track.points_px, strict=True)
         rows = [f"{frame},{x:.4f},{y:.4f}" for frame, (x, y) in places]
         table = path.with_suffix(".track.csv")
-        try:
+        with os_errors(lambda cause: VideoError(f"{table}: cannot be written: {cause}")):
             write_whole(table, ("\n".join(["frame,x,y", *rows]) + "\n").encode())
-        except OSError as error:
-            raise VideoError(f"{table}: cannot be written: {error.strerror or error}") from error
         return table
 
 
@@ -143,23 +116,22 @@ def film(
         frames = list(_frames(simulation, scene, chosen, held, round(lasts_s * SAMPLE_RATE_HZ), int(samples_per_frame)))
     finally:
         simulation.close()
-    points = np.array([one.place_px for one in frames])
     track = Track(
         frames=np.arange(len(frames)),
         fps=float(fps),
-        points_px=points,
+        points_px=np.array([place for _, place in frames]),
         confidence=np.ones(len(frames)),
         size_ratio=np.ones(len(frames)),
     )
-    return Film(task=chosen, fps=float(fps), pictures=tuple(one.picture for one in frames), track=track)
+    return Film(task=chosen, fps=float(fps), pictures=tuple(picture for picture, _ in frames), track=track)
 
 
 def _frames(
     simulation: Simulation, scene: Scene, task: VideoTask, held: int, count: int, samples_per_frame: int
-) -> Iterator[FilmFrame]:
-    """Yield the frames; each is exposed during the first half of its time."""
+) -> Iterator[tuple[NDArray[np.uint8], FloatArray]]:
+    """Yield pictures, and the place of the object in each [px]; a frame is exposed in the first half of its time."""
     view = _view(scene, task)
-    tracked = _tracked(scene, task).name
+    tracked = scene.dynamic_bodies[-1].name
     renderer = SceneRenderer(scene, {}, *REFERENCE_SIZE_PX, view=view)
     names = [body.name for body in scene.bodies if body.motion is not BodyMotion.FIXED]
     paths = DriverPaths(scene, (count + 1) * SAMPLE_INTERVAL_S)
@@ -176,10 +148,11 @@ def _frames(
                     pictures.append(pictures[-1])
                 else:
                     pictures.append(renderer.picture(dict(zip(names, states[:, :7], strict=True)), {}))
-                places.append(_pixel(view, states[names.index(tracked), :3]))
+                away = (states[names.index(tracked), :3] - view.centre_m) / view.scale_m_per_px
+                places.append(np.array([away @ view.right, away @ view.down]) + MIDDLE_PX)
             if sample % samples_per_frame == exposed - 1:
                 mean = np.mean(pictures, axis=0, dtype=np.float32)
-                yield FilmFrame(picture=np.asarray(mean.round(), dtype=np.uint8), place_px=np.mean(places, axis=0))
+                yield np.asarray(mean.round(), dtype=np.uint8), np.mean(places, axis=0)
                 if sample >= held:
                     pictures.clear()
                 else:
@@ -190,18 +163,15 @@ def _frames(
 
 
 # --- where the first frame was taken ---------------------------------------------------------------------------------
-
-
-def _tracked(scene: Scene, task: VideoTask) -> RigidBody:
-    """Return the body that the task follows: the last ball of a cradle, the only dynamic body elsewhere."""
-    return scene.dynamic_bodies[-1]
+# A task follows the last ball of a cradle, and the only dynamic body elsewhere.
 
 
 def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
     """Return a scene that starts as the first frame shows it: its pendulum is held at a smaller angle."""
     if task.motion is not Motion.PENDULUM:
         return scene
-    body, hinge = _tracked(scene, task), _hinge(scene, _tracked(scene, task))
+    body = scene.dynamic_bodies[-1]
+    hinge = _hinge(scene, body)
     assert task.pivot_px is not None
     across, down = np.subtract(task.centre_px, task.pivot_px)
     right = _sideways(hinge)
@@ -216,7 +186,7 @@ def _as_in_first_frame(scene: Scene, task: VideoTask) -> Scene:
 
 def _view(scene: Scene, task: VideoTask) -> FlatView:
     """Return the parallel projection in which the scene starts where the first frame of the task shows it."""
-    body = _tracked(scene, task)
+    body = scene.dynamic_bodies[-1]
     seen_m, seen_px = np.asarray(body.pose.position_m), np.array(task.centre_px)
     down = np.array([0.0, 0.0, -1.0])
     if task.motion is Motion.SLIDE:
@@ -259,16 +229,10 @@ def _view(scene: Scene, task: VideoTask) -> FlatView:
     )
 
 
-def _pixel(view: FlatView, point_m: FloatArray) -> FloatArray:
-    """Return where a world point is in the picture [px], shape [2]; the centre of the first pixel is at 0."""
-    away = (point_m - view.centre_m) / view.scale_m_per_px
-    return np.array([away @ view.right, away @ view.down]) + MIDDLE_PX
-
-
 def _colors(scene: Scene, task: VideoTask) -> tuple[dict[str, tuple[float, float, float, float]], frozenset[str]]:
     """Return the colours of the moving bodies, and the names of those with a grain, by which a turning face is seen."""
     if task.motion in (Motion.SLIDE, Motion.TURN):
-        body = _tracked(scene, task).name
+        body = scene.dynamic_bodies[-1].name
         return {body: COLORS[task.id.rsplit("-", 1)[1]]}, frozenset({body})
     return dict.fromkeys((body.name for body in scene.dynamic_bodies), DARK), frozenset()
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -13,8 +14,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.grade import LEAST_RETAINED, Grade, grade_of
 from gauge_envs.tools.video.interval import WINDOW, apices, displacement_px, retained, swing_angles_rad
 from gauge_envs.tools.video.laws import (
     dynamic_error,
@@ -27,7 +28,94 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
-FloatArray: TypeAlias = NDArray[np.float64]
+LEAST_RETAINED = 5
+"""Fewest retained frames of a valid clip."""
+
+MOST_MISSING, FATAL_MISSING = 0.15, 0.5
+"""Share of frames without the object in the retained interval: of a valid clip, and of one that can be judged."""
+
+MOST_SIZE_CHANGE = 0.2
+"""Largest change of the apparent size of the object in a valid clip."""
+
+LEAST_CONFIDENCE = 0.5
+"""Smallest mean confidence of a valid clip."""
+
+
+class Grade(StrEnum):
+    """Whether the metrics of a clip can be trusted."""
+
+    VALID = "valid"
+    """The object was followed through the motion."""
+    DOUBTFUL = "doubtful"
+    """Something happened that may change the metrics; the reasons name it."""
+    INVALID = "invalid"
+    """There is no motion of the task to judge."""
+
+
+def grade_of(
+    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = ""
+) -> tuple[Grade, tuple[str, ...]]:
+    """Return the grade of a clip and its reasons, with frame numbers.
+
+    Args:
+        track: The track.
+        task: The task.
+        span: First and last retained row; None when the object does not move.
+        problem: Why the law could not be fitted; empty when it could.
+    """
+    if span is None:
+        missing = _runs(track.frames[~track.is_found])
+        seen = f"; it was not found in frames {missing}" if missing else ""
+        causes = [one.text for one in track.events if one.kind in ("registration", "file")]
+        return Grade.INVALID, (f"the object does not move{seen}", *causes)
+    rows = np.arange(span[0], span[1] + 1)
+    fatal, doubts = _missing_reasons(track, rows, task)
+    if problem:
+        fatal.insert(0, problem)
+    if len(rows) < LEAST_RETAINED:
+        fatal.append(f"only {len(rows)} frames are retained; a fit needs {LEAST_RETAINED}")
+    found = rows[track.is_found[rows]]
+    sizes = track.size_ratio[found]
+    known = np.isfinite(sizes)
+    usual = float(np.median(sizes[known])) if known.any() else 1.0
+    odd = found[known & (np.abs(sizes / usual - 1.0) > MOST_SIZE_CHANGE)]
+    if len(odd) > MOST_MISSING * len(rows):
+        doubts.append(f"the object changes its size by more than 20 % in frames {_runs(track.frames[odd])}")
+    confidence = float(track.confidence[found].mean()) if len(found) else 0.0
+    if confidence < LEAST_CONFIDENCE:
+        doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
+    inside = [one for one in track.events if one.first_frame <= track.frames[span[1]]]
+    fatal += [one.text for one in inside if one.is_fatal]
+    doubts += [one.text for one in inside if not (one.is_fatal or one.is_note)]
+    notes = [one.text for one in inside if one.is_note]
+    grade = Grade.INVALID if fatal else Grade.DOUBTFUL if doubts else Grade.VALID
+    return grade, (*fatal, *doubts, *notes)
+
+
+def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:
+    # The outgoing ball of a cradle is looked for only where it swings out.
+    if task.motion is Motion.CRADLE:
+        return [], []
+    lost = rows[~track.is_found[rows]]
+    share = len(lost) / len(rows)
+    text = f"the object is lost in {share:.0%} of the retained frames: {_runs(track.frames[lost])}"
+    if share > FATAL_MISSING:
+        return [text], []
+    return [], [text] if share > MOST_MISSING else []
+
+
+def _runs(frames: NDArray[np.int64]) -> str:
+    """Return frame numbers as runs: `3 to 9, 14`."""
+    if not len(frames):
+        return ""
+    parts = np.split(frames, np.flatnonzero(np.diff(frames) != 1) + 1)
+    texts = [f"{part[0]} to {part[-1]}" if len(part) > 1 else f"{part[0]}" for part in parts]
+    shown = texts[:4]
+    return ", ".join(shown) + (f" and {len(texts) - 4} more runs" if len(texts) > 4 else "")
+
+
+# --- score ------------------------------------------------------------------------------------------------------------
+
 Metrics: TypeAlias = dict[str, float]
 
 METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n")
@@ -136,33 +224,20 @@ def score_track(
     Raises:
         VideoError: The camera file of a pendulum or a cradle lacks the pivot, or that of a cradle the length.
     """
-    if camera is not None and track.is_found.any():
-        return _score_in_plane(track, task, camera, name, seed)
-    return _score(track, task, name, seed)
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Oblique:
-    """A recording as it was seen: the track on the reference grid, and the view that makes metres of it."""
-
-    track: Track
-    view: PlaneView
-
-
-def _score_in_plane(track: Track, task: VideoTask, view: PlaneView, name: str, seed: int) -> VideoScore:
-    """Judge a track in the plane of its motion."""
-    swings = task.motion in (Motion.PENDULUM, Motion.CRADLE)
-    if swings and view.pivot_m is None:
-        raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: the pivot about which it swings")
-    if task.motion is Motion.CRADLE and view.length_m is None:
-        raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
-    frontal = frontal_task(view, track, task)
-    result = _score(frontal_track(view, track, frontal), frontal, name, seed, _Oblique(track=track, view=view))
-    return replace(result, track=track)
-
-
-def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Oblique | None = None) -> VideoScore:
-    span = retained(track, task) if task.motion is not Motion.CRADLE else _all_found(track)
+    view = camera if track.is_found.any() else None
+    seen = track
+    if view is not None:
+        if task.motion in (Motion.PENDULUM, Motion.CRADLE) and view.pivot_m is None:
+            what = "the pivot about which it swings"
+            raise VideoError(f"{name}: {task.id} needs motion.pivot_m in the camera file: {what}")
+        if task.motion is Motion.CRADLE and view.length_m is None:
+            raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
+        task = frontal_task(view, seen, task)
+        track = frontal_track(view, seen, task)
+    span = retained(track, task)
+    if task.motion is Motion.CRADLE:
+        found = np.flatnonzero(track.is_found)
+        span = (int(found[0]), int(found[-1])) if len(found) else None
     metrics: Metrics = {}
     details: Metrics = {}
     problem = ""
@@ -176,7 +251,7 @@ def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Obliqu
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(track, task, span, rng, metrics, guess, oblique)
+    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view)
     return VideoScore(
         video=name,
         task=task.id,
@@ -187,13 +262,8 @@ def _score(track: Track, task: VideoTask, name: str, seed: int, oblique: _Obliqu
         interval_frames=None if span is None else (int(track.frames[span[0]]), int(track.frames[span[1]])),
         scale_m_per_px=task.scale_m_per_px,
         details=details,
-        track=track,
+        track=seen,
     )
-
-
-def _all_found(track: Track) -> tuple[int, int] | None:
-    rows = np.flatnonzero(track.is_found)
-    return (int(rows[0]), int(rows[-1])) if len(rows) else None
 
 
 def _metrics(
@@ -212,16 +282,19 @@ def _metrics(
         # The release falls between two frames, within one of the first retained.
         fit = fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
         fixed = fit_constant_acceleration(times_s, along_m)
-        found = {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}
-        return found, {
+        late = {}
+        if len(times_s) >= WINDOW + LEAST_RETAINED:
+            # The paper does not state where rest ends: with a start that is one window later.
+            later = fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:])
+            late["a_one_window_later_m_s2"] = later.a_m_per_s2
+        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            **_late_start(times_s, along_m),
+            **late,
             "qfi_at_first_frame": fixed.qfi,
             "linear_r2": fit.r2,
             "release_s": fit.release_s,
         }
     if task.motion is Motion.TURN:
-        assert task.friction is not None
         error = dynamic_error(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
@@ -246,13 +319,6 @@ def _metrics(
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }
-
-
-def _late_start(times_s: FloatArray, along_m: FloatArray) -> Metrics:
-    """Return the acceleration with a start that is one window later: the paper does not state where rest ends."""
-    if len(times_s) < WINDOW + LEAST_RETAINED:
-        return {}
-    return {"a_one_window_later_m_s2": fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:]).a_m_per_s2}
 
 
 # --- uncertainty -----------------------------------------------------------------------------------------------------
@@ -285,28 +351,27 @@ def _intervals(
     rng: np.random.Generator,
     nominal: Metrics,
     guess: tuple[float, float] | None,
-    oblique: _Oblique | None,
+    view: PlaneView | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
-    seen = track if oblique is None else oblique.track
-    noise = noise_px(seen, span)
+    noise = noise_px(track, span)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
     for _ in range(count):
-        points = seen.points_px + rng.normal(0.0, noise, seen.points_px.shape) + _slow_noise(seen, rng)
-        sample = replace(seen, points_px=points, size_ratio=np.full(len(points), np.nan))
+        points = track.points_px + rng.normal(0.0, noise, track.points_px.shape) + _slow_noise(track, rng)
+        sample = replace(track, points_px=points, size_ratio=np.full(len(points), np.nan))
         judged = task
-        if oblique is not None:
+        if view is not None:
             # Calibration and pivot replace the stated scale: they are drawn anew within their uncertainty.
-            view = oblique.view.drawn(rng)
-            judged = frontal_task(view, sample, task, scale_m_per_px=task.scale_m_per_px)
-            sample = frontal_track(view, sample, judged)
+            drawn = view.drawn(rng)
+            judged = frontal_task(drawn, sample, task, scale_m_per_px=task.scale_m_per_px)
+            sample = frontal_track(drawn, sample, judged)
         elif task.pivot_px is not None and task.motion is not Motion.TURN:
             sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
-        scale = judged.scale_m_per_px * (1.0 if oblique is not None else 1.0 + rng.normal(0.0, scale_sigma))
+        scale = judged.scale_m_per_px * (1.0 if view is not None else 1.0 + rng.normal(0.0, scale_sigma))
         try:
             metrics, _ = _metrics(sample, judged, (first, last), scale, guess)
         except ParameterError:
@@ -323,7 +388,7 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
-    if oblique is not None and "de_n" in intervals:
+    if view is not None and "de_n" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de_n"][1]
         intervals["de_n"] = (max(0.0, min(nominal["de_n"], 2.0 * nominal["de_n"] - high)), high)

@@ -6,18 +6,26 @@ pixels with the origin in the top left corner. Sizes in metres are those of the 
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.tables import scoring_folder
+from gauge_envs.scene import Scene
 
 REFERENCE_SIZE_PX = (832, 480)
 """Width and height of the first frames, on whose grid all pixel numbers are given."""
 
 SLOPE_DIRECTION = (-math.cos(math.radians(31.6)), math.sin(math.radians(31.6)))
 """Direction down the board in the first frames of the slope slider: its long edges lie at 31.4 to 31.8 degrees."""
+
+
+PUBLISHED_NAMES = {"a": "a_m_s2", "qfi": "qfi", "r2": "r2", "pd": "pd_s", "mte": "mte", "de": "de_n"}
+"""Names of the metrics in this package by those of the published table."""
 
 
 class Motion(StrEnum):
@@ -52,8 +60,6 @@ class VideoTask:
         pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
-        mass_kg: Mass of the object [kg].
-        friction: Coefficient of friction of the contact, 1; None where there is none.
         real: Real values by the name of the metric, from the published table of real trials.
     """
 
@@ -68,8 +74,6 @@ class VideoTask:
     pivot_sigma_px: float = 1.0
     rest_px: tuple[float, float] | None = None
     release_height_m: float = 0.0
-    mass_kg: float
-    friction: float | None = None
     real: dict[str, float]
 
     @property
@@ -77,16 +81,56 @@ class VideoTask:
         """Size of a pixel of the first frame at the depth of the object [m]."""
         return self.size_m / self.size_px
 
+    @property
+    def mass_kg(self) -> float:
+        """Mass of the tracked object [kg]: the last ball of a cradle, the only dynamic body elsewhere."""
+        return _scene(self.id).dynamic_bodies[-1].mass_kg
+
+    @property
+    def friction(self) -> float:
+        """Coefficient of friction between the cube and the plate of a turntable, 1."""
+        contacts = _scene(self.id).contacts
+        return next(contact.friction for contact in contacts if {"cube", "plate"} == {*contact.first, *contact.second})
+
+
+@cache
+def _scene(task: str) -> Scene:
+    return load_experiment(task).scene
+
 
 def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
+    slides = (
+        ("wood", 60.0, (607.0, 53.0), 2.58),
+        ("plastic", 60.2, (618.5, 71.0), 2.57),
+        ("metal", 59.5, (603.0, 71.0), 2.67),
+    )
+    turns = (("wood", 84.6, (257.0, 232.0)), ("plastic", 85.6, (257.0, 239.0)), ("metal", 86.5, (256.0, 238.0)))
     return (
-        _slide("wood", 60.0, (607.0, 53.0), 2.58),
-        _slide("plastic", 60.2, (618.5, 71.0), 2.57),
-        _slide("metal", 59.5, (603.0, 71.0), 2.67),
-        _turn("wood", 84.6, (257.0, 232.0)),
-        _turn("plastic", 85.6, (257.0, 239.0)),
-        _turn("metal", 86.5, (256.0, 238.0)),
+        *(
+            VideoTask(
+                id=f"SlopeSlider-2-{material}",
+                motion=Motion.SLIDE,
+                size_m=0.05,
+                size_px=size_px,
+                centre_px=centre_px,
+                direction=SLOPE_DIRECTION,
+                real={"qfi": 0.0, "a_m_s2": a_m_per_s2},
+            )
+            for material, size_px, centre_px, a_m_per_s2 in slides
+        ),
+        *(
+            VideoTask(
+                id=f"Turntable-2-{material}",
+                motion=Motion.TURN,
+                size_m=0.05,
+                size_px=size_px,
+                centre_px=centre_px,
+                pivot_px=(411.0, 238.0),
+                real={"de_n": 0.0},
+            )
+            for material, size_px, centre_px in turns
+        ),
         VideoTask(
             id="BouncingBall-rubber",
             motion=Motion.FALL,
@@ -94,7 +138,6 @@ def video_tasks() -> tuple[VideoTask, ...]:
             size_px=49.2,
             centre_px=(529.0, 44.6),
             direction=(0.0, 1.0),
-            mass_kg=_mass_kg("BouncingBall-rubber", "ball"),
             real={"qfi": 0.0, "a_m_s2": 9.81},
         ),
         VideoTask(
@@ -106,7 +149,6 @@ def video_tasks() -> tuple[VideoTask, ...]:
             pivot_px=(477.0, 90.0),
             rest_px=(477.0, 347.0),
             release_height_m=0.13294,
-            mass_kg=_mass_kg("NewtonsCradle-metal", "ball-5"),
             real={"mte": 1.0},
         ),
         VideoTask(
@@ -116,7 +158,6 @@ def video_tasks() -> tuple[VideoTask, ...]:
             size_px=46.0,
             centre_px=(465.0, 263.5),
             pivot_px=(413.2, 58.3),
-            mass_kg=_mass_kg("Pendulum-metal", "ball"),
             real={"r2": 1.0, "pd_s": 1.06},
         ),
     )
@@ -134,42 +175,18 @@ def video_task(name: str) -> VideoTask:
     return tasks[name]
 
 
-def _slide(material: str, size_px: float, centre_px: tuple[float, float], real_a_m_per_s2: float) -> VideoTask:
-    variant = f"SlopeSlider-2-{material}"
-    return VideoTask(
-        id=variant,
-        motion=Motion.SLIDE,
-        size_m=0.05,
-        size_px=size_px,
-        centre_px=centre_px,
-        direction=SLOPE_DIRECTION,
-        mass_kg=_mass_kg(variant, "cube"),
-        real={"qfi": 0.0, "a_m_s2": real_a_m_per_s2},
-    )
+@cache
+def published_results() -> dict[str, dict[tuple[str, str], float | None]]:
+    """Return the published values by model and by task and metric; None where the paper prints a dash.
 
-
-def _turn(material: str, size_px: float, centre_px: tuple[float, float]) -> VideoTask:
-    variant = f"Turntable-2-{material}"
-    return VideoTask(
-        id=variant,
-        motion=Motion.TURN,
-        size_m=0.05,
-        size_px=size_px,
-        centre_px=centre_px,
-        pivot_px=(411.0, 238.0),
-        mass_kg=_mass_kg(variant, "cube"),
-        friction=_friction(variant),
-        real={"de_n": 0.0},
-    )
-
-
-def _mass_kg(variant: str, body: str) -> float:
-    mass = load_experiment(variant).scene.body(body).mass_kg
-    assert mass is not None
-    return mass
-
-
-def _friction(variant: str) -> float:
-    """Return the friction between the cube and the plate of a turntable."""
-    contacts = load_experiment(variant).scene.contacts
-    return next(contact.friction for contact in contacts if {"cube", "plate"} == {*contact.first, *contact.second})
+    They are Table 3 of GAUGE's paper: ten configurations of six models.
+    """
+    found: dict[str, dict[tuple[str, str], float | None]] = {}
+    with (scoring_folder("published") / "world_model_results.csv").open(newline="", encoding="utf-8") as file:
+        for row in csv.DictReader(file):
+            key = (row.pop("variant"), PUBLISHED_NAMES[row.pop("metric")])
+            for name in ("real_baseline", "unit"):
+                row.pop(name, None)
+            for model, text in row.items():
+                found.setdefault(model, {})[key] = float(text) if text else None
+    return found

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.files import MEGABYTE, read_regular
-from gauge_envs.tools.video.grid import Registration
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video.frames import Registration
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX
 
 MOST_TRACK_BYTES = 16 * MEGABYTE
@@ -65,11 +66,11 @@ class Track:
 
     frames: NDArray[np.int64]
     fps: float
-    points_px: NDArray[np.float64]
-    confidence: NDArray[np.float64]
-    size_ratio: NDArray[np.float64]
+    points_px: FloatArray
+    confidence: FloatArray
+    size_ratio: FloatArray
     events: tuple[Event, ...] = ()
-    clock_s: NDArray[np.float64] | None = None
+    clock_s: FloatArray | None = None
     registration: Registration | None = None
 
     @property
@@ -78,9 +79,9 @@ class Track:
         return np.asarray(np.isfinite(self.points_px).all(axis=1))
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> FloatArray:
         """Times of the frames [s], shape [frame_count]."""
-        times: NDArray[np.float64] = self.frames / self.fps if self.clock_s is None else self.clock_s
+        times: FloatArray = self.frames / self.fps if self.clock_s is None else self.clock_s
         return times
 
 

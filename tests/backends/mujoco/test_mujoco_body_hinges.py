@@ -14,7 +14,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.errors import AssetError, BackendError
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.scene.scene import Scene
-from gauge_envs.tools.assets.mjcf import write_mjcf
+from gauge_envs.tools.assets.export import write_mjcf
 
 NAME = "ElbowToss-blocks"
 BODIES = ("first", "second")

@@ -17,7 +17,7 @@ from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, ShapeError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
-from gauge_envs.experiments.single_shot import shots_of
+from gauge_envs.experiments.resolve import shots_of
 
 SIZE = {"width": 240, "height": 180}
 

@@ -41,7 +41,7 @@ from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, Sample
 from gauge_envs.scene.usd.reader import from_usd, read_usd
 from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.assets.usd_layer import write_usd_layer
+from gauge_envs.tools.assets.export import write_usd_layer
 
 # --- every variant ---------------------------------------------------------------------------------------------------
 

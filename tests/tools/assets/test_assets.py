@@ -43,8 +43,7 @@ from gauge_envs.scene.fabrics import Fabric, isaac_surface
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
-from gauge_envs.tools.assets.mjcf import mjcf_text, write_mjcf
-from gauge_envs.tools.assets.usd_layer import usd_layer_text, write_usd_layer
+from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text, write_mjcf, write_usd_layer
 
 ALL = tuple(variant.name for variant in variants())
 DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")

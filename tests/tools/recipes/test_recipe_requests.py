@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
 from gauge_envs.errors import MissingExtraError, ParameterError
-from gauge_envs.experiments.fabrics import fabrics
+from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.closed_forms import ContactForm

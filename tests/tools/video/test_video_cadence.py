@@ -13,8 +13,7 @@ from clips import clip  # noqa: E402
 
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, score  # noqa: E402
-from gauge_envs.tools.video.cadence import cadence_of  # noqa: E402
-from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
+from gauge_envs.tools.video.frames import FileFrames, cadence_of  # noqa: E402
 from gauge_envs.tools.video.tasks import video_task  # noqa: E402
 from gauge_envs.tools.video.tracker import track_object  # noqa: E402
 

@@ -17,8 +17,11 @@ from typer.testing import CliRunner  # noqa: E402
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, score, video_task, video_tasks  # noqa: E402
-from gauge_envs.tools.video.frames import read_picture  # noqa: E402
-from gauge_envs.tools.video.grid import Registration, stretched  # noqa: E402
+from gauge_envs.tools.video.frames import (  # noqa: E402
+    Registration,
+    read_picture,
+    stretched,
+)
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline  # noqa: E402
 
 TASKS = [task.id for task in video_tasks()]

@@ -17,7 +17,7 @@ from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
-from gauge_envs.tools.video.published import published_results  # noqa: E402
+from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 
 FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
 
