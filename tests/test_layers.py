@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import shutil
+import tomllib
 from collections.abc import Iterator, Mapping
 from functools import cache
 from pathlib import Path
@@ -13,20 +14,10 @@ from places import ROOT
 
 PACKAGE = "gauge_envs"
 
-LAYERS = (
-    ("errors", "files"),
-    ("scene",),
-    ("backends", "references"),
-    ("observables",),
-    ("experiments",),
-    ("evaluation",),
-    ("envs",),
-    ("runs",),
-    ("pages",),
-    ("cli",),
-    ("tools",),
-    ("",),
-)
+STATED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"][0][
+    "layers"
+]
+LAYERS = (*(tuple(line.split(" | ")) for line in reversed(STATED)), ("",))
 """First-level modules, lowest first; those of one layer do not import each other. The last is the package itself."""
 
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
@@ -112,6 +103,21 @@ def test_the_first_level_is_small_and_has_a_place_in_the_stack() -> None:
     assert len(entries(ROOT)) <= ENTRY_LIMIT
 
 
+def past_doors(edges: Edges) -> list[str]:
+    """Imports of a module inside another instrument; only the door of its folder is for others."""
+    found = []
+    for name, targets in edges.items():
+        for target in targets:
+            inside = target.split(".")[1] == "tools" and target.count(".") > 2
+            if inside and name.split(".")[:3] != target.split(".")[:3] and first_level(name) == "tools":
+                found.append(f"{name} imports {target}")
+    return sorted(found)
+
+
+def test_an_instrument_is_used_through_its_door() -> None:
+    assert past_doors(import_edges(ROOT)) == []
+
+
 # --- planted faults: the checks above find them ---
 
 
@@ -160,6 +166,11 @@ def test_a_cycle_within_a_package_is_found(copy: Path) -> None:
         "def later():\n    import gauge_envs.scene.first\n", encoding="utf-8"
     )
     assert ["gauge_envs.scene.first", "gauge_envs.scene.second"] in cycles(import_edges(copy))
+
+
+def test_an_import_past_a_door_is_found(copy: Path) -> None:
+    edges = plant(copy, "tools/site/build.py", "from gauge_envs.tools.diagnose import error_budget")
+    assert past_doors(edges) == ["gauge_envs.tools.site.build imports gauge_envs.tools.diagnose.error_budget"]
 
 
 def test_an_entry_without_a_layer_is_found(copy: Path) -> None:

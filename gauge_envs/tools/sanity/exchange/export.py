@@ -27,8 +27,7 @@ from gauge_envs.files import MEGABYTE, json_document, read_regular
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.writer import scene_stage
-from gauge_envs.tools.assets.export import SOURCE
-from gauge_envs.tools.assets.urdf import body_files
+from gauge_envs.tools.assets import SOURCE, body_files
 from gauge_envs.tools.sanity.exchange.loop import run as run_exported
 from gauge_envs.tools.sanity.exchange.scenes import (
     COLUMNS,

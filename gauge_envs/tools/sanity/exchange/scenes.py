@@ -12,7 +12,7 @@ from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.files import json_ready, versions
 from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
 from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.tools.assets.urdf import BodyFile, body_files
+from gauge_envs.tools.assets import BodyFile, body_files
 from gauge_envs.tools.sanity.phenomena import phenomena, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
