@@ -14,10 +14,8 @@ from places import ROOT
 
 PACKAGE = "gauge_envs"
 
-STATED = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"][0][
-    "layers"
-]
-LAYERS = (*(tuple(line.split(" | ")) for line in reversed(STATED)), ("",))
+CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["importlinter"]["contracts"]
+LAYERS = (*(tuple(line.split(" | ")) for line in reversed(CONTRACTS[0]["layers"])), ("",))
 """First-level modules, lowest first; those of one layer do not import each other. The last is the package itself."""
 
 RANK = {name: rank for rank, names in enumerate(LAYERS) for name in names}
