@@ -1,1 +1,1 @@
-"""Discretization of deformable bodies, shared by the backends."""
+"""What backends share: values of contact pairs, states of rigid bodies, snapshots, grids of deformable bodies."""
