@@ -47,6 +47,7 @@ def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.Mo
     assert not (ROOT / path).exists()
     file = tmp_path / Path(path).name
     file.write_text(named.pop(path), encoding="utf-8")
+    model.checks()  # Checks that are imported later would be lost with the copy.
     monkeypatch.setattr(model, "_CHECKS", dict(model._CHECKS))
     monkeypatch.chdir(tmp_path)
     spec = importlib.util.spec_from_file_location(name, file)
