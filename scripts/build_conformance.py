@@ -1,7 +1,7 @@
 """Write the tables of `docs/engines/conformance.md` from `scoring/conformance.json`.
 
-    gauge backend check --all --out engines.json                                in each environment that has engines
-    gauge backend check --from engines.json --from genesis.json --out scoring/conformance.json
+    gauge backend check '*:*' --out engines.json                                in each environment that has engines
+    gauge backend check engines.json genesis.json --out scoring/conformance.json
     python scripts/build_conformance.py                                         writes the page
     python scripts/build_conformance.py --check                                 fails if the page is not current
 

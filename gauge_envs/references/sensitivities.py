@@ -9,11 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
-from pydantic import GetCoreSchemaHandler, GetPydanticSchema, PositiveInt, TypeAdapter
-from pydantic_core import core_schema
+from pydantic import AfterValidator, PlainSerializer, PositiveInt, TypeAdapter
 
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import os_errors, write_whole
@@ -55,14 +54,18 @@ def input_uncertainties() -> StandardUncertainties:
     return read_toml(scoring_folder("uncertainties.toml"), StandardUncertainties)
 
 
-def _table_schema(source: Any, handler: GetCoreSchemaHandler) -> core_schema.CoreSchema:
-    return core_schema.no_info_after_validator_function(
-        lambda rows: np.array(rows, dtype=np.float64),
-        handler.generate_schema(tuple[tuple[float, ...], ...]),
-        serialization=core_schema.plain_serializer_function_ser_schema(
-            lambda table: [[float(f"{value:.4g}") for value in row] for row in table.tolist()]
-        ),
-    )
+def _rounded(table: FloatArray) -> list[list[float]]:
+    return [[float(f"{value:.4g}") for value in row] for row in table.tolist()]
+
+
+if TYPE_CHECKING:
+    _Table = FloatArray
+else:
+    _Table = Annotated[
+        tuple[tuple[float, ...], ...],
+        AfterValidator(lambda rows: np.array(rows, dtype=np.float64)),
+        PlainSerializer(_rounded),
+    ]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -86,7 +89,7 @@ class InputUncertainty:
     std: Positive
     unit: str
     source: str
-    change: Annotated[FloatArray, GetPydanticSchema(_table_schema)]
+    change: _Table
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

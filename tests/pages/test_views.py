@@ -118,8 +118,8 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
     ("command", "most"),
     [
         (("list",), 84),
-        (("data", "status"), 160),
-        (("materials",), 80),
+        (("list", "references"), 160),
+        (("recipe", "fabrics"), 80),
         (("compare",), 90),
         (("run", IDS[0], "--out", "new"), 15),
         (("sanity", "HalfCheetah-v5"), 120),

@@ -99,7 +99,7 @@ def test_wrong_numbers_are_refused(changes: dict[str, Any], reason: str) -> None
     [
         ("SlopeSlider-2-wood", {"air.density_kg_per_m3": 1.2, "air.normal_coefficient": 1.0}, "no cloth"),
         (SATIN, {"air.density_kg_per_m3": 1.2}, r"air\.normal_coefficient"),
-        (SATIN, {"air.viscosity": 1.2}, "it has: density_kg_per_m3"),
+        (SATIN, {"air.viscosity": 1.2}, "known: density_kg_per_m3"),
         (SATIN, {"air.density_kg_per_m3": -1.2, "air.normal_coefficient": 1.0}, r"air\.density_kg_per_m3"),
     ],
 )

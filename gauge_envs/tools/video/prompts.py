@@ -7,7 +7,6 @@ each one is, its size and its hash.
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable
 from functools import cache, partial
 from http.client import HTTPException
@@ -160,10 +159,11 @@ def _copy(source: Path, file: InputFile) -> bytes:
 
 def _kept(path: Path, fault_of: Callable[[bytes], str]) -> bytes | None:
     """Return the content of a file that is there already; None if it is missing."""
-    if not os.path.lexists(path):
-        return None
     with os_errors(lambda cause: DatasetError(f"{path}: cannot be read: {cause}; name another folder")):
-        content = read_regular(path, MEGABYTE)
+        try:
+            content = read_regular(path, MEGABYTE)
+        except FileNotFoundError:
+            return None
     if fault := fault_of(content):
         raise DatasetError(f"{path} {fault}: move it away, or name another folder; no file was changed")
     return content

@@ -556,7 +556,7 @@ def test_every_setting_reaches_the_engine() -> None:
 
     def held(settings) -> tuple:
         world, (layouts,) = model.build_world([scene], settings)
-        body = world.rigid_bodies[layouts["cube"].handle]
+        body = world.rigid_bodies[layouts["cube"][0]]
         return (
             world.integration_parameters.to_bytes(),
             body.ccd_enabled,

@@ -181,6 +181,7 @@ def gauge(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     """Runs the command; `mutant` is an installed backend whose friction is 20 % low and which knows no cloth."""
     broken = Declines(FAULTS["friction-low"])
     known = registry.backend
+    monkeypatch.setattr(registry, "is_bundled", lambda name: True)
     monkeypatch.setattr(
         "gauge_envs.tools.conformance.run.find_backend", lambda name: broken if name == "mutant" else known(name)
     )

@@ -85,15 +85,6 @@ def test_an_engine_that_dies_costs_its_own_cells(installed: Callable[..., None],
     assert "SystemExit: 3" in text
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["*:*"],
-        ["x.json"],
-        ["mujoco:PGS"],
-        ["mujoco", "--out", "page.txt"],
-        [],
-    ],
-)
-def test_a_request_without_output_or_engine_is_refused(options: list[str]) -> None:
+@pytest.mark.parametrize("options", [["x.json"], ["mujoco:PGS", "--out", "page.txt"], ["mujoco:nope"], []])
+def test_a_request_without_engine_or_output_is_refused(options: list[str]) -> None:
     assert CliRunner().invoke(app, ["backend", "check", *options]).exit_code == 2

@@ -87,7 +87,7 @@ def gauge():
 def assert_spread(spread, values) -> None:
     assert spread.mean == pytest.approx(np.mean(values), abs=TOLERANCE)
     assert spread.std == pytest.approx(np.std(values, ddof=1), abs=TOLERANCE)
-    assert spread.count == len(values)
+    assert spread.trial_count == len(values)
 
 
 # --- statistics ------------------------------------------------------------------------------------------------------

@@ -114,7 +114,8 @@ def test_four_points_are_enough(tmp_path: Path) -> None:
         (LENS_AND_POSE + LEVEL.replace("sigma_m", "sigma"), "plane.sigma"),
         (LENS_AND_POSE + LEVEL + "[motion]\npivot_m = [0.1, 0.2]\npivot_sigma_m = 0\n", "pivot_m must be 3"),
         (
-            "size_px = [1280, 720]\n[points]\npx = [[0, 0], [1, 0], [1, 1]]\nm = [[0, 0], [1, 0], [1, 1]]\n",
+            "size_px = [1280, 720]\n[points]\npx = [[0, 0], [1, 0], [1, 1]]\nm = [[0, 0], [1, 0], [1, 1]]\n"
+            "sigma_px = 1\nsigma_m = 0\n",
             "at least 4",
         ),
         (
