@@ -29,7 +29,15 @@ PAGES = [page for page in PAGES if "_build" not in page.parts and DOCS / "studie
 STUDIES = sorted((ROOT / "studies").rglob("README.md"))
 PAGES += STUDIES
 
-RUN_ELSEWHERE = {"adding_an_engine.md", "assets.md", "control.md", "ecosystem.md"}
+RUN_ELSEWHERE = {
+    "adding_a_check.md",
+    "adding_a_phenomenon.md",
+    "adding_a_stack.md",
+    "adding_an_engine.md",
+    "assets.md",
+    "control.md",
+    "ecosystem.md",
+}
 """Pages whose code other tests run, as it needs an example package or takes long."""
 COMPILED_ONLY = {"sanity.md", "sanity_stacks.md"}
 """Pages whose code needs a user's own environment, or an engine that may be absent."""

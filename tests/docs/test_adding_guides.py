@@ -1,0 +1,214 @@
+"""Guides on adding a check, a phenomenon and a stack: files work, commands run, planted faults are found."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import re
+import shlex
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import mujoco
+import mutations
+import pytest
+from mutations import rigid_scenes
+from places import ROOT
+from typer.testing import CliRunner
+
+from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
+from gauge_envs.errors import TargetError
+from gauge_envs.tools.conformance import Status, model, run_checks
+from gauge_envs.tools.sanity import Verdict, check, configuration, phenomena, stacks
+from gauge_envs.tools.sanity.phenomena import phenomenon
+
+Parts = tuple[ModuleType, dict[str, str]]
+"""New module of a guide, and its other Python blocks by the file that they name; `` for one that names none."""
+
+RUNNER = CliRunner()
+
+
+def blocks(page: str, language: str) -> list[str]:
+    text = (ROOT / "docs" / page).read_text(encoding="utf-8")
+    return re.findall(rf"^```{language}\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+
+
+@pytest.fixture
+def parts(request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Parts:
+    """Import the file of a guide under the name that it would have in the package."""
+    named = {"".join(re.findall(r"\A# (\S+\.py)\n", block)): block for block in blocks(request.param, "python")}
+    (path,) = (name for name in named if name.startswith("gauge_envs/"))
+    name = path.removesuffix(".py").replace("/", ".")
+    assert not (ROOT / path).exists()
+    file = tmp_path / Path(path).name
+    file.write_text(named.pop(path), encoding="utf-8")
+    model.checks()  # Checks that are imported later would be lost with the copy.
+    monkeypatch.setattr(model, "_CHECKS", dict(model._CHECKS))
+    monkeypatch.chdir(tmp_path)
+    spec = importlib.util.spec_from_file_location(name, file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    monkeypatch.setitem(sys.modules, name, module)
+    spec.loader.exec_module(module)
+    return module, named
+
+
+def guide(page: str) -> pytest.MarkDecorator:
+    return pytest.mark.parametrize("parts", [page], indirect=True)
+
+
+def outputs(page: str, start: str) -> list[str]:
+    """Run the commands of a guide that have a start, and return what they print."""
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line.startswith(start)]
+    assert lines
+    results = [RUNNER.invoke(app, shlex.split(line)[1:]) for line in lines]
+    assert [one.output for one in results if one.exit_code] == []
+    return [one.stdout for one in results]
+
+
+def value_of(code: str, names: dict[str, Any]) -> Any:
+    """Return the value of the one expression of a block."""
+    (statement,) = ast.parse(code).body
+    assert isinstance(statement, ast.Expr)
+    return eval(compile(ast.Expression(statement.value), "guide", "eval"), names)
+
+
+@pytest.mark.parametrize("page", ["adding_a_check.md", "adding_a_phenomenon.md", "adding_a_stack.md"])
+def test_the_tests_that_a_guide_runs_exist(page: str) -> None:
+    lines = [line for block in blocks(page, "sh") for line in block.splitlines() if line.startswith("python ")]
+    files = [word for line in lines for word in line.split() if word.endswith(".py")]
+    assert files
+    assert [file for file in files if not (ROOT / file).is_file()] == []
+    known = "\n".join((ROOT / file).read_text(encoding="utf-8") for file in files)
+    chosen = re.findall(r"\b(?:every_check|faults_show)\b", " ".join(lines))
+    assert [name for name in chosen if name not in known] == []
+
+
+# --- a check ---------------------------------------------------------------------------------------------------------
+
+
+@guide("adding_a_check.md")
+def test_the_check_passes_and_is_the_only_one_that_its_fault_fails(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, others = parts
+    family = module.__name__.rpartition(".")[2]
+    monkeypatch.setattr(model, "FAMILIES", (*model.FAMILIES, family))
+    listed, ran = (
+        outputs("adding_a_check.md", "gauge list"),
+        outputs("adding_a_check.md", "gauge backend check mujoco "),
+    )
+    assert "fast-flight" in listed[0]
+    assert "pass" in ran[0]
+    name, fault = value_of(others["tests/mutations/rigid_scenes.py"], vars(rigid_scenes))
+    assert name not in mutations.FAULTS
+    mutant = mutations.Mutant(backend("mujoco"), fault)
+    results = list(run_checks(mutant, only=["free-*", "start-*", "spin-*", "slide*", "collision-*", "fast-flight"]))
+    assert [one.check for one in results if one.status is not Status.PASS] == [fault.caught_by]
+    assert fault.says in results[-1].diagnosis
+
+
+# --- a phenomenon ----------------------------------------------------------------------------------------------------
+
+
+@guide("adding_a_phenomenon.md")
+def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_planted(
+    parts: Parts, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module, others = parts
+    text = (ROOT / "docs" / "adding_a_phenomenon.md").read_text(encoding="utf-8")
+    ((name, file, function),) = re.findall(r'`"([\w-]+)": \("(\w+)", "(\w+)"\)`', text)
+    assert module.__name__.endswith(f".{file}")
+    monkeypatch.setitem(phenomena.RIGID, name, (file, function))
+    (listed,) = outputs("adding_a_phenomenon.md", "gauge list")
+    assert name in listed
+    default, documented = outputs("adding_a_phenomenon.md", "gauge sanity mujoco")
+    assert re.search(rf"^{name} .* inside$", default, flags=re.MULTILINE)
+    (drift_mm,) = re.findall(r"says \*wrong\*, ([\d.]+) mm", text)
+    assert re.search(rf"^{name} .* {re.escape(drift_mm)} +wrong", documented, flags=re.MULTILINE)
+    monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
+    planted = importlib.import_module("planted")
+    ((fault, changed),) = value_of(others["tests/tools/sanity/planted.py"], vars(planted)).items()
+    assert fault in planted.PLANTED
+    for one, verdict in ((None, Verdict.INSIDE), (changed, Verdict.WRONG)):
+        (row,) = check(mujoco.MjModel.from_xml_string(planted.model_xml(one)), only=[name]).rows
+        assert row.verdict is verdict
+    assert row.cause is not None
+    assert set(row.cause.settings) & set(changed.culprits)
+
+
+@guide("adding_a_phenomenon.md")
+def test_the_phenomenon_reads_a_known_motion(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
+    moved: Callable[..., Any] = importlib.import_module("sanity_cases").moved
+    drift = parts[0].drift()
+    times = [0.0, 0.25, 0.5]
+    across = drift.scenario.scene.body("board").pose.rotation.apply([[0.0, 1e-3 * way, 0.0] for way in (0, 2, 7)])
+    assert drift.read(moved(drift.scenario, times, cube=across)).value == pytest.approx(7.0)
+    assert phenomenon("slide-wood").scenario.name != drift.scenario.name
+
+
+# --- a stack ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def tiny(parts: Parts, monkeypatch: pytest.MonkeyPatch) -> Parts:
+    text = (ROOT / "docs" / "adding_a_stack.md").read_text(encoding="utf-8")
+    ((name, form),) = re.findall(r'`"(\w+)": r"(\S+)"`', text)
+    assert parts[0].__name__ == f"{stacks.__name__}.{name}"
+    monkeypatch.setattr(stacks, "TEXTS", {name: form, **stacks.TEXTS})
+    return parts
+
+
+@guide("adding_a_stack.md")
+def test_the_stack_is_read_and_its_change_is_printed(tiny: Parts, capsys: pytest.CaptureFixture[str]) -> None:
+    (content,) = blocks("adding_a_stack.md", "yaml")
+    Path("run.tiny").write_text(content, encoding="utf-8")
+    read = configuration(Path("run.tiny"))
+    assert read.settings == {"timestep_s": 0.005, "iterations": 20, "cone": "pyramidal"}
+    assert (read.frame_skip, read.gravity_m_per_s2) == (4, (0.0, 0.0, -9.81))
+    (printed,) = outputs("adding_a_stack.md", "gauge sanity")
+    text = (ROOT / "docs" / "adding_a_stack.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"It prints `(.*?)`", text)
+    assert printed.startswith(stated)
+    code = tiny[1][""]
+    capsys.readouterr()
+    exec(compile(code, "guide", "exec"), {})
+    assert capsys.readouterr().out.splitlines() == re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
+
+
+@guide("adding_a_stack.md")
+def test_reading_what_the_stack_writes_gives_the_settings_back(
+    tiny: Parts, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(ROOT / "tests" / "tools" / "sanity")
+    dialects = importlib.import_module("test_sanity_dialects")
+    names = dict(vars(dialects))
+    exec(compile(tiny[1]["tests/tools/sanity/test_sanity_dialects.py"], "guide", "exec"), names)
+    written = stacks.dialect("tiny")
+    for setting in written.settings:
+        for value in dialects.MUJOCO[setting.name]:
+            read = names["of_tiny"](written.paste_text({setting.name: value}), tmp_path)[setting.name]
+            assert read == (value if isinstance(value, str) else pytest.approx(value, rel=1e-6))
+
+
+@guide("adding_a_stack.md")
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        ("physics: {rate_hz: 0}", r"physics\.rate_hz is 0: give a positive number"),
+        ("physics: {friction_cone: round}", r"physics\.friction_cone is 'round': choose one of elliptic"),
+        ("physics: {solver_steps: 1.5}", r"physics\.solver_steps is 1\.5, and a whole number is expected"),
+        ("physics: !!python/object/apply:os.getcwd []", r"os\.getcwd would run code"),
+        ("physics: 4", "physics is 4, and a table is expected"),
+    ],
+)
+def test_the_stack_refuses_what_it_cannot_read(tiny: Parts, content: str, says: str) -> None:
+    Path("run.tiny").write_text(content, encoding="utf-8")
+    with pytest.raises(TargetError, match=says):
+        configuration(Path("run.tiny"))
