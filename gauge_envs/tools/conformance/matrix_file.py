@@ -12,7 +12,7 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.files import MEGABYTE, json_document, json_ready, read_regular, write_whole
+from gauge_envs.files import MEGABYTE, json_document, json_ready, os_errors, read_regular, write_whole
 from gauge_envs.tools.conformance.matrix import MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Outcome, Status, checks
 
@@ -56,11 +56,9 @@ def write_columns(columns: Sequence[MatrixColumn], path: Path) -> Path:
     """Write columns as JSON and return the path; `read_columns` reads them back."""
     rows = [_record(column) for column in columns]
     text = ",\n".join(json.dumps(row, ensure_ascii=False, allow_nan=False) for row in rows)
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_whole(path, f'{{"kind": "{KIND}", "columns": [\n{text}\n]}}\n'.encode())
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path
 
 

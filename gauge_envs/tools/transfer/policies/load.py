@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
-from gauge_envs.files import MEGABYTE, child_refusal, read_regular
+from gauge_envs.files import MEGABYTE, child_refusal, os_errors, read_regular
 from gauge_envs.tools.transfer.policies.normalization import read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 
@@ -116,10 +116,8 @@ def _onnx(file: Path, *, observation_size: int) -> Policy:
         import onnxruntime
     except ImportError as error:
         raise MissingExtraError("an ONNX policy", "onnx", error) from error
-    try:
+    with os_errors(lambda cause: PolicyError(f"{file}: cannot be read: {cause}")):
         content = read_regular(file, MOST_ONNX_BYTES)
-    except OSError as error:
-        raise PolicyError(f"{file}: cannot be read: {error.strerror or error}") from error
     refusal = child_refusal(Path(__file__).with_name("onnx_probe.py"), str(observation_size), content=content)
     if refusal is not None:
         raise PolicyError(f"{file}: {refusal}")
