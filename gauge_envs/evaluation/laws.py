@@ -86,7 +86,11 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     normal = facets[face, :3]
     downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
     sine = float(np.linalg.norm(downhill))
-    friction = _friction(scene, body, support)
+    friction = next(
+        contact.friction
+        for contact in scene.contacts
+        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
+    )
     acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
     if sine == 0.0 or acceleration <= 0.0:
         raise ShapeError(f"friction {friction:.4g} holds {body} on {support}: it does not slide")
@@ -149,12 +153,3 @@ def _pieces_m(body: RigidBody) -> list[FloatArray]:
 
 def _corners_m(body: RigidBody) -> FloatArray:
     return body.pose.to_world(body.shape.corners_m)
-
-
-def _friction(scene: Scene, body: str, support: str) -> float:
-    """Return the coefficient of friction of the contact of two bodies."""
-    return next(
-        contact.friction
-        for contact in scene.contacts
-        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
-    )

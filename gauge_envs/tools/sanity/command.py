@@ -144,7 +144,7 @@ def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> No
 def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
     """Return what decides whether a check fails, and prints regressions from a baseline."""
     from gauge_envs.tools.sanity import Verdict
-    from gauge_envs.tools.sanity.baseline import read_baseline, regressions
+    from gauge_envs.tools.sanity.run import read_baseline, regressions
 
     before = None if baseline is None else read_baseline(baseline)
     bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}

@@ -34,9 +34,8 @@ from gauge_envs.tools.diagnose.error_budget import (
     diagnose_trajectory,
     stage_order,
 )
-from gauge_envs.tools.diagnose.figure import draw_diagnoses
 from gauge_envs.tools.diagnose.model import BudgetStage, Diagnosis, StagePart
-from gauge_envs.tools.diagnose.words import diagnosis_document, findings
+from gauge_envs.tools.diagnose.words import diagnosis_document, draw_diagnoses, findings
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-2-wood",
