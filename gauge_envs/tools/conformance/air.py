@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Air, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import passive_energy_gain
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance

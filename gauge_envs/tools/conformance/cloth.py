@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Cloth, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab

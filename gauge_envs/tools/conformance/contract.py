@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, Hinge, Pose, Region, Scene, SoftBody
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import largest_mm

@@ -10,8 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Scene
 from gauge_envs.scene.drivers import Driver, TrapezoidProfile
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, driver_error, driver_poses, largest_mm

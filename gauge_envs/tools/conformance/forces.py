@@ -11,8 +11,18 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Vector
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+    Vector,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

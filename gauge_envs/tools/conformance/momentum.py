@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import BodyHinge, Box, Pose, RigidBody, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
 from gauge_envs.tools.conformance.lab import Lab

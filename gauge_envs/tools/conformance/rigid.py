@@ -5,8 +5,18 @@ from __future__ import annotations
 import numpy as np
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Tether
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import pendulum_period_s

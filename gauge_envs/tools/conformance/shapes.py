@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
     Box,
     Contact,
     ConvexUnion,

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
 from gauge_envs.tools.conformance.measurements import (

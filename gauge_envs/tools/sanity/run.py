@@ -18,8 +18,7 @@ from gauge_envs.tools.sanity.measure import Engine, Measured, Measurements, Time
 from gauge_envs.tools.sanity.model import Cure, GroupOutcome, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
 from gauge_envs.tools.sanity.rows import curve_of, result_of
-from gauge_envs.tools.sanity.stacks import configuration as configuration_of
-from gauge_envs.tools.sanity.stacks import dialect
+from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
 from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of
 

@@ -30,15 +30,7 @@ from gauge_envs.scene.usd.writer import scene_stage
 from gauge_envs.tools.assets.export import SOURCE
 from gauge_envs.tools.assets.urdf import body_files
 from gauge_envs.tools.sanity.exchange.loop import run as run_exported
-from gauge_envs.tools.sanity.exchange.scenes import (
-    COLUMNS,
-    DRIVERS,
-    FORMAT,
-    MANIFEST,
-    ExportedScene,
-    manifest,
-    scenes,
-)
+from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, DRIVERS, FORMAT, MANIFEST, ExportedScene, manifest, scenes
 
 MOST_MANIFEST_BYTES = 4 * MEGABYTE
 """Largest size of a manifest."""
