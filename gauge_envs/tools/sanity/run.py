@@ -12,12 +12,18 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, read_regular, versions
-from gauge_envs.tools.sanity.cause import find_cause
-from gauge_envs.tools.sanity.cure import find_cure
-from gauge_envs.tools.sanity.measure import Engine, Measured, Measurements, TimeLimitError, simulation_limit_s
+from gauge_envs.tools.sanity.cause import find_cause, find_cure
+from gauge_envs.tools.sanity.measure import (
+    Engine,
+    Measured,
+    Measurements,
+    TimeLimitError,
+    curve_of,
+    result_of,
+    simulation_limit_s,
+)
 from gauge_envs.tools.sanity.model import Cure, GroupOutcome, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
-from gauge_envs.tools.sanity.rows import curve_of, result_of
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
 from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of

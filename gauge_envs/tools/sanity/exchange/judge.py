@@ -24,12 +24,11 @@ from gauge_envs.scene import Box, Sphere
 from gauge_envs.tools.sanity.exchange.export import MOST_MANIFEST_BYTES
 from gauge_envs.tools.sanity.exchange.motion import driver_misses, read_motion
 from gauge_envs.tools.sanity.exchange.scenes import FORMAT, MANIFEST, MOTION, VERSION, ExportedScene, scenes
-from gauge_envs.tools.sanity.measure import Measured, judged
+from gauge_envs.tools.sanity.measure import Measured, curve_of, judged, result_of
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import GRAVITY_ID, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.impact import CLEAR_MM
-from gauge_envs.tools.sanity.rows import curve_of, result_of
 from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stated import gravity_row
 
