@@ -22,10 +22,9 @@ from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import passive_energy_gain
+from gauge_envs.tools.conformance.lab import FRAME, Lab, clamped, fabric, sheet
+from gauge_envs.tools.conformance.laws import passive_energy_gain
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
-from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, fabric, sheet
 
 DENSITY, COEFFICIENT = 1.2, 1.5
 FABRIC = fabric(0.1, 110.0, 1e-4)

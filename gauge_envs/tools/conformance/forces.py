@@ -26,11 +26,9 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, push
-from gauge_envs.tools.conformance.laws import pendulum_period_s
-from gauge_envs.tools.conformance.measurements import mean_period_s
+from gauge_envs.tools.conformance.lab import Lab, body, push
+from gauge_envs.tools.conformance.laws import mean_period_s, pendulum_period_s
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tolerance
-from gauge_envs.tools.conformance.scene_parts import body
 
 
 def _block(low: Vector, high: Vector) -> tuple[Vector, ...]:

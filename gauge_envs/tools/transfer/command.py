@@ -147,8 +147,7 @@ def transfer_envelope(
     """
     from gauge_envs.envs.control.tasks import control_tasks
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.transfer.envelope import experiment_envelope
-    from gauge_envs.tools.transfer.envelope_statistics import envelope_report
+    from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.randomization import write_randomization
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 

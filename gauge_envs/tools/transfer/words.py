@@ -13,8 +13,7 @@ from gauge_envs.pages.document import Document, Paragraph
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import counted, value_text, with_unit
-from gauge_envs.tools.transfer.envelope import Envelope
-from gauge_envs.tools.transfer.envelope_statistics import EnvelopeReport, is_constant
+from gauge_envs.tools.transfer.envelope import Envelope, EnvelopeReport, is_constant
 from gauge_envs.tools.transfer.transfer import FALL_SHARE, Estimate, TransferReport, WorldTransfer
 
 if TYPE_CHECKING:

@@ -15,9 +15,8 @@ from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfigurat
 from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
-from gauge_envs.tools.sanity.stacks.documents import file_value
+from gauge_envs.tools.sanity.stacks.documents import Table, file_value
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
 
 
 def _choice(*names: str) -> Kind:

@@ -17,10 +17,9 @@ from gauge_envs.errors import TargetError
 from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Setting, number_text
-from gauge_envs.tools.sanity.stacks.documents import MOST_YAML_BYTES, read_yaml
+from gauge_envs.tools.sanity.stacks.documents import MOST_YAML_BYTES, Table, read_yaml
 from gauge_envs.tools.sanity.stacks.physx import SOLVER, Material, PhysxValues, combined, drawn_range, stated_material
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
 
 MARK = "num_position_iterations"
 """Key that only this style has."""

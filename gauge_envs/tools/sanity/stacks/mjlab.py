@@ -26,10 +26,9 @@ from gauge_envs.tools.sanity.python_source.values import External, Instance, Mod
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text
-from gauge_envs.tools.sanity.stacks.documents import read_yaml
+from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
 from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
 
 PREFIX = "mjlab:"
 """Start of the name of a task."""
