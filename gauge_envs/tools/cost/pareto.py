@@ -1,4 +1,7 @@
-"""Runs of one experiment by engine and preset, with their errors: points, families and phenomena of results; `model` states the definitions."""
+"""Runs of one experiment by engine and preset, with their errors: points, families and phenomena of results.
+
+`model` states the definitions.
+"""
 
 from __future__ import annotations
 

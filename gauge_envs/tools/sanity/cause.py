@@ -65,21 +65,19 @@ def find_cause(
     return search.put_back_one() or search.default_is_no_better() or search.each_alone() or search.together()
 
 
+@dataclass
 class _Search:
     """Changes settings, measures one phenomenon again, and keeps a list of all trials."""
 
-    def __init__(
-        self,
-        measurements: Measurements,
-        phenomenon: Phenomenon,
-        settings: Mapping[str, Any],
-        configured: Measured,
-        default: Measured,
-        dialect: Dialect,
-    ) -> None:
-        self._measurements, self._phenomenon, self._settings = measurements, phenomenon, settings
-        self._configured, self._default, self._dialect = configured, default, dialect
-        self._others = alternatives(measurements, phenomenon.scenario, settings)
+    measurements: Measurements
+    phenomenon: Phenomenon
+    settings: Mapping[str, Any]
+    configured: Measured
+    default: Measured
+    dialect: Dialect
+
+    def __post_init__(self) -> None:
+        self._others = alternatives(self.measurements, self.phenomenon.scenario, self.settings)
         self._best = {name: several[-1] for name, several in self._others.items()}
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
@@ -88,7 +86,7 @@ class _Search:
     def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
         return math.isfinite(changed.deviation) and changed.deviation <= max(
-            INSIDE_WITHIN, 0.5 * self._configured.deviation
+            INSIDE_WITHIN, 0.5 * self.configured.deviation
         )
 
     def put_back_one(self) -> Cause | None:
@@ -120,10 +118,10 @@ class _Search:
         """
         self._alone |= {name: self._on_default(name) for name in names}
         best = max(names, key=lambda name: self._shift(self._alone[name]))
-        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self._phenomenon.reality.tolerance else None
+        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self.phenomenon.reality.tolerance else None
 
     def _shift(self, alone: Measured) -> float:
-        default, configured = self._default.value, self._configured.value
+        default, configured = self.default.value, self.configured.value
         if alone.verdict is Verdict.DECLINED:
             return -math.inf
         if alone.value is None or default is None or configured is None:
@@ -166,7 +164,7 @@ class _Search:
         matter = [
             name
             for name in self._others
-            if _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
+            if _is_seen(self.configured, self._put_back[name]) or _is_seen(self.default, self._alone[name])
         ]
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
@@ -181,9 +179,9 @@ class _Search:
 
     def default_is_no_better(self) -> Cause | None:
         """Return that this package's preset has at least half of the error, if it has."""
-        if self._explains(self._default):
+        if self._explains(self.default):
             return None
-        text = self._measured_text(self._default)
+        text = self._measured_text(self.default)
         return self._unexplained(f"no setting alone explains it; this package's preset: {text}")
 
     def _unexplained(self, line: str) -> Cause:
@@ -191,7 +189,7 @@ class _Search:
 
     def _of_preset(self, name: str) -> Alternative:
         """Return the value of a setting in this package's preset of the scene."""
-        preset = self._measurements.in_force(self._phenomenon.scenario, {})
+        preset = self.measurements.in_force(self.phenomenon.scenario, {})
         return replace(self._best[name], value=preset[name], source=preset_label(preset))
 
     # --- changes ---
@@ -200,8 +198,8 @@ class _Search:
         return self._changed({name: self._best[name].value for name in names})
 
     def _changed(self, changes: dict[str, Any], *, on_default: bool = False) -> Measured:
-        settings = changes if on_default else {**self._settings, **changes}
-        measured = self._measurements.measure(self._phenomenon, settings)
+        settings = changes if on_default else {**self.settings, **changes}
+        measured = self.measurements.measure(self.phenomenon, settings)
         self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=on_default))
         return measured
 
@@ -213,23 +211,23 @@ class _Search:
     def _measured_text(self, measured: Measured) -> str:
         if measured.value is None:
             return measured.remark
-        unit = "" if self._phenomenon.unit == "1" else f" {self._phenomenon.unit}"
+        unit = "" if self.phenomenon.unit == "1" else f" {self.phenomenon.unit}"
         return f"{measured.value:.3g}{unit}"
 
     def _assignment(self, name: str) -> str:
-        text = self._dialect.assignment(name, self._best[name].value)
-        return text if self._dialect.writes(name) else f"{text} (which the target has no key for)"
+        text = self.dialect.assignment(name, self._best[name].value)
+        return text if self.dialect.writes(name) else f"{text} (which the target has no key for)"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
         chosen = [self._best[name] for name in names]
         subject = " and ".join(
-            f"{self._assignment(one.name)} instead of {self._dialect.value_text(one.name, one.was)}" for one in chosen
+            f"{self._assignment(one.name)} instead of {self.dialect.value_text(one.name, one.was)}" for one in chosen
         )
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
         verb = "brings" if len(names) == 1 else "bring"
         line = (
-            f"{subject}{together} {verb} {self._phenomenon.quantity} from {self._measured_text(self._configured)} "
+            f"{subject}{together} {verb} {self.phenomenon.quantity} from {self._measured_text(self.configured)} "
             f"to {self._measured_text(changed)}{also}; from {sources}"
         )
         return Cause(settings=names, line=line, tried=tuple(self._tried))

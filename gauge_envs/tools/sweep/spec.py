@@ -164,11 +164,7 @@ def _located(path: Path, name: str) -> str:
     if not is_experiment_file(Path(name)):
         return name
     file = path.parent / name
-    try:
-        reason = outside_reason(file, path)
-    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
-        reason = "it is no name of a file"
-    if reason:
+    if reason := outside_reason(file, path):
         raise SweepFileError(path, "variants", reason)
     return str(file)
 
