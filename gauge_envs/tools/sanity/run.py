@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
-from gauge_envs.files import MEGABYTE, json_document, read_regular, versions
+from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
 from gauge_envs.tools.sanity.cause import find_cause, find_cure
 from gauge_envs.tools.sanity.measure import (
     Engine,
@@ -193,14 +193,10 @@ def read_baseline(path: Path) -> dict[str, Verdict]:
     Args:
         path: File with the output of `gauge sanity TARGET --json`.
     """
-    try:
+    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
         content = read_regular(path, MOST_BASELINE_BYTES)
-        lines = [json_document(line) for line in content.splitlines() if line.strip()]
-    except OSError as error:
-        raise TargetError(f"{path}: cannot be read: {error.strerror or error}") from None
-    except ValueError as error:
-        raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
     try:
+        lines = [json_document(line) for line in content.splitlines() if line.strip()]
         found = {line["phenomenon"]: Verdict(line["verdict"]) for line in lines if "phenomenon" in line}
     except (TypeError, ValueError, KeyError) as error:
         raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
