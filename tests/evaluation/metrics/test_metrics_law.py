@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics.law import fitted_acceleration
+from gauge_envs.evaluation.laws import fitted_acceleration
 
 TIMES_S = np.arange(20) / 30
 
