@@ -1,4 +1,4 @@
-"""Closed forms of rigid motions until an event: free flight until a contact, a slide until it tips over; and its fit."""
+"""Closed forms of rigid motions until an event: free flight to a contact, a slide until it tips over; and its fit."""
 
 from __future__ import annotations
 
