@@ -25,8 +25,7 @@ FRAME_COUNT, MARKER_COUNT = 562, 63
 def competitors(first: np.ndarray, second: np.ndarray) -> dict[str, Callable[[], object]]:
     try:
         from dtaidistance import dtw_ndim
-        from tslearn.metrics import dtw_path as tslearn_path
-        from tslearn.metrics import dtw_path_from_metric
+        from tslearn.metrics import dtw_path as tslearn_path, dtw_path_from_metric
     except ImportError as error:
         raise MissingExtraError("the DTW benchmark", "bench", error) from error
     return {

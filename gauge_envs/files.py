@@ -136,9 +136,12 @@ def outside_reason(named: Path, by: Path) -> str:
         named: The file.
         by: The file that names it.
     """
-    folders = file_folders(by)
-    if not folders or any(named.resolve().is_relative_to(folder) for folder in folders):
-        return ""
+    try:
+        folders = file_folders(by)
+        if not folders or any(named.resolve().is_relative_to(folder) for folder in folders):
+            return ""
+    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
+        return "it is no name of a file"
     return (
         f"{printable(str(named))} is outside the folder of {by.name}: move it there, or set {OUTSIDE_VARIABLE}=1 "
         "if you trust the file"

@@ -18,8 +18,7 @@ from generated import ROOT, markdown_table, with_part, write_or_check
 
 from gauge_envs.pages.text import markdown_text, pairs_text
 from gauge_envs.tools.conformance import checks
-from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn
-from gauge_envs.tools.conformance.matrix_file import read_columns
+from gauge_envs.tools.conformance.matrix import CANONICAL, MatrixColumn, read_columns
 from gauge_envs.tools.conformance.model import CheckResult, Status
 from gauge_envs.tools.conformance.words import error_text, expected_text, measured_text, tally
 

@@ -1,4 +1,4 @@
-"""Closed forms of rigid motions until an event: free flight until the first contact, and a slide until it tips over."""
+"""Closed forms of rigid motions until an event: free flight to a contact, a slide until it tips over; and its fit."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
@@ -86,7 +86,11 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     normal = facets[face, :3]
     downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
     sine = float(np.linalg.norm(downhill))
-    friction = _friction(scene, body, support)
+    friction = next(
+        contact.friction
+        for contact in scene.contacts
+        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
+    )
     acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
     if sine == 0.0 or acceleration <= 0.0:
         raise ShapeError(f"friction {friction:.4g} holds {body} on {support}: it does not slide")
@@ -151,10 +155,25 @@ def _corners_m(body: RigidBody) -> FloatArray:
     return body.pose.to_world(body.shape.corners_m)
 
 
-def _friction(scene: Scene, body: str, support: str) -> float:
-    """Return the coefficient of friction of the contact of two bodies."""
-    return next(
-        contact.friction
-        for contact in scene.contacts
-        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
-    )
+# --- fit -------------------------------------------------------------------------------------------------------------
+
+
+def fitted_acceleration(times_s: ArrayLike, displacement_m: ArrayLike) -> float:
+    """Return the acceleration of a motion from rest, by least squares of s = b + a t^2 / 2 (paper).
+
+    Args:
+        times_s: Times since the release, shape [sample_count], s.
+        displacement_m: Signed displacement along the direction of motion, shape [sample_count], m.
+
+    Returns:
+        The acceleration a, m/s^2.
+    """
+    times_s, displacement_m = np.asarray(times_s, dtype=np.float64), np.asarray(displacement_m, dtype=np.float64)
+    if times_s.ndim != 1 or displacement_m.shape != times_s.shape:
+        raise ShapeError(f"times_s has shape {times_s.shape}, displacement_m {displacement_m.shape}; one for each time")
+    if not (np.isfinite(times_s).all() and np.isfinite(displacement_m).all()):
+        raise ShapeError("times and values must be finite; leave missing samples out, with their times")
+    if len(np.unique(times_s)) < 2:
+        raise ShapeError(f"{len(np.unique(times_s))} different times; at least 2 are needed")
+    terms = np.vander(times_s**2, 2, increasing=True)
+    return 2 * float(np.linalg.lstsq(terms, displacement_m, rcond=None)[0][1])

@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, read_regular
+from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, os_errors, read_regular
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -197,10 +197,8 @@ Columns = tuple[NDArray[np.float64] | None, NDArray[np.float64], NDArray[np.floa
 
 
 def _bytes(file: Path) -> bytes:
-    try:
+    with os_errors(lambda cause: TrajectoryFileError(f"{file}: cannot be read: {cause}")):
         content = read_regular(file, MOST_FILE_BYTES)
-    except OSError as error:
-        raise TrajectoryFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     if not content.strip():
         raise TrajectoryFileError(f"{file}: the file is empty")
     return content

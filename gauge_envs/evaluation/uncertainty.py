@@ -364,11 +364,6 @@ def _root_of_frames(known: NDArray[np.bool_]) -> float:
     return math.sqrt(max(int(known.any(axis=1).sum()), 1))
 
 
-def _by_coordinate(spread: FloatArray) -> list[FloatArray]:
-    """Return an error shape for each coordinate, of spreads of shape [T, C] that are constant in time."""
-    return [unit * spread for unit in np.eye(spread.shape[1])]
-
-
 def _random(name: str) -> np.random.Generator:
     """Return the random numbers of one contribution; the same name gives the same numbers on every engine."""
     return np.random.default_rng([SEED, *name.encode()])
@@ -444,7 +439,7 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
     ):
         spread = np.where(frames[:, None] & np.isfinite(band.uncertainty), band.uncertainty, 0.0)
         if spread.any():
-            columns = _by_coordinate(spread)
+            columns = [unit * spread for unit in np.eye(spread.shape[1])]
             factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
             shapes.add(name, kind, "B", "uncertainty of the mean in the band's table", columns, factors)
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE, os_errors, read_regular
 from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
@@ -34,10 +34,8 @@ MOST_ASSET_BYTES = 256 * MEGABYTE
 
 def read_bytes(path: Path) -> bytes:
     """Return the content of an asset."""
-    try:
+    with os_errors(lambda cause: AssetError(path, "", f"cannot be read: {cause}")):
         return read_regular(path, MOST_ASSET_BYTES)
-    except OSError as error:
-        raise AssetError(path, "", f"cannot be read: {error.strerror or error}") from error
 
 
 def contents_sha256(contents: Sequence[bytes]) -> str:

@@ -173,11 +173,7 @@ def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
 def _named_file(path: Path, key: str, name: str) -> Path:
     """Return the path of a file that an experiment file names."""
     file = path.parent / name
-    try:
-        reason = outside_reason(file, path)
-    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
-        reason = "it is no name of a file"
-    if reason:
+    if reason := outside_reason(file, path):
         raise TaskFileError(path, key, reason)
     return file
 

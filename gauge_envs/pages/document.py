@@ -26,7 +26,7 @@ from rich.console import Console, ConsoleOptions, RenderResult
 from rich.text import Text
 
 from gauge_envs.errors import ResultFileError
-from gauge_envs.files import json_ready, write_whole
+from gauge_envs.files import json_ready, os_errors, write_whole
 from gauge_envs.pages.html import Html, element, framed, join, listed
 from gauge_envs.pages.table import Table
 from gauge_envs.pages.text import markdown_text
@@ -211,10 +211,8 @@ def page(title: str, parts: Iterable[Part], *, above: Html | None = None, **fram
 
 def save_file(path: Path, content: str | bytes) -> Path:
     """Write a text or a picture whole or not at all, and return its path; the folder is created."""
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}")):
         path.parent.mkdir(parents=True, exist_ok=True)
         # A lone surrogate in a file of a stranger has no UTF-8.
         write_whole(path, content if isinstance(content, bytes) else content.encode(errors="backslashreplace"))
-    except OSError as error:
-        raise ResultFileError(f"{path}: cannot be written: {error.strerror or error}") from error
     return path

@@ -14,14 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
-from gauge_envs.references.tables import (
-    FileModel,
-    FrameRow,
-    frame_table,
-    read_frames,
-    read_toml,
-    scoring_folder,
-)
+from gauge_envs.references.tables import FileModel, FrameRow, frame_table, read_frames, read_toml, scoring_folder
 from gauge_envs.scene.geometry import FloatArray
 
 

@@ -14,6 +14,7 @@ from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of
 from gauge_envs.envs.arguments import check_support, start_of
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.files import os_errors
 from gauge_envs.runs.episodes import planned_result, run_episodes
 from gauge_envs.runs.isolation import TIME_LIMIT_S, CrashError, Worker
 from gauge_envs.runs.request import RunRequest
@@ -234,7 +235,7 @@ def attempt(request: RunRequest, planned: Sequence[Result]) -> tuple[list[Result
 def check_writable(out: Path) -> None:
     """Create a folder for results if it does not exist, and remove what killed runs left half-written in it."""
     probe = out / f".probe.{os.getpid()}.tmp"
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{out}: results cannot be written there: {cause}")):
         out.mkdir(parents=True, exist_ok=True)
         probe.write_bytes(b"")
         probe.unlink()
@@ -242,8 +243,6 @@ def check_writable(out: Path) -> None:
             with suppress(OSError):
                 if time.time() - file.stat().st_mtime > LEFTOVER_AGE_S:
                     file.unlink()
-    except OSError as error:
-        raise ResultFileError(f"{out}: results cannot be written there: {error.strerror or error}") from error
 
 
 SAME_EPISODE = (

@@ -25,7 +25,7 @@ from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experi
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, chosen
 from gauge_envs.experiments.experiment import AssetKind, Experiment
-from gauge_envs.files import MEGABYTE, npz_arrays, read_regular, write_whole
+from gauge_envs.files import MEGABYTE, npz_arrays, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.result import Result
@@ -131,10 +131,8 @@ def load_or_replay(result: Result, file: Path, *, views_per_frame: int | None = 
         views_per_frame: Recorded views in each frame: 1, 2, 3 or 6. A replay with another number than the default
             is run, and neither read nor written.
     """
-    try:
+    with os_errors(lambda cause: ReplayError(f"{file}: cannot be read: {cause}")):
         key = np.frombuffer(hashlib.sha256(file.read_bytes()).digest(), dtype=np.uint8)
-    except OSError as error:
-        raise ReplayError(f"{file}: cannot be read: {error.strerror or error}") from error
     path = replay_path(file)
     is_default = views_per_frame is None or views_per_frame == default_views_per_frame(
         recorded_experiment(result).scene

@@ -18,7 +18,7 @@ from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, fir
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
-from gauge_envs.files import MEGABYTE, json_document, read_regular, write_whole
+from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
@@ -57,10 +57,8 @@ def _digest(values: Mapping[str, Any]) -> str:
 def write_result(result: Result, file: Path) -> None:
     """Write a result file, whole or not at all."""
     text = json.dumps(result.to_dict(), allow_nan=False) + "\n"
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")):
         write_whole(file, text.encode())
-    except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error
 
 
 def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:

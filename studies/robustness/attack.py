@@ -49,8 +49,7 @@ from gauge_envs.runs.result_file import load_result, write_result
 from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.conformance import checks
-from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
-from gauge_envs.tools.conformance.matrix_file import read_columns, write_columns
+from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns, run_column, write_columns
 from gauge_envs.tools.conformance.words import matrix_document
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.tools.dataset.trial import TrialError, parse_trial
@@ -62,7 +61,7 @@ from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.tools.sweep.store import SweepFolder, update_store
-from gauge_envs.tools.transfer.policies.normalization import read_normalization
+from gauge_envs.tools.transfer.policies.load import read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.video import read_camera, read_track
 

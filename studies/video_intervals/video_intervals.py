@@ -26,9 +26,9 @@ from gauge_envs.tools.video import Motion, Track, VideoTask, score_track, video_
 from gauge_envs.tools.video.frames import FileFrames
 from gauge_envs.tools.video.interval import WINDOW
 from gauge_envs.tools.video.laws import fit_constant_acceleration
-from gauge_envs.tools.video.page import find_videos
 from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.tracker import track_object
+from gauge_envs.tools.video.words import find_videos
 
 FEWEST = 6
 """Fewest frames of an interval."""

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import Backend, ReplayedSimulation, Simulation, Support, backend
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
+from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Contact, Pose, Scene
 from gauge_envs.tools.conformance import Status, run_checks

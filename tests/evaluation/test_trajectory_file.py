@@ -5,8 +5,7 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from slide import FRAMES, NAME, RESOLVED, SLIDE, TIMES, coulomb_slide, write_csv
 
 from gauge_envs import load_experiment, reference_band, score_trajectory

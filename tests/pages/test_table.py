@@ -8,8 +8,7 @@ from io import StringIO
 from typing import Any
 
 import pytest
-from hypothesis import example, given, settings
-from hypothesis import strategies as st
+from hypothesis import example, given, settings, strategies as st
 from rich.console import Console
 
 from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows

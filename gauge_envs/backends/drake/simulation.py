@@ -13,8 +13,14 @@ from pydrake.multibody.plant import ExternallyAppliedSpatialForce
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.drake.model import build_model
 from gauge_envs.backends.drake.settings import SettingsDrake
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, hinges_by_body, placed_states, tether_pull
+from gauge_envs.backends.shared.rigid import (
+    DrivenMotion,
+    PlacedWorld,
+    body_state,
+    hinges_by_body,
+    placed_states,
+    tether_pull,
+)
 from gauge_envs.scene import Motion, Pose, Scene, Tether
 from gauge_envs.scene.meshes import body_mass_properties
 

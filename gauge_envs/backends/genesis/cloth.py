@@ -32,7 +32,7 @@ from gauge_envs.backends.genesis.pbd_settings import (
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
 from gauge_envs.scene.fabrics import Fabric, genesis_pbd

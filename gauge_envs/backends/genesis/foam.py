@@ -31,7 +31,7 @@ from gauge_envs.backends.genesis.foam_settings import (
 )
 from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
 from gauge_envs.backends.shared.bundled import replaced
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
     TetrahedralMesh,

@@ -14,7 +14,7 @@ from gauge_envs.backends.genesis.document import COUPLED_BIT, body_label
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Scene
 

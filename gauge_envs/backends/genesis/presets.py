@@ -15,7 +15,7 @@ from gauge_envs.backends.genesis.pbd_settings import pbd_presets
 from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
 from gauge_envs.backends.settings import resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
-from gauge_envs.backends.shared.bundled import first_of
+from gauge_envs.backends.shared.bundled import declined_hinges, first_of
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.errors import UnsupportedSceneError
@@ -79,10 +79,7 @@ def _preset_name(scene: Scene) -> str:
 def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
     """Yield one sentence for each kind of unsupported feature of a scene."""
     hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
-    for name, count in hinges.items():
-        if count > 1:
-            yield f"{name!r} hangs on {count} hinges: this backend builds one hinge per body"
-            break
+    yield from declined_hinges(hinges)
     for joint in scene.joints:
         if scene.body(joint.body).motion is not Motion.DYNAMIC:
             motion = scene.body(joint.body).motion.value

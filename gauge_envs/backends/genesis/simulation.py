@@ -16,8 +16,7 @@ from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.model import Model, borrow_model, return_model, start_coordinates
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, placed_states, tether_pull
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states, tether_pull
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether

@@ -13,7 +13,7 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
-from gauge_envs.backends.shared.bundled import BundledBackend, first_of
+from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
@@ -52,10 +52,7 @@ class BackendPhysX(BundledBackend):
                 "bodies only; its cloth and soft bodies need a GPU and Isaac Sim"
             )
         hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
-        for name, count in hinges.items():
-            if count > 1:
-                yield f"{name!r} hangs on {count} hinges: this backend builds one hinge per body"
-                break
+        yield from declined_hinges(hinges)
         for name in hinges:
             motion = scene.body(name).motion
             if motion is not Motion.DYNAMIC:

@@ -11,8 +11,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, placed_states
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene
 from gauge_envs.scene.geometry import pose_distance

@@ -13,8 +13,7 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.rigid import PlacedWorld, body_state, placed_states
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.scene import Motion, Plane, Pose, Scene
 from gauge_envs.scene.geometry import vector
 

@@ -14,8 +14,7 @@ from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, Layout, build_world, isometry
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
-from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import ConvexUnion, Pose, Scene
 

@@ -29,8 +29,7 @@ from gauge_envs.scene.usd.deformables import (
     read_markers,
     world_points,
 )
-from gauge_envs.scene.usd.driven import driven_body
-from gauge_envs.scene.usd.joints import is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
+from gauge_envs.scene.usd.joints import driven_body, is_welded, joins_bodies, joint_prims, read_body_hinge, read_joint
 from gauge_envs.scene.usd.layer import WRITTEN
 from gauge_envs.scene.usd.pairs import PairOptions, Party, contacts_of
 from gauge_envs.scene.usd.solids import inertia_kg_m2, mass_kg, solid_of

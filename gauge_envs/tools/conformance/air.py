@@ -21,12 +21,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Air, Pose, Region, Scene
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import passive_energy_gain
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
+from gauge_envs.tools.conformance.lab import FRAME, Lab, clamped, fabric, sheet
+from gauge_envs.tools.conformance.laws import passive_energy_gain
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
-from gauge_envs.tools.conformance.scene_parts import FRAME, clamped, fabric, sheet
 
 DENSITY, COEFFICIENT = 1.2, 1.5
 FABRIC = fabric(0.1, 110.0, 1e-4)
@@ -99,8 +97,9 @@ def _in_wind(lab: Lab, seconds: float, **coefficients: Any) -> tuple[Rollout, ND
     return rollout, moved[:, [0, 2]]
 
 
-def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Measurement:
+def _carried(lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float) -> Measurement:
     """Measure the displacement [mm] by a force along one axis, against the closed form for a component of the wind."""
+    _, moved_m = _in_wind(lab, DRAG_S, **coefficient)
     expected = wind_m_per_s * DRAG_S - math.log1p(RATE_PER_M * wind_m_per_s * DRAG_S) / RATE_PER_M
     last = moved_m[-1]
     hint = ""
@@ -124,8 +123,7 @@ def _carried(moved_m: NDArray[np.float64], axis: int, wind_m_per_s: float) -> Me
     "the normal",
 )
 def _air_pressure(lab: Lab) -> Measurement:
-    _, moved = _in_wind(lab, DRAG_S, normal_coefficient=COEFFICIENT)
-    return _carried(moved, 1, ACROSS_M_PER_S)
+    return _carried(lab, 1, ACROSS_M_PER_S, normal_coefficient=COEFFICIENT)
 
 
 @Check(
@@ -141,8 +139,7 @@ def _air_pressure(lab: Lab) -> Measurement:
     "counts both sides",
 )
 def _air_friction(lab: Lab) -> Measurement:
-    _, moved = _in_wind(lab, DRAG_S, tangential_coefficient=COEFFICIENT)
-    return _carried(moved, 0, ALONG_M_PER_S)
+    return _carried(lab, 0, ALONG_M_PER_S, tangential_coefficient=COEFFICIENT)
 
 
 @Check(

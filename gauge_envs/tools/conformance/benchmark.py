@@ -8,11 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.runs.rollout import DeclinedError
-from gauge_envs.tools.conformance.continuation import (
-    CONTINUATION,
-    continuation_differences,
-    continuation_measurement,
-)
+from gauge_envs.tools.conformance.continuation import CONTINUATION, continuation_differences, continuation_measurement
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Measurement
 

@@ -7,7 +7,7 @@ differences between laws of large strain do not matter. The closed form is fitte
 the clamp's place (in bending also its slope) is a free parameter, since the clamp of a mesh can be off by up to one
 cell. In tension the fit ignores nodes within one width of the clamp, which hinders contraction.
 
-K_s / K_sh is 2.7 in all scenes (`scene_parts.STRETCH_OVER_SHEAR`), so that every engine can represent the fabric.
+K_s / K_sh is 2.7 in all scenes (`lab.STRETCH_OVER_SHEAR`), so that every engine can represent the fabric.
 """
 
 from __future__ import annotations
@@ -20,28 +20,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Cloth, Pose, Region, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
-from gauge_envs.tools.conformance.measurements import (
-    ATTACHED,
-    NODES,
-    SLIDE_SLOPE_DEG,
-    acceleration_m_per_s2,
-    attachment_error,
-    bounds_error,
-    passive_energy_gain,
-    slide_acceleration,
-    stiffness,
-)
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
-from gauge_envs.tools.conformance.scene_parts import (
+from gauge_envs.tools.conformance.lab import (
     LIGHT_FABRIC,
     STRETCH_OVER_SHEAR,
     STRIP_ON_ROD,
+    Lab,
     clamped,
     contact,
     fabric,
@@ -49,6 +35,22 @@ from gauge_envs.tools.conformance.scene_parts import (
     sheet,
     strip_on_rod,
 )
+from gauge_envs.tools.conformance.laws import (
+    ATTACHED,
+    NODES,
+    PLACE_TOLERANCE_M,
+    SLIDE_SLOPE_DEG,
+    acceleration_m_per_s2,
+    attachment_error,
+    bounds_error,
+    cantilever_load_over_stiffness,
+    coefficient,
+    hann_mean,
+    passive_energy_gain,
+    slide_acceleration,
+    stiffness,
+)
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
 

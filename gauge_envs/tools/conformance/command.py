@@ -159,10 +159,8 @@ def _matrix(
     from gauge_envs.pages.document import save_file
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.matrix import matrix_columns
-    from gauge_envs.tools.conformance.matrix_file import with_columns, write_columns
-    from gauge_envs.tools.conformance.page import conformance_page
-    from gauge_envs.tools.conformance.words import matrix_document
+    from gauge_envs.tools.conformance.matrix import matrix_columns, with_columns, write_columns
+    from gauge_envs.tools.conformance.words import conformance_page, matrix_document
 
     new: list[MatrixColumn] = []
     if names:

@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, Contact, Pose, Scene
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import (
+from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.conformance.laws import (
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
     inertia_kg_m2,
@@ -21,7 +20,6 @@ from gauge_envs.tools.conformance.measurements import (
     slide_acceleration,
 )
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
-from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, fixed_box, ground
 
 # --- friction --------------------------------------------------------------------------------------------------------
 

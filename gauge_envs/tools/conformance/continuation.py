@@ -16,18 +16,19 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import Box, Cylinder, Hinge, Pose, Scene
 from gauge_envs.tools.conformance.contract import BOUNCES, bounces
-from gauge_envs.tools.conformance.lab import Lab, push
-from gauge_envs.tools.conformance.model import EXACT, Check, Measurement
-from gauge_envs.tools.conformance.scene_parts import (
+from gauge_envs.tools.conformance.lab import (
     STRIP_ON_ROD,
+    Lab,
     ball,
     body,
     box,
     contact,
     fixed_box,
     ground,
+    push,
     strip_on_rod,
 )
+from gauge_envs.tools.conformance.model import EXACT, Check, Measurement
 
 CONTINUATION = Check(
     "",

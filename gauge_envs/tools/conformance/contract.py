@@ -9,14 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, Hinge, Pose, Region, Scene, SoftBody
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.measurements import largest_mm
-from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, Tolerance, recorded
-from gauge_envs.tools.conformance.scene_parts import (
+from gauge_envs.tools.conformance.lab import (
     STRIP_ON_ROD,
+    Lab,
     ball,
     box,
     clamped,
@@ -28,6 +25,8 @@ from gauge_envs.tools.conformance.scene_parts import (
     ramp,
     strip_on_rod,
 )
+from gauge_envs.tools.conformance.laws import largest_mm
+from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, Tolerance, recorded
 
 SAME_SEED: dict[str, Any] = {
     "law": "same seed, same trajectory",

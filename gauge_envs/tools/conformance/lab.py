@@ -1,10 +1,11 @@
-"""Build scenes on a backend and record them, through the public contract alone."""
+"""Build scenes of shared parts on a backend and record them, through the public contract alone."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from typing import Any, TypeVar
+from dataclasses import asdict, replace
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +15,26 @@ from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.settings import check_drive_interval, settings_record
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DeclinedError, Rollout, raised_at, record
-from gauge_envs.scene import Scene
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2,
+    Attachment,
+    Box,
+    Cloth,
+    Contact,
+    ContactMode,
+    Deformable,
+    Motion,
+    Plane,
+    Pose,
+    Region,
+    RigidBody,
+    Scene,
+    Shape,
+    Sphere,
+    Vector,
+)
+from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.fabrics import Fabric
 
 T = TypeVar("T")
 
@@ -116,3 +136,134 @@ def push(simulation: Simulation, body: str, wrench: ArrayLike) -> None:
         simulation.apply_wrench(body, np.asarray(wrench))
     except BackendError as error:
         raise DeclinedError((str(error),)) from error
+
+
+# --- parts of scenes -------------------------------------------------------------------------------------------------
+
+STRETCH_OVER_SHEAR = 2.7
+"""K_s / K_sh of every sheet; an isotropic membrane can have any ratio between 2 and 4 (scene/fabrics.py)."""
+
+
+def body(name: str, shape: Shape, pose: Pose, *, mass_kg: float = 0.1, motion: Motion = Motion.DYNAMIC) -> RigidBody:
+    """Return a rigid body, dynamic by default."""
+    return RigidBody(name=name, shape=shape, motion=motion, pose=pose, mass_kg=mass_kg)
+
+
+def ball(name: str, position_m: Vector, *, radius_m: float = 0.03, mass_kg: float = 0.1) -> RigidBody:
+    """Return a dynamic sphere."""
+    return body(name, Sphere(radius_m=radius_m), Pose(position_m=position_m), mass_kg=mass_kg)
+
+
+def box(
+    name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0), mass_kg: float = 0.2
+) -> RigidBody:
+    """Return a dynamic box."""
+    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=mass_kg)
+
+
+def fixed_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+    """Return a fixed box."""
+    return body(name, Box(size_m=size_m), Pose.from_euler_deg(position_m, euler_deg), mass_kg=1.0, motion=Motion.FIXED)
+
+
+def driven_box(name: str, position_m: Vector, size_m: Vector, *, euler_deg: Vector = (0.0, 0.0, 0.0)) -> RigidBody:
+    """Return a box that a driver moves."""
+    return replace(fixed_box(name, position_m, size_m, euler_deg=euler_deg), motion=Motion.KINEMATIC)
+
+
+def ground() -> RigidBody:
+    """Return a horizontal plane at height 0."""
+    return body("ground", Plane(), Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0, motion=Motion.FIXED)
+
+
+def contact(
+    first: str | tuple[str, ...], second: str | tuple[str, ...], *, friction: float, restitution: float | None = None
+) -> Contact:
+    """Return a contact between bodies: an impact with a restitution, or a sustained one without."""
+    first, second = ((one,) if isinstance(one, str) else one for one in (first, second))
+    if restitution is None:
+        return Contact(first=first, second=second, friction=friction, restitution=0.0)
+    return Contact(first=first, second=second, friction=friction, restitution=restitution, mode=ContactMode.IMPACT)
+
+
+def ramp(amount: float, *, start_s: float, duration_s: float, ramp_s: float) -> TrapezoidProfile:
+    """Return a motion by an amount [m or rad], with equal times of acceleration and braking."""
+    return TrapezoidProfile(start_s=start_s, duration_s=duration_s, accelerate_s=ramp_s, brake_s=ramp_s, amount=amount)
+
+
+def driver(
+    name: str,
+    kind: Literal["translate", "rotate"],
+    axis: Vector,
+    *profiles: TrapezoidProfile,
+    point_m: Vector = (0.0, 0.0, 0.0),
+) -> Driver:
+    """Return a driver of one body by one motion."""
+    motion = DriverMotion(kind=kind, axis=axis, profiles=profiles, point_m=point_m)
+    return Driver(body=name, motions=(motion,), provenance="nominal")
+
+
+def fabric(areal_density: float, stretch_n_per_m: float, bend_n_m: float) -> Fabric:
+    """Return a fabric that every engine's membrane can represent; the shear stiffness follows from K_s.
+
+    Args:
+        areal_density: Mass per area [kg/m^2].
+        stretch_n_per_m: Stretch stiffness K_s [N/m].
+        bend_n_m: Bending stiffness K_theta [N m/rad].
+    """
+    return Fabric(
+        stretch_stiffness_n_per_m=stretch_n_per_m,
+        shear_stiffness_n_per_m=stretch_n_per_m / STRETCH_OVER_SHEAR,
+        bend_stiffness_n_m_per_rad=bend_n_m,
+        thickness_m=1e-3,
+        areal_density_kg_per_m2=areal_density,
+    )
+
+
+def sheet(made_of: Fabric, pose: Pose, size_m: tuple[float, float]) -> Cloth:
+    """Return a sheet of a fabric, warp along the x axis of its frame."""
+    mass_kg = made_of.areal_density_kg_per_m2 * size_m[0] * size_m[1]
+    return Cloth(name="cloth", pose=pose, size_m=size_m, mass_kg=mass_kg, **asdict(made_of))
+
+
+LIGHT_FABRIC = fabric(0.2, 110.0, 1e-4)
+"""Fabric of sheets whose stiffness does not matter."""
+
+
+FRAME = fixed_box("frame", (0.0, 0.0, 3.0), (0.1, 0.1, 0.1))
+"""Fixed body to which clamped regions are attached. Its place does not matter, so it is out of reach."""
+
+
+def clamped(
+    deformable: Deformable, *regions: Region, duration_s: float, gravity_m_per_s2: float = GRAVITY_M_PER_S2
+) -> Scene:
+    """Return a scene of one deformable body, of which some regions are attached to a fixed body."""
+    return Scene(
+        bodies=(FRAME,),
+        deformables=(deformable,),
+        attachments=tuple(Attachment(deformable=deformable.name, region=region, to=FRAME.name) for region in regions),
+        duration_s=duration_s,
+        gravity_m_per_s2=gravity_m_per_s2,
+    )
+
+
+STRIP_ON_ROD = "a strip of cloth that hangs from a driven rod, which moves by 0.2 m and turns by 0.6 rad"
+
+
+def strip_on_rod() -> Scene:
+    """Return a strip that hangs from a driven rod; the rod moves by 0.2 m and rotates by 0.6 rad within 0.4 s."""
+    pose = Pose.from_euler_deg((0.0, 0.0, 1.0), (0.0, -90.0, 0.0))
+    cloth = sheet(LIGHT_FABRIC, pose, (0.15, 0.1))
+    top = 1.0 + 0.5 * 0.15
+    turn, move = (ramp(amount, start_s=0.0, duration_s=0.4, ramp_s=0.15) for amount in (0.6, 0.2))
+    motions = (
+        DriverMotion(kind="rotate", axis=(0.0, 0.0, 1.0), profiles=(turn,), point_m=(0.0, 0.0, top)),
+        DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(move,)),
+    )
+    return Scene(
+        bodies=(driven_box("rod", (0.0, 0.0, top + 0.02), (0.01, 0.12, 0.01)),),
+        deformables=(cloth,),
+        attachments=(Attachment(deformable="cloth", region=Region(axis="x", side="high"), to="rod"),),
+        drivers=(Driver(body="rod", motions=motions, provenance="nominal"),),
+        duration_s=1.0,
+    )

@@ -1,8 +1,10 @@
-"""Closed forms, reference integrations and fits to which the checks compare an engine."""
+"""Closed forms, reference integrations and fits to which the checks compare an engine, and shared measurements."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,8 +12,9 @@ from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipk
 
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, RigidBody
+from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene import GRAVITY_M_PER_S2, GRAVITY_M_PER_S2 as G, Box, Pose, RigidBody
+from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
@@ -117,3 +120,143 @@ def hann_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """
     weights = np.hanning(len(values) + 2)[1:-1]
     return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
+
+
+# --- measurements ----------------------------------------------------------------------------------------------------
+
+SLIDE_SLOPE_DEG = 30.0
+"""Slope of every slide [deg]."""
+
+NODES: dict[str, Any] = {
+    "source": "contract (Simulation.nodes)",
+    "unit": "mm",
+    "tolerance": Tolerance("a float's rounding at 1 m is 0.1 um", absolute=0.01),
+}
+"""Texts of the checks of nodes at the start (`bounds_error`)."""
+
+ATTACHED: dict[str, Any] = {
+    "law": "position in the driven body's frame = const",
+    "source": "contract (scene.Attachment)",
+    "unit": "mm",
+    "tolerance": Tolerance("a tenth of the real trials' scatter", absolute=0.1),
+    "diagnosis": "attached nodes lag or lead by an interval, hang on soft springs, or do not rotate with the body",
+}
+"""Texts of the checks of attachments (`attachment_error`)."""
+
+
+def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> float:
+    """Return an acceleration by a quadratic fit, which a semi-implicit step does not bias."""
+    return float(2.0 * np.polyfit(times_s, positions_m, 2)[0])
+
+
+def largest_mm(vectors_m: NDArray[np.float64]) -> float:
+    """Return the largest length of vectors [m], shape [..., 3], in millimetres."""
+    return 1e3 * float(np.linalg.norm(vectors_m, axis=-1).max())
+
+
+def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
+    """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
+    return world_inertia_kg_m2(box_inertia_kg_m2(rollout.scene.body(name)), rollout.rotation(name))
+
+
+def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
+    """Return the mean period [s] from the upward zero crossings; NaN for fewer than two."""
+    before = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
+    share = angle[before] / (angle[before] - angle[before + 1])
+    crossings = times_s[before] + share * np.diff(times_s)[before]
+    return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
+
+
+def slide_acceleration(measured: float, friction: float) -> Measurement:
+    """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
+    sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
+    effective = friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG))
+    rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
+    rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
+    return Measurement(
+        measured=measured,
+        expected=GRAVITY_M_PER_S2 * (sine - friction * cosine),
+        hint=f"it slides as if the friction were {effective:.3g} instead of {friction:.3g}{rule}",
+    )
+
+
+def bounds_error(nodes_m: NDArray[np.float64], size_m: tuple[float, ...]) -> Measurement:
+    """Measure the largest distance [mm] of the bounding box of nodes from that of a centred body of a size."""
+    half = 0.5 * np.array(size_m)
+    apart = np.concatenate([nodes_m.min(axis=0) + half, nodes_m.max(axis=0) - half])
+    return Measurement(measured=1e3 * float(np.abs(apart).max()))
+
+
+def stiffness(load: float, slope: float, expected: float, verb: str) -> Measurement:
+    """Measure a stiffness from a load and the fitted coefficient of the deformation.
+
+    Args:
+        load: Load in the unit of the expected stiffness times that of the coefficient.
+        slope: Coefficient of the deformation; when it is not positive, the stiffness is infinite.
+        expected: Expected stiffness.
+        verb: Kind of deformation, such as `bends`.
+    """
+    if not slope > 0.0:
+        return Measurement(measured=float("inf"), expected=expected, hint="its weight does not deform it")
+    ratio = expected * slope / load
+    hint = f"it {verb} {ratio:.3g} times as much as it should"
+    return Measurement(measured=float(load / slope), expected=expected, hint=hint)
+
+
+def passive_energy_gain(
+    nodes_m: NDArray[np.float64], times_s: NDArray[np.float64], mass_shares: NDArray[np.float64], gravity: float
+) -> Measurement:
+    """Measure the largest gain [%] of kinetic and potential energy of a falling body, over the released energy.
+
+    Args:
+        nodes_m: Nodes, z upward [m], shape [sample_count, node_count, 3].
+        times_s: Times of the samples [s], shape [sample_count].
+        mass_shares: Share of the mass at each node, shape [node_count].
+        gravity: Gravity [m/s^2].
+    """
+    speed = np.gradient(nodes_m, times_s, axis=0)
+    potential = gravity * (nodes_m[:, :, 2] - nodes_m[0, :, 2]) @ mass_shares
+    total = potential + 0.5 * np.square(speed).sum(axis=2) @ mass_shares
+    return Measurement(measured=100.0 * float(total.max() / max(-potential.min(), 1e-12)), expected=0.0)
+
+
+def driver_poses(rollout: Rollout) -> list[Pose]:
+    """Return the pose that the scene's only driver prescribes at each sample."""
+    (driver,) = rollout.scene.drivers
+    start = rollout.scene.body(driver.body).pose
+    return [driver.pose(start, float(time_s)) for time_s in rollout.times_s]
+
+
+def driver_error(rollout: Rollout, points_m: NDArray[np.float64]) -> Measurement:
+    """Measure the largest distance [mm] of points from where the scene's only driver would carry them.
+
+    Args:
+        rollout: The rollout.
+        points_m: World positions of the points [m], shape [sample_count, point_count, 3].
+    """
+    (driver,) = rollout.scene.drivers
+    places = rollout.scene.body(driver.body).pose.to_body(points_m[0])
+    prescribed = np.array([pose.to_world(places) for pose in driver_poses(rollout)])
+
+    error = largest_mm(points_m - prescribed)
+    shifted = {
+        "it comes one interval (1/180 s) late": largest_mm(points_m[1:] - prescribed[:-1]),
+        "it comes one interval (1/180 s) early": largest_mm(points_m[:-1] - prescribed[1:]),
+    }
+    hint = next((text for text, left in shifted.items() if left < 0.2 * error), "")
+    return Measurement(measured=error, expected=0.0, hint=hint)
+
+
+def attachment_error(rollout: Rollout, name: str) -> Measurement:
+    """Measure the largest distance [mm] of a hanging body's upper nodes from their places on the driven body."""
+    nodes = rollout.nodes_m[name]
+    attached = nodes[0, :, 2] > nodes[0, :, 2].max() - PLACE_TOLERANCE_M
+    found = driver_error(rollout, nodes[:, attached])
+    jump_mm = largest_mm(nodes[1] - nodes[0])
+    fallen_mm = 1e3 * float((nodes[0] - nodes[-1])[attached, 2].mean())
+    free_mm = 500.0 * rollout.scene.gravity_m_per_s2 * float(rollout.times_s[-1]) ** 2
+    if jump_mm > 10.0:
+        return replace(found, hint=f"nodes jump by {jump_mm:.3g} mm in the first interval: their order changes")
+    if fallen_mm > 0.5 * free_mm:
+        return replace(found, hint="the body falls: the attachment is missing")
+    return found

@@ -5,14 +5,22 @@ from __future__ import annotations
 import numpy as np
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Hinge, Pose, Scene, Shape, Sphere, Tether
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    ConvexUnion,
+    Cylinder,
+    Hinge,
+    Pose,
+    Scene,
+    Shape,
+    Sphere,
+    Tether,
+)
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import pendulum_period_s
-from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2, mean_period_s
+from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, ground
+from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, mean_period_s, pendulum_period_s
 from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
-from gauge_envs.tools.conformance.scene_parts import ball, body, box, contact, ground
 
 # --- free fall -------------------------------------------------------------------------------------------------------
 

@@ -10,8 +10,7 @@ from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
-from gauge_envs.backends import Backend
-from gauge_envs.backends import backend as find_backend
+from gauge_envs.backends import Backend, backend as find_backend
 from gauge_envs.backends.registry import versions_of
 from gauge_envs.errors import GaugeError
 from gauge_envs.runs.isolation import CrashError, Worker

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
     Box,
     Contact,
     ConvexUnion,
@@ -24,11 +24,9 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import friction_of_slide
-from gauge_envs.tools.conformance.measurements import acceleration_m_per_s2
+from gauge_envs.tools.conformance.lab import Lab, body, contact, ground
+from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, friction_of_slide
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
-from gauge_envs.tools.conformance.scene_parts import body, contact, ground
 
 # --- heights at rest -------------------------------------------------------------------------------------------------
 

@@ -10,20 +10,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
-from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import PLACE_TOLERANCE_M, cantilever_load_over_stiffness, coefficient, hann_mean
-from gauge_envs.tools.conformance.measurements import (
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
+from gauge_envs.tools.conformance.lab import Lab, clamped, driven_box, driver, ramp
+from gauge_envs.tools.conformance.laws import (
     ATTACHED,
     NODES,
+    PLACE_TOLERANCE_M,
     attachment_error,
     bounds_error,
+    cantilever_load_over_stiffness,
+    coefficient,
+    hann_mean,
     passive_energy_gain,
     stiffness,
 )
 from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
-from gauge_envs.tools.conformance.scene_parts import clamped, driven_box, driver, ramp
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 DENSITY_KG_PER_M3, YOUNG_PA, POISSON = 100.0, 1e4, 0.3

@@ -14,10 +14,9 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, RigidBody, Scene, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driver, ramp
 from gauge_envs.tools.conformance.laws import spin_from_orientations
 from gauge_envs.tools.conformance.model import Measurement, Tolerance, recorded
-from gauge_envs.tools.conformance.scene_parts import ball, box, contact, driver, ramp
 
 # The contract has no start velocities, so a driven ball hits a floating brick off its centre and withdraws.
 

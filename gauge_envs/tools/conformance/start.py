@@ -12,8 +12,7 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, torque_free_orientation
-from gauge_envs.tools.conformance.measurements import largest_mm
+from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, largest_mm, torque_free_orientation
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
 FLIGHT_S = 0.5

@@ -1,18 +1,33 @@
-"""Points, families and phenomena of results; `model` states the definitions."""
+"""Runs of one experiment by engine and preset, with their errors: points, families and phenomena of results.
+
+`model` states the definitions.
+"""
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import GaugeError, ShapeError
+from gauge_envs.evaluation.deviation import experiment_sensitivities, sampled_frames
+from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
+from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.swing import swing_metrics
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.pages.results import raw_score
 from gauge_envs.pages.text import short_id
+from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.cost.model import ERRORS, Family, Phenomenon, Point, Tradeoff
-from gauge_envs.tools.cost.runs import ExperimentFamily, SettingRun, experiment_families, is_usable, other_settings
+from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.tools.cost.closed_form import closed_form
+from gauge_envs.tools.cost.model import EFFORT, ERRORS, STEP, Family, Phenomenon, Point, Tradeoff
 
 REFERENCE_ENGINE = "mujoco"
 """Engine whose default settings are the unit of relative costs."""
@@ -190,3 +205,269 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
         replace(one, points=tuple(replace(p, fronts=tuple(fronts.get(id(p), ()))) for p in one.points))
         for one in families
     ]
+
+
+# --- runs ------------------------------------------------------------------------------------------------------------
+
+FloatArray = NDArray[np.float64]
+
+EVENTS = ("pd", "mte", "lsd")
+"""Event metrics that measure an experiment without a band, in this order."""
+
+INPUT_KINDS = ("constant", "start", "tilt")
+"""Kinds of uncertain inputs that make up the parametric error; the discretization is numerical error."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ErrorMeasure:
+    """Measure of distances in one experiment.
+
+    Attributes:
+        experiment: The experiment, with its parameters.
+        band: Band of its score; None without one.
+        metric: `rmse`, or the event metric that is compared.
+        unit: Unit of all distances.
+        scatter: Scatter of real trials: the published mean RMSE of trials, or the standard deviation of the metric.
+            None if none is published.
+    """
+
+    experiment: Experiment
+    band: Band | None
+    metric: str
+    unit: str
+    scatter: float | None
+
+    @classmethod
+    def of(cls, experiment: Experiment) -> ErrorMeasure:
+        """Return the measure of an experiment."""
+        band, baselines = reference_band(experiment), experiment.baselines
+        event = next((name for name in EVENTS if name in experiment.score.metrics), None)
+        if band is None and event is not None and event in baselines:
+            line = baselines[event]
+            return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
+        rmse, unit = baselines.get("rmse"), experiment.score.observable.unit
+        scatter = None if rmse is None or (band is not None and not band.normalized_by_baseline) else rmse.mean
+        return cls(experiment=experiment, band=band, metric="rmse", unit=unit, scatter=scatter or None)
+
+    def frames(self, result: Result) -> FloatArray | None:
+        """Return g(t) of a result at the frames, shape [T, D]; None if it did not run to its end."""
+        if result.trajectory is None or result.error is not None or result.diverged:
+            return None
+        frames = sampled_frames(self.experiment, *result.trajectory.arrays())
+        return frames if np.isfinite(frames).all() else None
+
+    def distance(self, first: FloatArray, second: FloatArray) -> float:
+        """Return the distance of two motions, each g(t) of shape [T, D]; NaN frames of the second are left out."""
+        if self.metric != "rmse":
+            one, other = (swing_metrics(self.experiment, frames)[self.metric] for frames in (first, second))
+            return abs(one - other)
+        compared = np.isfinite(second).all(axis=1)
+        if self.band is not None:
+            compared &= np.isfinite(self.band.mean).any(axis=1)
+            first, second = self.band.project(first), self.band.project(second)
+        return trajectory_rmse(first[compared], second[compared])
+
+    def to_reality(self, result: Result) -> float | None:
+        """Return the distance of a result to the mean of real trials: its first score; None without one."""
+        score = result.score
+        if self.metric != "rmse":
+            value = raw_score(score, self.metric)
+            return None if value is None else abs(value - self.experiment.baselines[self.metric].mean)
+        return None if score.primary is None else getattr(score, score.primary)
+
+    def floor(self, backend: str | None) -> tuple[float, str] | None:
+        """Return the parametric floor and its origin; None without stored sensitivities.
+
+        It is the root sum of squares, over the uncertain inputs, of the distance by which one standard uncertainty of
+        the input moves the simulated motion.
+        """
+        table = None if self.metric != "rmse" else experiment_sensitivities(self.experiment, backend)
+        if table is None:
+            return None
+        is_law = self.band is not None and self.band.grade is BandGrade.LAW
+        # A law keeps the body where it starts, so another start moves simulation and law alike.
+        kinds = [kind for kind in INPUT_KINDS if not (is_law and kind == "start")]
+        count = self.experiment.frame_count
+        changes = [one.change[:count] for one in table.inputs if one.kind in kinds and len(one.change) >= count]
+        if not changes:
+            return None
+        total = math.sqrt(sum(self.distance(change, np.zeros_like(change)) ** 2 for change in changes))
+        return total, f"{len(changes)} inputs, sensitivities of {table.backend}"
+
+
+# --- runs ---
+
+LEAST_REFINEMENT = 1.5
+"""Smallest ratio of two steps whose distance shows convergence; closer ones are close to each other anyway."""
+
+
+@dataclass
+class SettingRun:
+    """One setting of one experiment, with its repeats.
+
+    Attributes:
+        effort: Settings of `EFFORT` in force.
+        results: Its repeats.
+        frames: g(t) at the frames, shape [T, D]; None if it did not run to its end.
+        numerical: Numerical error, in the unit of the score; None if it is not known, as the others.
+        closed: Distance to the exact motion.
+        real: Error against reality.
+        is_reference: Whether it is the converged motion.
+        is_main: Whether only the step differs from the family's usual effort.
+    """
+
+    effort: dict[str, float]
+    results: list[Result]
+    frames: FloatArray | None = None
+    numerical: float | None = None
+    closed: float | None = None
+    real: float | None = None
+    is_reference: bool = False
+    is_main: bool = True
+
+    def costs(self, kind: str) -> tuple[float, float]:
+        """Return the least and the most seconds of a repeat per simulated second; `kind` is `cpu` or `wall`."""
+        spent = [(one.cpu_s if kind == "cpu" else one.wall_s) or 0.0 for one in self.results]
+        span_s = max(self.results[0].sim_s, 1e-9)
+        return min(spent) / span_s, max(spent) / span_s
+
+    @property
+    def step_s(self) -> float | None:
+        """Time step [s]; None for an engine without one."""
+        return self.effort.get(STEP)
+
+
+@dataclass
+class ExperimentFamily:
+    """A family on one experiment; errors in the unit of the score.
+
+    Attributes:
+        key: Key that the same family has on other experiments.
+        measure: Measure of distances.
+        exact: Exact motion, shape [T, D]; None without one.
+        runs: Its settings.
+        resolution: Largest distance of the converged motion to its coarser neighbour and to any finer run.
+        model: Model error.
+        floor: Parametric floor.
+        floor_source: Origin of the floor.
+    """
+
+    key: str
+    measure: ErrorMeasure
+    exact: FloatArray | None
+    runs: list[SettingRun] = field(default_factory=list)
+    resolution: float | None = None
+    model: float | None = None
+    floor: float | None = None
+    floor_source: str = ""
+
+    @property
+    def unit_error(self) -> float:
+        """What errors are divided by."""
+        return self.measure.scatter or 1.0
+
+
+def is_usable(result: Result, notes: list[str]) -> bool:
+    """Return whether a result has a time and the calibrated start; else add a note."""
+    if result.error is not None or result.trajectory is None or not result.wall_s:
+        notes.append(f"{result.id} on {result.backend}: left out, it has no time or did not run")
+    elif result.jitter:
+        notes.append(f"{result.id} on {result.backend}: left out, its start is jittered")
+    else:
+        return True
+    return False
+
+
+def _effort(result: Result) -> dict[str, float]:
+    """Return the effort in force, rounded, so that 1/9000 and 1/180/50 are one step."""
+    return {name: float(f"{result.settings[name]:.9g}") for name in EFFORT if result.settings.get(name) is not None}
+
+
+def other_settings(result: Result) -> dict[str, Any]:
+    """Return the settings that were given and are no effort."""
+    return {name: value for name, value in result.settings_given.items() if name not in EFFORT}
+
+
+def experiment_families(results: Sequence[Result], notes: list[str]) -> list[ExperimentFamily]:
+    """Return the families of each experiment, analysed."""
+    found: dict[str, ExperimentFamily] = {}
+    experiments: dict[str, tuple[ErrorMeasure, FloatArray | None]] = {}
+    for result in results:
+        configuration = RunConfiguration.of(result)
+        place = json.dumps([result.id, result.parameters, result.asset.get("sha256"), result.dataset], sort_keys=True)
+        family = [result.backend, configuration.engine_versions, other_settings(result), result.marker_proxy]
+        try:
+            if place not in experiments:
+                experiment = recorded_experiment(result)
+                experiments[place] = ErrorMeasure.of(experiment), closed_form(experiment)
+        except GaugeError as error:
+            notes.append(f"{result.id}: left out, {error}")
+            continue
+        key = json.dumps(family, sort_keys=True)
+        member = found.setdefault(place + key, ExperimentFamily(key, *experiments[place]))
+        effort = _effort(result)
+        run = next((one for one in member.runs if one.effort == effort), None)
+        if run is None:
+            member.runs.append(SettingRun(effort, [result]))
+        else:
+            run.results.append(result)
+    for member in found.values():
+        _analyse(member, notes)
+    return list(found.values())
+
+
+def _analyse(member: ExperimentFamily, notes: list[str]) -> None:
+    """Fill in the errors of a family on one experiment."""
+    measure, exact = member.measure, member.exact
+    others = [{k: v for k, v in run.effort.items() if k != STEP} for run in member.runs]
+    usual = max(others, key=others.count)
+    for run, other in zip(member.runs, others, strict=True):
+        run.is_main = other == usual
+        run.frames = measure.frames(run.results[0])
+        if run.frames is None:
+            continue
+        repeats = [measure.frames(one) for one in run.results[1:]]
+        if any(again is None or not np.array_equal(run.frames, again) for again in repeats):
+            notes.append(
+                f"{run.results[0].id} on {run.results[0].backend}: repeats of a setting differ; the first counts"
+            )
+        run.real = measure.to_reality(run.results[0])
+        run.closed = None if exact is None else _finite(measure.distance(run.frames, exact))
+    backend = member.runs[0].results[0].backend
+    member.floor, member.floor_source = measure.floor(backend) or (None, "")
+    reference = _converged(member)
+    if reference is None or reference.frames is None:
+        return
+    reference.is_reference, member.model = True, reference.closed
+    for run in member.runs:
+        if run.frames is not None:
+            run.numerical = _finite(measure.distance(run.frames, reference.frames))
+    finer = [run for run in member.runs if run.is_main and (run.step_s or 0.0) < (reference.step_s or 0.0)]
+    # Finer runs that move away may round, or may converge to something else.
+    away = [math.inf if run.numerical is None else run.numerical for run in finer]
+    member.resolution = max([member.resolution or 0.0, *away])
+
+
+def _converged(member: ExperimentFamily) -> SettingRun | None:
+    """Return the run of the converged motion, and keep its distance to its neighbour; None with less than two steps."""
+    line = sorted(
+        (run for run in member.runs if run.is_main and run.frames is not None and run.step_s),
+        key=lambda run: run.step_s or 0.0,
+    )
+    best: SettingRun | None = None
+    while len(line) > 1:
+        fine, least_s = line[0], LEAST_REFINEMENT * (line[0].step_s or 0.0)
+        coarser = [one for one in line if (one.step_s or 0.0) >= least_s]
+        if not coarser:
+            break
+        assert fine.frames is not None and coarser[0].frames is not None
+        distance = member.measure.distance(fine.frames, coarser[0].frames)
+        if member.resolution is not None and distance >= member.resolution:
+            break
+        member.resolution, best, line = distance, fine, coarser
+    return best
+
+
+def _finite(value: float) -> float | None:
+    """Return a distance, or None for an event that never happens."""
+    return value if np.isfinite(value) else None

@@ -77,8 +77,7 @@ def data_import(
 def list_references(patterns: Sequence[str]) -> list[Table]:
     """Return the table of the reference and drivers of experiments, with imported and published baselines."""
     from gauge_envs.experiments.variants import matching_variants
-    from gauge_envs.tools.dataset.status import status_rows
-    from gauge_envs.tools.dataset.words import status_table
+    from gauge_envs.tools.dataset.words import status_rows, status_table
 
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
     return [status_table(status_rows(variants))]

@@ -34,13 +34,15 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (
+    CoordinateMean,
     DriverTrack,
+    TrialSpool,
+    TrialStatistics,
     driver_tracks,
     start_quaternions,
     trial_markers_m,
     trial_trajectory,
 )
-from gauge_envs.tools.dataset.statistics import CoordinateMean, TrialSpool, TrialStatistics
 from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05

@@ -42,7 +42,7 @@ def draw_diagnose(
 ) -> tuple[Sequence[Path], int]:
     """Draw the parts of the error of all results."""
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.diagnose.figure import draw_diagnoses
+    from gauge_envs.tools.diagnose.words import draw_diagnoses
 
     pairs, skipped = _diagnoses(sources, name, use)
     return [save_png(draw_diagnoses(pairs), out / "diagnosis.png")], skipped

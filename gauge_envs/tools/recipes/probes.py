@@ -19,8 +19,18 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.runs.rollout import Rollout, record
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene import (
+    GRAVITY_M_PER_S2 as G,
+    Box,
+    Contact,
+    ContactMode,
+    Motion,
+    Plane,
+    Pose,
+    RigidBody,
+    Scene,
+    Sphere,
+)
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance import friction_of_slide
 

@@ -1,18 +1,24 @@
-"""Find the responsible settings: change settings one at a time and measure again."""
+"""Find the responsible settings, and the change of a few settings that mends most flags.
+
+Settings are changed one at a time, or a few together, and phenomena are measured again.
+"""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
+from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives, preset_label
 from gauge_envs.tools.sanity.measure import Measured, Measurements
-from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, Verdict
+from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, Cure, SettingTrial, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.subject import Subject
 
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""
@@ -59,21 +65,19 @@ def find_cause(
     return search.put_back_one() or search.default_is_no_better() or search.each_alone() or search.together()
 
 
+@dataclass
 class _Search:
     """Changes settings, measures one phenomenon again, and keeps a list of all trials."""
 
-    def __init__(
-        self,
-        measurements: Measurements,
-        phenomenon: Phenomenon,
-        settings: Mapping[str, Any],
-        configured: Measured,
-        default: Measured,
-        dialect: Dialect,
-    ) -> None:
-        self._measurements, self._phenomenon, self._settings = measurements, phenomenon, settings
-        self._configured, self._default, self._dialect = configured, default, dialect
-        self._others = alternatives(measurements, phenomenon.scenario, settings)
+    measurements: Measurements
+    phenomenon: Phenomenon
+    settings: Mapping[str, Any]
+    configured: Measured
+    default: Measured
+    dialect: Dialect
+
+    def __post_init__(self) -> None:
+        self._others = alternatives(self.measurements, self.phenomenon.scenario, self.settings)
         self._best = {name: several[-1] for name, several in self._others.items()}
         self._tried: list[SettingTrial] = []
         self._put_back: dict[str, Measured] = {}
@@ -82,7 +86,7 @@ class _Search:
     def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
         return math.isfinite(changed.deviation) and changed.deviation <= max(
-            INSIDE_WITHIN, 0.5 * self._configured.deviation
+            INSIDE_WITHIN, 0.5 * self.configured.deviation
         )
 
     def put_back_one(self) -> Cause | None:
@@ -114,10 +118,10 @@ class _Search:
         """
         self._alone |= {name: self._on_default(name) for name in names}
         best = max(names, key=lambda name: self._shift(self._alone[name]))
-        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self._phenomenon.reality.tolerance else None
+        return best if self._shift(self._alone[best]) > SEEN_DEVIATION * self.phenomenon.reality.tolerance else None
 
     def _shift(self, alone: Measured) -> float:
-        default, configured = self._default.value, self._configured.value
+        default, configured = self.default.value, self.configured.value
         if alone.verdict is Verdict.DECLINED:
             return -math.inf
         if alone.value is None or default is None or configured is None:
@@ -160,7 +164,7 @@ class _Search:
         matter = [
             name
             for name in self._others
-            if _is_seen(self._configured, self._put_back[name]) or _is_seen(self._default, self._alone[name])
+            if _is_seen(self.configured, self._put_back[name]) or _is_seen(self.default, self._alone[name])
         ]
         group: tuple[str, ...] = ()
         for size in range(2, LARGEST_GROUP + 1):
@@ -175,9 +179,9 @@ class _Search:
 
     def default_is_no_better(self) -> Cause | None:
         """Return that this package's preset has at least half of the error, if it has."""
-        if self._explains(self._default):
+        if self._explains(self.default):
             return None
-        text = self._measured_text(self._default)
+        text = self._measured_text(self.default)
         return self._unexplained(f"no setting alone explains it; this package's preset: {text}")
 
     def _unexplained(self, line: str) -> Cause:
@@ -185,7 +189,7 @@ class _Search:
 
     def _of_preset(self, name: str) -> Alternative:
         """Return the value of a setting in this package's preset of the scene."""
-        preset = self._measurements.in_force(self._phenomenon.scenario, {})
+        preset = self.measurements.in_force(self.phenomenon.scenario, {})
         return replace(self._best[name], value=preset[name], source=preset_label(preset))
 
     # --- changes ---
@@ -194,8 +198,8 @@ class _Search:
         return self._changed({name: self._best[name].value for name in names})
 
     def _changed(self, changes: dict[str, Any], *, on_default: bool = False) -> Measured:
-        settings = changes if on_default else {**self._settings, **changes}
-        measured = self._measurements.measure(self._phenomenon, settings)
+        settings = changes if on_default else {**self.settings, **changes}
+        measured = self.measurements.measure(self.phenomenon, settings)
         self._tried.append(SettingTrial(changes=changes, value=measured.value, on_default=on_default))
         return measured
 
@@ -207,23 +211,23 @@ class _Search:
     def _measured_text(self, measured: Measured) -> str:
         if measured.value is None:
             return measured.remark
-        unit = "" if self._phenomenon.unit == "1" else f" {self._phenomenon.unit}"
+        unit = "" if self.phenomenon.unit == "1" else f" {self.phenomenon.unit}"
         return f"{measured.value:.3g}{unit}"
 
     def _assignment(self, name: str) -> str:
-        text = self._dialect.assignment(name, self._best[name].value)
-        return text if self._dialect.writes(name) else f"{text} (which the target has no key for)"
+        text = self.dialect.assignment(name, self._best[name].value)
+        return text if self.dialect.writes(name) else f"{text} (which the target has no key for)"
 
     def _cause(self, names: tuple[str, ...], changed: Measured, also: str = "") -> Cause:
         chosen = [self._best[name] for name in names]
         subject = " and ".join(
-            f"{self._assignment(one.name)} instead of {self._dialect.value_text(one.name, one.was)}" for one in chosen
+            f"{self._assignment(one.name)} instead of {self.dialect.value_text(one.name, one.was)}" for one in chosen
         )
         together = " together" if len(names) > 1 and not also else ""
         sources = " and ".join(dict.fromkeys(one.source for one in chosen))
         verb = "brings" if len(names) == 1 else "bring"
         line = (
-            f"{subject}{together} {verb} {self._phenomenon.quantity} from {self._measured_text(self._configured)} "
+            f"{subject}{together} {verb} {self.phenomenon.quantity} from {self._measured_text(self.configured)} "
             f"to {self._measured_text(changed)}{also}; from {sources}"
         )
         return Cause(settings=names, line=line, tried=tuple(self._tried))
@@ -233,3 +237,210 @@ def _is_seen(before: Measured, after: Measured) -> bool:
     if before.value is None or after.value is None:
         return before.value is not after.value
     return abs(after.deviation - before.deviation) > SEEN_DEVIATION
+
+
+# --- cure ------------------------------------------------------------------------------------------------------------
+
+RECOMMENDED_MUJOCO: Mapping[str, Any] = {
+    "timestep_s": 0.002,
+    "integrator": "implicitfast",
+    "cone": "elliptic",
+    "impratio": 100.0,
+    "iterations": 100,
+    "ls_iterations": 50,
+    "contact_solref": (0.004, 1.0),
+    "contact_solimp": (0.95, 0.95, 0.001, 0.5, 2.0),
+    "contact_margin_m": 0.0,
+}
+"""Settings that this package recommends for a model, tried as a whole where a few changes leave flags."""
+
+RECOMMENDED_PHYSX: Mapping[str, Any] = {"solver": "TGS", "position_iterations": 10, "velocity_iterations": 1}
+"""The same for PhysX, in the dialect of a training stack."""
+
+AT_LEAST = ("iterations", "ls_iterations", "position_iterations", "velocity_iterations")
+"""Recommended settings that are kept where the target has more."""
+
+STEP = "timestep_s"
+"""Setting that is changed only where no other change mends as much, since shorter steps cost time in proportion."""
+
+MOST_CHANGES = 3
+"""Most settings that are changed one after the other."""
+
+MOST_COMPARED = 3
+"""Most changes, of those that mend most, whose harm to other rows is measured."""
+
+LARGEST_DEVIATION = 1000.0
+"""Deviation at which errors no longer count as larger."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Step:
+    """Changes added at once, and the number of flags that are mended with all changes so far."""
+
+    changes: Mapping[str, Any]
+    mended: int
+    source: str
+
+
+def find_cure(
+    configuration: TrainingConfiguration,
+    flagged: Sequence[Subject],
+    others: Sequence[Subject],
+    dialect: Dialect,
+    named: Collection[str] = (),
+) -> Cure | None:
+    """Return the change that mends most flagged rows; None when no change mends one.
+
+    Single changes are tried first, then further ones beside the best. If flags are left, or come instead, the settings
+    that this package recommends for the target are tried as a whole. Rows that were inside are measured again.
+
+    Args:
+        configuration: The checked configuration.
+        flagged: Subjects that are visible or wrong, and count.
+        others: Other subjects that count.
+        dialect: Dialect of the target.
+        named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
+    """
+    if not flagged:
+        return None
+    steps = list(_greedy(flagged, others, dialect, named))
+    changes = {name: value for step in steps for name, value in step.changes.items()}
+    mended = steps[-1].mended if steps else 0
+    new = _new_flags(others, changes) if mended else ()
+    recommended = _recommended(configuration)
+    if recommended and (mended < len(flagged) or len(new) >= mended):
+        count = _score(flagged, recommended)[0]
+        if count > mended or (count and len(new) >= mended):
+            first = steps[:1] if count > mended else []
+            steps = [*first, _Step(changes=recommended, mended=count, source="this package's recommendation")]
+            changes, mended = recommended, count
+            new = _new_flags(others, changes)
+    if len(new) >= mended:
+        return None
+    return Cure(
+        changes=changes,
+        line=_line(configuration, steps, dialect, len(flagged), new),
+        flag_count=len(flagged),
+        mended_count=mended,
+        new_flags=new,
+    )
+
+
+def _greedy(
+    flagged: Sequence[Subject],
+    others: Sequence[Subject],
+    dialect: Dialect,
+    named: Collection[str],
+) -> Iterator[_Step]:
+    """Yield the single change that mends most, then further ones beside it; each must mend a further flag.
+
+    Of the changes that mend most, the one with the fewest new flags is taken.
+    """
+    candidates = [one for one in _candidates(flagged) if dialect.writes(one.name)]
+    changes: dict[str, Any] = {}
+    left, mended = list(flagged), 0
+    while left and candidates and len(changes) < MOST_CHANGES:
+        scored = [(_score(left, {**changes, one.name: one.value}), one) for one in candidates]
+        scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
+        harms = [len(_new_flags(others, {**changes, one.name: one.value})) for _, one in scored[:MOST_COMPARED]]
+        net = [count - harm for ((count, _), _), harm in zip(scored, harms, strict=False)]
+        (count, _), best = scored[net.index(max(net))]
+        if not count:
+            return
+        changes[best.name] = best.value
+        mended += count
+        yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
+        left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
+        candidates = [one for one in candidates if one.name not in changes]
+
+
+def _preference(one: Alternative, named: Collection[str], mended: int, closeness: float) -> tuple[float, ...]:
+    """Return the order of a change: flags it mends, no shorter step, whether it is named for a row, closeness."""
+    return (mended, one.name != STEP, one.name in named, closeness)
+
+
+def _new_flags(others: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[str, ...]:
+    """Return the rows that are visible or wrong only with the changes."""
+    return tuple(
+        subject.phenomenon.id
+        for subject in others
+        if subject.worst(changes).verdict in (Verdict.VISIBLE, Verdict.WRONG)
+    )
+
+
+def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:
+    found: dict[str, Alternative] = {}
+    for subject in flagged:
+        for settings in subject.sets.values():
+            try:
+                several = alternatives(subject.measurements, subject.phenomenon.scenario, settings)
+            except DeclinedError:
+                continue
+            for one in (one for values in several.values() for one in values):
+                found.setdefault(json.dumps([one.name, one.value]), one)
+    return list(found.values())
+
+
+def _score(subjects: Sequence[Subject], changes: Mapping[str, Any]) -> tuple[int, float]:
+    """Return how many subjects are inside with changes, and minus the sum of all deviations."""
+    outcomes = [subject.worst(changes) for subject in subjects]
+    total = sum(min(one.deviation, LARGEST_DEVIATION) for one in outcomes)
+    return sum(one.verdict is Verdict.INSIDE for one in outcomes), -total
+
+
+def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
+    """Return the recommended settings that differ from the target's; a shorter step and more iterations are kept.
+
+    A settings file has none, since its backend's preset is what it differs from.
+    """
+    recommended: Mapping[str, Any] = {}
+    if configuration.is_model:
+        recommended = RECOMMENDED_MUJOCO
+    elif configuration.backend == "physx" and configuration.language != TOML.name:
+        recommended = RECOMMENDED_PHYSX
+    changes = {}
+    for name, value in recommended.items():
+        was = configuration.settings.get(name, 0.0 if name == "contact_margin_m" else None)
+        if name == STEP and was is not None and was <= value:
+            continue
+        if name in AT_LEAST and was is not None and was >= value:
+            continue
+        if (tuple(was) if isinstance(was, list) else was) != value:
+            changes[name] = value
+    return changes
+
+
+# --- words -----------------------------------------------------------------------------------------------------------
+
+
+def _line(
+    configuration: TrainingConfiguration, steps: Sequence[_Step], dialect: Dialect, flags: int, new: Sequence[str]
+) -> str:
+    parts = []
+    for number, step in enumerate(steps):
+        geoms = _geoms_that_change(configuration, step.changes)
+        text = dialect.paste_text(step.changes, geoms=geoms)
+        whole = step.source == "this package's recommendation"
+        if not number:
+            count = f"{step.mended} of {flags} flags go" if flags > 1 else "the one flag goes"
+            parts.append(f"{text}: {count}")
+        else:
+            parts.append(f"{'all of' if whole else 'with'} {text}{'' if whole else ' too'}: {step.mended} of {flags}")
+    sources = ", ".join(dict.fromkeys(step.source for step in steps))
+    harm = f"; new flags: {', '.join(new)}" if new else ""
+    return f"{'; '.join(parts)}{harm} (from {sources})"
+
+
+def _geoms_that_change(configuration: TrainingConfiguration, changes: Mapping[str, Any]) -> str:
+    """Return the geoms whose contact constants change, if there are several sets and not all change."""
+    sets = configuration.contact_sets
+    changing = [
+        geoms
+        for geoms, settings in sets.items()
+        if any(name in settings and _plain(settings[name]) != _plain(value) for name, value in changes.items())
+    ]
+    return "; ".join(changing) if len(changing) < len(sets) else ""
+
+
+def _plain(value: Any) -> Any:
+    return tuple(value) if isinstance(value, list | tuple) else value

@@ -124,7 +124,7 @@ def _with_deformables(patterns: Sequence[str]) -> bool:
 
 def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
     """Return the files of `--out`; a page needs what draws its pictures."""
-    from gauge_envs.tools.sanity.page import check_can_draw
+    from gauge_envs.tools.sanity.words import check_can_draw
 
     files = arguments.by_suffix(out, ".html", ".md", ".json")
     if ".html" in files:
@@ -134,8 +134,7 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
 
 def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.sanity.page import sanity_page
-    from gauge_envs.tools.sanity.words import sanity_document
+    from gauge_envs.tools.sanity.words import sanity_document, sanity_page
 
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
     print_document(sanity_document(report), form, files=files, writers=writers)
@@ -144,7 +143,7 @@ def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> No
 def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
     """Return what decides whether a check fails, and prints regressions from a baseline."""
     from gauge_envs.tools.sanity import Verdict
-    from gauge_envs.tools.sanity.baseline import read_baseline, regressions
+    from gauge_envs.tools.sanity.run import read_baseline, regressions
 
     before = None if baseline is None else read_baseline(baseline)
     bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}

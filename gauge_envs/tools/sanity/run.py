@@ -4,21 +4,27 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from gauge_envs.errors import ParameterError
-from gauge_envs.files import versions
-from gauge_envs.tools.sanity.cause import find_cause
-from gauge_envs.tools.sanity.cure import find_cure
-from gauge_envs.tools.sanity.measure import Engine, Measured, Measurements, TimeLimitError, simulation_limit_s
+from gauge_envs.errors import ParameterError, TargetError
+from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
+from gauge_envs.tools.sanity.cause import find_cause, find_cure
+from gauge_envs.tools.sanity.measure import (
+    Engine,
+    Measured,
+    Measurements,
+    TimeLimitError,
+    curve_of,
+    result_of,
+    simulation_limit_s,
+)
 from gauge_envs.tools.sanity.model import Cure, GroupOutcome, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
-from gauge_envs.tools.sanity.rows import curve_of, result_of
-from gauge_envs.tools.sanity.stacks import configuration as configuration_of
-from gauge_envs.tools.sanity.stacks import dialect
+from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
 from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of
 
@@ -170,3 +176,44 @@ def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], 
         flag_count=flag_count,
         mended_count=cure.mended_count + 1,
     )
+
+
+# --- comparison with an earlier run ----------------------------------------------------------------------------------
+
+MOST_BASELINE_BYTES = 16 * MEGABYTE
+"""Largest size of a file with an earlier run."""
+
+RANKS = {Verdict.DECLINED: 0, Verdict.INSIDE: 0, Verdict.VISIBLE: 1, Verdict.WRONG: 2}
+"""Verdicts by how bad they are."""
+
+
+def read_baseline(path: Path) -> dict[str, Verdict]:
+    """Return the verdict of each row of an earlier run, by its id.
+
+    Args:
+        path: File with the output of `gauge sanity TARGET --json`.
+    """
+    with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}")):
+        content = read_regular(path, MOST_BASELINE_BYTES)
+    try:
+        lines = [json_document(line) for line in content.splitlines() if line.strip()]
+        found = {line["phenomenon"]: Verdict(line["verdict"]) for line in lines if "phenomenon" in line}
+    except (TypeError, ValueError, KeyError) as error:
+        raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
+    if not found:
+        raise TargetError(f"{path}: has no row; write it with gauge sanity TARGET --json > {path}")
+    return found
+
+
+def regressions(report: Report, baseline: Mapping[str, Verdict], *, least: Verdict) -> list[PhenomenonResult]:
+    """Return the rows that count, are at least as bad as `least`, and are worse than in the baseline.
+
+    A row that the baseline does not have, or that it declined, is compared with `inside`.
+    """
+    return [
+        row
+        for row in report.rows
+        if row.is_flag
+        and RANKS[row.verdict] >= RANKS[least]
+        and RANKS[row.verdict] > RANKS[baseline.get(row.phenomenon, Verdict.INSIDE)]
+    ]

@@ -14,6 +14,7 @@ from typing import Any
 
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.files import os_errors
 from gauge_envs.pages.document import save_file
 from gauge_envs.pages.html import Html, element, join, script_value, slug, stylesheet
 from gauge_envs.runs.replay import ReplayError, load_or_replay, replayed_experiment
@@ -99,10 +100,8 @@ def save_site(
 
 def check_replaceable(out: Path) -> None:
     """Check that a site may take the place of a folder."""
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{out}: cannot be read: {cause}")):
         is_taken = out.is_symlink() or (out.exists() and (not out.is_dir() or any(out.iterdir())))
-    except OSError as error:
-        raise ResultFileError(f"{out}: cannot be read: {error.strerror or error}") from error
     if is_taken and (out.is_symlink() or not (out / MARK).is_file()):
         raise ResultFileError(f"{out}: holds something else than a site of gauge report; give another folder")
 

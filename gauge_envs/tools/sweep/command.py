@@ -77,8 +77,7 @@ def sweep(
     """
     from gauge_envs.runs.isolation import TIME_LIMIT_S
     from gauge_envs.tools.sweep.lanes import Limits
-    from gauge_envs.tools.sweep.plan import plan_sweep
-    from gauge_envs.tools.sweep.plan import shard as part_of
+    from gauge_envs.tools.sweep.plan import plan_sweep, shard as part_of
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
     from gauge_envs.tools.sweep.store import update_store
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from gauge_envs.errors import ResultFileError
-from gauge_envs.files import write_whole
+from gauge_envs.files import os_errors, write_whole
 
 SCRIPT = '''"""Submit a sweep to Slurm as one job array: python {name}
 
@@ -78,7 +78,5 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
 
 def write_slurm_script(file: Path, text: str) -> None:
     """Write the script."""
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{file}: cannot be written: {cause}")):
         write_whole(file, text.encode())
-    except OSError as error:
-        raise ResultFileError(f"{file}: cannot be written: {error.strerror or error}") from error

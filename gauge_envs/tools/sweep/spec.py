@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from gauge_envs.errors import ParameterError, SweepFileError, first_fault
 from gauge_envs.experiments.variants import Variant, is_experiment_file, matching_subjects
-from gauge_envs.files import MEGABYTE, outside_reason, read_regular, toml_document
+from gauge_envs.files import MEGABYTE, os_errors, outside_reason, read_regular, toml_document
 from gauge_envs.scene.jitter import Jitter
 
 MOST_EPISODES = 1_000_000
@@ -147,11 +147,11 @@ def load_sweep_file(path: str | PathLike[str]) -> dict[str, Any]:
         Its keys and values, for `sweep_spec`.
     """
     path = Path(path)
+    with os_errors(lambda cause: SweepFileError(path, "(file)", f"cannot be read: {cause}")):
+        content = read_regular(path, MEGABYTE)
     try:
-        values = toml_document(read_regular(path, MEGABYTE))
+        values = toml_document(content)
         spec = SweepSpec.model_validate(values)
-    except OSError as error:
-        raise SweepFileError(path, "(file)", f"cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
         raise SweepFileError(path, *_fault(error)) from None
     except ValueError as error:
@@ -164,11 +164,7 @@ def _located(path: Path, name: str) -> str:
     if not is_experiment_file(Path(name)):
         return name
     file = path.parent / name
-    try:
-        reason = outside_reason(file, path)
-    except (OSError, ValueError, RuntimeError):  # A null character, a name that is too long, or a loop of links.
-        reason = "it is no name of a file"
-    if reason:
+    if reason := outside_reason(file, path):
         raise SweepFileError(path, "variants", reason)
     return str(file)
 

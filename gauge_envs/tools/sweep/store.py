@@ -30,8 +30,7 @@ from gauge_envs.files import locked
 from gauge_envs.runs.batch import check_writable, move_aside
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, write_result
-from gauge_envs.tools.sweep.key import KEY_LENGTH
-from gauge_envs.tools.sweep.plan import SweepTask
+from gauge_envs.tools.sweep.plan import KEY_LENGTH, SweepTask
 
 Notify = Callable[[str], None]
 

@@ -56,11 +56,10 @@ def transfer(
     states.
     """
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.transfer.figure import draw_transfer
     from gauge_envs.tools.transfer.policies.load import load_policies
     from gauge_envs.tools.transfer.policy_replays import make_control_env, other_worlds, replay, training_world
     from gauge_envs.tools.transfer.transfer import transfer_report
-    from gauge_envs.tools.transfer.words import transfer_document
+    from gauge_envs.tools.transfer.words import draw_transfer, transfer_document
 
     policies, details = arguments.split_details(words, sigmas=_numbers, starts=PositiveInt, seed=NonNegativeInt)
     files = _picture_files([out] if out else [])
@@ -148,11 +147,9 @@ def transfer_envelope(
     """
     from gauge_envs.envs.control.tasks import control_tasks
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.transfer.envelope import experiment_envelope
-    from gauge_envs.tools.transfer.envelope_statistics import envelope_report
-    from gauge_envs.tools.transfer.figure import draw_envelope
+    from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.randomization import write_randomization
-    from gauge_envs.tools.transfer.words import envelope_document
+    from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
     known = {"samples": PositiveInt, "batch": PositiveInt, "seed": NonNegativeInt, "width": float}
     subject, details = arguments.split_subject(words, **known)

@@ -130,8 +130,8 @@ def video_report(
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.page import find_videos, video_page
     from gauge_envs.tools.video.tracker import track_object
+    from gauge_envs.tools.video.words import find_videos, video_page
 
     videos = find_videos(folder)
     results, files, broken = {}, {}, []

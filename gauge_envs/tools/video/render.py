@@ -23,8 +23,7 @@ from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import os_errors, write_whole
-from gauge_envs.scene import Hinge, RigidBody, Scene
-from gauge_envs.scene import Motion as BodyMotion
+from gauge_envs.scene import Hinge, Motion as BodyMotion, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S

@@ -14,15 +14,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import DiskFollower, FaceFollower, PatchFollower, Region, Sight, background
-from gauge_envs.tools.video.frames import (
-    LEAST_FRAMES,
-    Cadence,
-    Frames,
-    Picture,
-    cv2,
-    read_cadence,
-    read_picture,
-)
+from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track

@@ -1,12 +1,21 @@
-"""The world-model track in words: tasks, and scores of videos with their intervals."""
+"""The world-model track in words and on a page: tasks, and scores of videos with their intervals."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from base64 import b64encode
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 
-from gauge_envs.pages.document import Document, Paragraph
-from gauge_envs.pages.table import Column, Table
-from gauge_envs.tools.video import METRICS, VideoScore, VideoTask
+import numpy as np
+
+from gauge_envs.errors import VideoError
+from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
+from gauge_envs.pages.html import Html, below, element, join, listed
+from gauge_envs.pages.table import Column, Table, grid
+from gauge_envs.tools.video import METRICS, Grade, VideoScore, VideoTask, video_task, video_tasks
+from gauge_envs.tools.video.frames import FileFrames, cv2
+from gauge_envs.tools.video.overlay import drawn_frames
+from gauge_envs.tools.video.tasks import published_results
 
 TITLES = {
     "a_m_s2": "acceleration [m/s^2]",
@@ -86,3 +95,130 @@ def short_text(value: float | None) -> str:
 def interval_text(interval: tuple[float, float] | None) -> str:
     """Return both ends of an interval; empty for None."""
     return "" if interval is None else f"{short_text(interval[0])} to {short_text(interval[1])}"
+
+
+# --- page ------------------------------------------------------------------------------------------------------------
+
+SUFFIXES = (".mp4", ".webm", ".mkv", ".mov", ".avi")
+
+PICTURES = 6
+"""Frames of a video that the page shows."""
+
+PICTURE_WIDTH_PX = 416
+
+LAYOUTS = {
+    "stretch": "width and height scaled each on its own",
+    "crop": "a crop of the first frame",
+    "pad": "the first frame with a border",
+    "first frame": "registered by points of the first frame",
+}
+"""How a video lies on the grid of the first frames, by the method of its registration."""
+
+VALUES_NOTE = (
+    "Below each value: the interval of 95 % of simulated tracks, and the published value where the folder has the name "
+    "of a published model. Bold: nearest to the real value among the valid videos. Grey: doubtful."
+)
+
+PUBLISHED_NOTE = 'GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.'
+
+Results = Mapping[tuple[str, str], VideoScore]
+"""Results by model and task."""
+
+
+def find_videos(folder: Path) -> list[tuple[str, str, Path]]:
+    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, sorted."""
+    tasks = {task.id: order for order, task in enumerate(video_tasks())}
+    files = sorted(folder.glob("*/*")) if folder.is_dir() else []
+    found = [
+        (file.parent.name, file.stem, file) for file in files if file.suffix.lower() in SUFFIXES and file.stem in tasks
+    ]
+    if not found:
+        raise VideoError(
+            f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
+        )
+    return sorted(found, key=lambda one: (tasks[one[1]], one[0]))
+
+
+def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:
+    """Return the page of many videos, without any other file.
+
+    Args:
+        results: Results by model and task.
+        files: Video files by model and task.
+    """
+    models = list(dict.fromkeys(model for model, _ in results))
+    tasks = list(dict.fromkeys(task for _, task in results))
+    rows = [(task, name) for task in tasks for name in METRICS if name in video_task(task).real]
+    parts: list[Part] = [
+        element("p", VALUES_NOTE),
+        _values_table(models, rows, results),
+        Heading("Published models"),
+        element("p", PUBLISHED_NOTE, class_="quiet"),
+        _published_table(rows),
+    ]
+    for task in tasks:
+        parts.append(Heading(task))
+        parts += [
+            _clip(model, results[model, task], files[model, task]) for model in models if (model, task) in results
+        ]
+    return page("Videos and the laws of motion", parts)
+
+
+def _values_table(models: Sequence[str], rows: Sequence[tuple[str, str]], results: Results) -> Table:
+    lines = []
+    for task, name in rows:
+        real = video_task(task).real[name]
+        found = [results.get((model, task)) for model in models]
+        valid = [one.metrics[name] for one in found if one is not None and one.grade is Grade.VALID]
+        nearest = min(
+            (value for value in valid if value is not None), key=lambda value: abs(value - real), default=None
+        )
+        cells = (_cell(model, one, name, nearest) for model, one in zip(models, found, strict=True))
+        lines.append([join([task, below(TITLES[name]), below(f"real {short_text(real)}")]), *cells])
+    return grid(("task", *models), lines, look="matrix")
+
+
+def _cell(model: str, result: VideoScore | None, name: str, nearest: float | None) -> Html:
+    if result is None:
+        return Html("")
+    grade, value, interval = result.grade, result.metrics[name], result.uncertainty[name]
+    notes = [] if interval is None else [interval_text(interval)]
+    if grade is not Grade.VALID and value is not None:
+        notes.append(grade.value)
+    known = published_results().get(model.replace("-", "_"), {})
+    if (result.task, name) in known:
+        notes.append(f"published {short_text(known[result.task, name])}")
+    is_best = grade is Grade.VALID and value is not None and value == nearest
+    text = grade.value if value is None else short_text(value)
+    return element("span", element("b", text) if is_best else text, *map(below, notes), class_=grade.value)
+
+
+def _published_table(rows: Sequence[tuple[str, str]]) -> Table:
+    published = published_results()
+    lines = [
+        [join([task, below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
+        for task, name in rows
+    ]
+    return grid(("task", *published), lines, look="matrix")
+
+
+def _clip(model: str, result: VideoScore, file: Path) -> Html:
+    text = f": {result.grade.value}; {span_text(result)}"
+    if result.track.registration is not None:
+        text += f"; {LAYOUTS[result.track.registration.method]}"
+    pictures = element("div", *_pictures(result, file), class_="strip")
+    return join([element("p", element("b", model), text), listed(result.reasons), pictures])
+
+
+def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
+    """Yield frames of a video with the track drawn into them."""
+    first, last = result.interval_frames or (0, len(result.track.frames) - 1)
+    wanted = set(np.linspace(first, last, PICTURES).astype(int).tolist())
+    for number, picture in enumerate(drawn_frames(FileFrames(file, fps=result.track.fps), result)):
+        if number not in wanted:
+            continue
+        height = round(picture.shape[0] * PICTURE_WIDTH_PX / picture.shape[1])
+        small = cv2.resize(picture, (PICTURE_WIDTH_PX, height), interpolation=cv2.INTER_AREA)
+        _, packed = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
+        source = f"data:image/jpeg;base64,{b64encode(packed.tobytes()).decode('ascii')}"
+        yield element("img", loading="lazy", alt=f"frame {number}", src=source)

@@ -36,8 +36,7 @@ from pydrake.multibody.plant import DiscreteContactApproximation
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.drake.contacts import PHASES, impact_constants, rebound
-from gauge_envs.backends.drake.model import APPROXIMATIONS as DRAKE_NAMES
-from gauge_envs.backends.drake.model import inner_radius_m
+from gauge_envs.backends.drake.model import APPROXIMATIONS as DRAKE_NAMES, inner_radius_m
 from gauge_envs.backends.drake.settings import PRESETS, impact_speed_m_per_s, settings_for
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.conformance import Status, run_checks

@@ -29,7 +29,7 @@ from gauge_envs.backends.genesis.pbd_settings import (
 from gauge_envs.backends.genesis.presets import unsupported_deformables
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.tools.conformance import Status, run_checks
-from gauge_envs.tools.conformance.scene_parts import clamped, fabric, sheet
+from gauge_envs.tools.conformance.lab import clamped, fabric, sheet
 
 FABRICS = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 

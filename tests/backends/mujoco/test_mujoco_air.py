@@ -17,7 +17,7 @@ from gauge_envs.errors import BackendError, ParameterError
 from gauge_envs.scene import Air, Pose, Region, Scene
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.scene_parts import clamped, fabric, sheet
+from gauge_envs.tools.conformance.lab import clamped, fabric, sheet
 
 FLING = "TextileFlinging-satin"
 ZERO = np.zeros(1)

@@ -40,7 +40,7 @@ pytest.importorskip("rapier3d")
 from gauge_envs.backends import backend
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, collider_layers
 from gauge_envs.backends.rapier.simulation import _mean_velocities
-from gauge_envs.backends.shared.driven_motion import DrivenMotion
+from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.tools.conformance import Status, run_checks
 
 RAPIER = backend("rapier")

@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.metrics.law import fitted_acceleration
+from gauge_envs.evaluation.laws import fitted_acceleration
 
 TIMES_S = np.arange(20) / 30
 

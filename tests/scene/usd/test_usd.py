@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 
 from gauge_envs import load_experiment
 from gauge_envs.errors import ParameterError, ResultFileError
@@ -39,9 +38,9 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.usd.reader import from_usd, read_usd
-from gauge_envs.scene.usd.writer import to_usd
+from gauge_envs.scene.usd.writer import export_stage, to_usd
 from gauge_envs.tools.assets.build import assets_folder
-from gauge_envs.tools.assets.export import write_usd_layer
+from gauge_envs.tools.assets.export import experiment_stage
 
 # --- every variant ---------------------------------------------------------------------------------------------------
 
@@ -56,14 +55,14 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:
     experiment = load_experiment(name)
-    write_usd_layer(experiment, tmp_path / f"a{suffix}")
+    export_stage(experiment_stage(experiment), tmp_path / f"a{suffix}")
     assert from_usd(tmp_path / f"a{suffix}") == experiment.scene
 
 
 def test_overrides_come_back() -> None:
     experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012, "cube.friction": 1 / 3})
     with tempfile.TemporaryDirectory() as folder:
-        write_usd_layer(experiment, Path(folder) / "a.usda")
+        export_stage(experiment_stage(experiment), Path(folder) / "a.usda")
         assert from_usd(Path(folder) / "a.usda") == experiment.scene
 
 

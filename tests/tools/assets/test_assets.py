@@ -41,9 +41,10 @@ from gauge_envs.scene import (
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.writer import export_stage
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
-from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text, write_mjcf, write_usd_layer
+from gauge_envs.tools.assets.export import experiment_stage, mjcf_text, usd_layer_text, write_mjcf
 
 ALL = tuple(variant.name for variant in variants())
 DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")
@@ -485,16 +486,16 @@ def test_usd_physics_reads_bodies_shapes_and_joints(pair: tuple) -> None:
 
 def test_binary_layers_say_the_same(tmp_path: Path) -> None:
     experiment = load_experiment("Pendulum-metal")
-    write_usd_layer(experiment, tmp_path / "a.usda")
+    export_stage(experiment_stage(experiment), tmp_path / "a.usda")
     assert (tmp_path / "a.usda").read_text() == usd_layer_text(experiment)
-    write_usd_layer(experiment, tmp_path / "a.usdc")
+    export_stage(experiment_stage(experiment), tmp_path / "a.usdc")
     binary = Usd.Stage.Open(str(tmp_path / "a.usdc"))
     assert binary.GetRootLayer().ExportToString() == usd_layer_text(experiment)
 
 
 def test_overrides_reach_the_layer(tmp_path: Path) -> None:
     experiment = load_experiment("SlopeSlider-2-wood", {"cube.mass_kg": 0.123456789012})
-    write_usd_layer(experiment, tmp_path / "a.usda")
+    export_stage(experiment_stage(experiment), tmp_path / "a.usda")
     stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
     assert value(stage.GetPrimAtPath("/World/cube"), "gauge:mass_kg") == 0.123456789012
     data = stage.GetRootLayer().customLayerData["gauge"]
@@ -521,10 +522,10 @@ def test_bodies_may_be_named_as_a_group_or_alike() -> None:
 def test_a_layer_needs_a_suffix_and_a_place(tmp_path: Path) -> None:
     experiment = load_experiment("Pendulum-metal")
     with pytest.raises(ParameterError, match=r"\.usda"):
-        write_usd_layer(experiment, tmp_path / "a.txt")
+        export_stage(experiment_stage(experiment), tmp_path / "a.txt")
     (tmp_path / "file").touch()
     with pytest.raises(ResultFileError, match="cannot be written"):
-        write_usd_layer(experiment, tmp_path / "file" / "a.usda")
+        export_stage(experiment_stage(experiment), tmp_path / "file" / "a.usda")
 
 
 # --- MJCF ------------------------------------------------------------------------------------------------------------

@@ -8,7 +8,7 @@ from html.parser import HTMLParser
 
 from gauge_envs.tools.conformance import Check, CheckResult, Measurement, Status, Tolerance
 from gauge_envs.tools.conformance.matrix import MatrixColumn
-from gauge_envs.tools.conformance.page import conformance_page
+from gauge_envs.tools.conformance.words import conformance_page
 
 EVIL = "<script>alert('x')</script>\"&"
 WHEN = datetime(2026, 1, 2, 3, 4, tzinfo=UTC)

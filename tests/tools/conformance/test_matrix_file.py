@@ -15,8 +15,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.conformance import Status, checks
-from gauge_envs.tools.conformance.matrix import MatrixColumn, run_column
-from gauge_envs.tools.conformance.matrix_file import read_columns, with_columns, write_columns
+from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns, run_column, with_columns, write_columns
 from gauge_envs.tools.conformance.words import matrix_document, tally
 
 ONLY = ["free-fall", "foam-start", "slide-plane"]

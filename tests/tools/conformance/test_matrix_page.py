@@ -9,7 +9,7 @@ from pathlib import Path
 import build_conformance
 from places import ROOT
 
-from gauge_envs.tools.conformance.matrix_file import read_columns
+from gauge_envs.tools.conformance.matrix import read_columns
 
 DATA = ROOT / "scoring" / "conformance.json"
 

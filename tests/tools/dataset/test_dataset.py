@@ -23,8 +23,7 @@ from dataset_writer import (
     write_synthetic,
     write_trial,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 

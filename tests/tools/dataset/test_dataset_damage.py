@@ -22,8 +22,7 @@ from dataset_writer import (
     write_synthetic,
     write_trial,
 )
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, example, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, example, given, settings, strategies as st
 from rich.console import Console
 from scipy.interpolate import CubicSpline
 from typer.testing import CliRunner
@@ -34,9 +33,8 @@ from gauge_envs.tools.diagnose.error_budget import (
     diagnose_trajectory,
     stage_order,
 )
-from gauge_envs.tools.diagnose.figure import draw_diagnoses
 from gauge_envs.tools.diagnose.model import BudgetStage, Diagnosis, StagePart
-from gauge_envs.tools.diagnose.words import diagnosis_document, findings
+from gauge_envs.tools.diagnose.words import diagnosis_document, draw_diagnoses, findings
 
 SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-2-wood",

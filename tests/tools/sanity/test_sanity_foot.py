@@ -21,7 +21,7 @@ from typer.testing import CliRunner
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
-from gauge_envs.evaluation.metrics.law import fitted_acceleration
+from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, mujoco_warp_run, run
 from gauge_envs.tools.sanity.exchange.scenes import scenes

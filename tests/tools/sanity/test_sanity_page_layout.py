@@ -14,8 +14,8 @@ import pytest
 from test_sanity_report import ADVICE, CONFIGURATION, CONSTANTS, CREEP, PERIOD, SLIDE, WALL, report
 
 from gauge_envs.tools.sanity.model import ContactGroup, Cure, GroupOutcome, Report, Verdict
-from gauge_envs.tools.sanity.page import sanity_page
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT
+from gauge_envs.tools.sanity.words import sanity_page
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 

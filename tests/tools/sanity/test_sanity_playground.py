@@ -14,8 +14,7 @@ from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.model import CapacityLimits
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
-from gauge_envs.tools.sanity.stacks.packaged_mjcf import packaged_model
-from gauge_envs.tools.sanity.stacks.playground import playground_task, playground_tasks
+from gauge_envs.tools.sanity.stacks.playground import packaged_model, playground_task, playground_tasks
 
 IS_INSTALLED = find_spec("mujoco_playground") is not None
 

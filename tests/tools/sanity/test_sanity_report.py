@@ -32,8 +32,7 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.page import sanity_page
-from gauge_envs.tools.sanity.words import sanity_document
+from gauge_envs.tools.sanity.words import sanity_document, sanity_page
 
 RUNNER = CliRunner()
 

@@ -13,8 +13,15 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.tools.sweep.key import content_sha256, episode_key, experiment_sha256
-from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep, remaining_tasks, shard
+from gauge_envs.tools.sweep.plan import (
+    SweepPlan,
+    content_sha256,
+    episode_key,
+    experiment_sha256,
+    plan_sweep,
+    remaining_tasks,
+    shard,
+)
 from gauge_envs.tools.sweep.spec import sweep_spec
 
 WOOD = "SlopeSlider-2-wood"

@@ -16,8 +16,14 @@ from gauge_envs import load_experiment, variants
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
-from gauge_envs.tools.transfer.envelope import Envelope, LawPolicy, control_envelope, experiment_envelope, sobol_sigmas
-from gauge_envs.tools.transfer.envelope_statistics import envelope_report
+from gauge_envs.tools.transfer.envelope import (
+    Envelope,
+    LawPolicy,
+    control_envelope,
+    envelope_report,
+    experiment_envelope,
+    sobol_sigmas,
+)
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 from gauge_envs.tools.transfer.randomization import randomization_files, ranges_of
 

@@ -15,8 +15,7 @@ import pytest
 
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.errors import PolicyError
-from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy
-from gauge_envs.tools.transfer.policies.normalization import read_normalization
+from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy, read_normalization
 from gauge_envs.tools.transfer.policy_replays import make_control_env
 
 TASK = "Pendulum-Limit-metal"

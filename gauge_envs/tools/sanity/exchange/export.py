@@ -23,21 +23,13 @@ import numpy as np
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_writer import exact_xml, start_notes
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.writer import scene_stage
 from gauge_envs.tools.assets import SOURCE, body_files
 from gauge_envs.tools.sanity.exchange.loop import run as run_exported
-from gauge_envs.tools.sanity.exchange.scenes import (
-    COLUMNS,
-    DRIVERS,
-    FORMAT,
-    MANIFEST,
-    ExportedScene,
-    manifest,
-    scenes,
-)
+from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, DRIVERS, FORMAT, MANIFEST, ExportedScene, manifest, scenes
 
 MOST_MANIFEST_BYTES = 4 * MEGABYTE
 """Largest size of a manifest."""
@@ -69,16 +61,12 @@ def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
         raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge list phenomena")
     _check_folder(folder)
     written = []
-    try:
+    with os_errors(lambda cause: ResultFileError(f"{folder}: cannot be written: {cause}: choose another folder")):
         for name, text in _texts(chosen):
             path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(text, encoding="utf-8", newline="\n")
             written.append(path)
-    except OSError as error:
-        raise ResultFileError(
-            f"{folder}: cannot be written: {error.strerror or error}: choose another folder"
-        ) from error
     return written
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from gauge_envs.tools.sanity.stacks.table import Table
+from gauge_envs.tools.sanity.stacks.documents import Table
 
 
 def number_text(value: Any) -> str:

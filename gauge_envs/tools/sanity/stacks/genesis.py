@@ -10,14 +10,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.files import MEGABYTE, json_document
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
-from gauge_envs.tools.sanity.stacks.documents import file_value
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
+from gauge_envs.tools.sanity.stacks.documents import Table, file_value
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, named_content
 
 
 def _choice(*names: str) -> Kind:
@@ -222,11 +221,9 @@ def _groups(scene: Any, settings: Mapping[str, Any]) -> tuple[tuple[ContactGroup
 
 
 def _is_options_file(target: Any) -> bool:
-    if not has_suffix(".json")(target):
-        return False
     try:
-        values = json_document(read_regular(Path(target), MEGABYTE))
-    except (OSError, ValueError):
+        values = json_document(named_content(target, (".json",), MEGABYTE))
+    except ValueError:
         return False
     return isinstance(values, dict) and all(isinstance(values.get(part), dict) for part in ("sim", "rigid"))
 

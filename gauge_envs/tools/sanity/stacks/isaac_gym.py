@@ -14,13 +14,11 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Setting, number_text
-from gauge_envs.tools.sanity.stacks.documents import MOST_YAML_BYTES, read_yaml
+from gauge_envs.tools.sanity.stacks.documents import MOST_YAML_BYTES, Table, read_yaml
 from gauge_envs.tools.sanity.stacks.physx import SOLVER, Material, PhysxValues, combined, drawn_range, stated_material
-from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
+from gauge_envs.tools.sanity.stacks.reader import Reader, named_content
 
 MARK = "num_position_iterations"
 """Key that only this style has."""
@@ -181,11 +179,8 @@ def _plain(value: Any, depth: int = MOST_DEPTH) -> Any:
 
 
 def _matches(target: Any) -> bool:
-    if has_suffix(".yaml", ".yml")(target):
-        try:
-            return MARK.encode() in read_regular(Path(target), MOST_YAML_BYTES)
-        except OSError:
-            return False
+    if isinstance(target, str | Path):
+        return MARK.encode() in named_content(target, (".yaml", ".yml"), MOST_YAML_BYTES)
     if isinstance(target, Mapping):
         return any(_has_mark(target, place) for place in PLACES)
     return hasattr(getattr(getattr(target, "sim", None), "physx", None), MARK)

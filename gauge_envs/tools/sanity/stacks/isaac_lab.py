@@ -16,7 +16,7 @@ from typing import Any
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
-from gauge_envs.tools.sanity.stacks.documents import read_yaml
+from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
 from gauge_envs.tools.sanity.stacks.physx import (
     COEFFICIENTS,
     DEGREES,
@@ -28,7 +28,6 @@ from gauge_envs.tools.sanity.stacks.physx import (
     stated_material,
 )
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
 
 SPAWN = "scene.robot.spawn"
 

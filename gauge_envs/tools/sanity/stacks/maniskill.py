@@ -20,9 +20,9 @@ from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
 from gauge_envs.tools.sanity.python_source.values import UNKNOWN, External, Instance, PythonClass, plain
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
+from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_start
-from gauge_envs.tools.sanity.stacks.table import Table
 
 PREFIX = "maniskill:"
 """Start of the name of a task."""

@@ -19,17 +19,16 @@ import mujoco
 
 from gauge_envs.backends.mujoco.model import CONES, ENABLE_FLAGS, INTEGRATORS, SOLVERS
 from gauge_envs.errors import TargetError
-from gauge_envs.files import MEGABYTE, read_regular
+from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
 from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
 from gauge_envs.tools.sanity.python_source.values import External, Instance, Module, plain, source_path
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text
-from gauge_envs.tools.sanity.stacks.documents import read_yaml
+from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
 from gauge_envs.tools.sanity.stacks.mjcf import MODEL_SETTINGS
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start, has_suffix
-from gauge_envs.tools.sanity.stacks.table import Table
+from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start, named_content
 
 PREFIX = "mjlab:"
 """Start of the name of a task."""
@@ -312,15 +311,6 @@ def _reader(
     return Reader(accepts, matches, read, model=model)
 
 
-def _is_file(target: Any) -> bool:
-    if not has_suffix(".yaml", ".yml")(target):
-        return False
-    try:
-        return MUJOCO_SECTION.search(read_regular(Path(target), MEGABYTE)) is not None
-    except OSError:
-        return False
-
-
 def _is_cfg(target: Any) -> bool:
     sim = getattr(target, "sim", None)
     return is_dataclass(target) and hasattr(sim, "mujoco") and hasattr(sim, "njmax")
@@ -338,7 +328,7 @@ READERS = (
     _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), _of_name),
     _reader(
         "params/env.yaml of a training run of mjlab",
-        _is_file,
+        lambda target: MUJOCO_SECTION.search(named_content(target, (".yaml", ".yml"), MEGABYTE)) is not None,
         lambda target: (read_yaml(Path(target), takes_objects=True), f"training run {target}"),
         lambda target: Path(target).name,
     ),

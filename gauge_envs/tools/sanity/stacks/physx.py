@@ -15,7 +15,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import FootContact, Need, TrainingConfiguration, range_text
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, number_text
-from gauge_envs.tools.sanity.stacks.table import Table
+from gauge_envs.tools.sanity.stacks.documents import Table
 
 LEAST_NOTED_M_PER_S = 0.1
 """Smallest bounce threshold that gets a note [m/s]: a fall of half a millimetre."""

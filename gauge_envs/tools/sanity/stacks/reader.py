@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from gauge_envs.errors import TargetError
+from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 
 if TYPE_CHECKING:
@@ -46,6 +48,14 @@ class Reader:
 def has_start(*starts: str) -> Callable[[Any], bool]:
     """Return a function that returns whether a target is a text with one of some starts."""
     return lambda target: isinstance(target, str | Path) and str(target).startswith(starts)
+
+
+def named_content(target: Any, suffixes: tuple[str, ...], most_bytes: int) -> bytes:
+    """Return the content of the file that a target names; empty where it names no readable file with such a suffix."""
+    with suppress(OSError):
+        if has_suffix(*suffixes)(target):
+            return read_regular(Path(target), most_bytes)
+    return b""
 
 
 def has_suffix(*suffixes: str) -> Callable[[Any], bool]:
