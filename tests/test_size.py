@@ -20,7 +20,7 @@ MOST_CORE_LINES = 45_000
 MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""
 
-GENERATED = {"api", "environments"}
+GENERATED = {"api", "environments", "studies", "_build"}
 NO_CODE = {
     tokenize.COMMENT,
     tokenize.NL,
