@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
-from gauge_envs import load_experiment
+from gauge_envs import files, load_experiment
 from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFileError, TrajectoryFileError
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
@@ -345,7 +345,11 @@ def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeyp
     ],
     ids=["height field", "replicate", "arena"],
 )
-def test_a_model_that_takes_all_memory_is_refused(body: str, reason: str, tmp_path: Path) -> None:
+def test_a_model_that_takes_all_memory_is_refused(
+    body: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert files.child_refusal.__kwdefaults__["cpu_s"] == files.CHILD_CPU_S
+    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 2)
     file = tmp_path / "bomb.xml"
     file.write_text(f"<mujoco>{body}</mujoco>")
     with pytest.raises(AssetError, match=reason):

@@ -58,7 +58,7 @@ listing.list_rows = rows
 FRAME_OF_THE_COMMAND = r'File ".*gauge_(command\.py|envs/)'
 
 
-@pytest.fixture(autouse=True)
+@pytest.fixture(autouse=True, scope="module")
 def interrupts_reach_children() -> Iterator[None]:
     """A shell starts background jobs with SIGINT ignored, which children would inherit."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -294,9 +294,16 @@ def test_three_per_cent_of_a_slide_are_visible() -> None:
     assert measured.verdict is Verdict.VISIBLE
 
 
-def test_backend_default_raises_no_flag() -> None:
+@pytest.mark.parametrize(
+    "patterns",
+    [
+        ("creep-*", "rest-height", "slide*", "carry-wood", "slip", "rebound*", "momentum", "seam", "point"),
+        pytest.param((), marks=pytest.mark.slow, id="all"),
+    ],
+)
+def test_backend_default_raises_no_flag(patterns: tuple[str, ...]) -> None:
     measurements = Measurements(MUJOCO)
-    found = {p.id: measurements.measure(p, {}) for p in phenomena()}
+    found = {p.id: measurements.measure(p, {}) for p in phenomena(patterns)}
     assert {name for name, one in found.items() if one.verdict is not Verdict.INSIDE} == set()
 
 
