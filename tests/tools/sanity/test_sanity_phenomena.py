@@ -214,7 +214,7 @@ def test_creep_bound_is_the_displacement_that_one_digit_hides(material: str, pri
 
 def test_interval_covers_further_trials() -> None:
     random = np.random.default_rng(0)
-    trials = random.normal(5.0, 0.3, (20_000, 8))
+    trials = random.normal(5.0, 0.3, (8_000, 8))
     hits = 0
     for row in trials:
         known = Reality.measured(

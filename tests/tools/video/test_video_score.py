@@ -70,7 +70,7 @@ def test_intervals_hold_the_truth(task: str) -> None:
 
 
 def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
-    one = known("SlopeSlider-2-plastic", 3)
+    one = known("SlopeSlider-2-wood")
     right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
     a, slow = right.metrics["a_m_s2"], half.metrics["a_m_s2"]
     assert a is not None
