@@ -12,15 +12,10 @@ from pathlib import Path
 DRIVER = """
 import json, os, sys
 import gauge_envs.cli.app, gauge_envs.runs.batch, gauge_envs.tools.catalog.listing
-from gauge_envs.backends import backend, backend_names, is_bundled
-from gauge_envs.errors import GaugeError
+from gauge_envs.experiments.variants import variants
 
-for name in filter(is_bundled, backend_names()):
-    try:
-        backend(name).supports
-    except GaugeError:
-        pass
-
+# What a list loads is then there for every fork.
+gauge_envs.tools.catalog.listing.list_rows(variants())
 cases, folder = json.loads(sys.argv[1]), sys.argv[2]
 codes = []
 for number, case in enumerate(cases):

@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 from pxr import Sdf, Usd
 
-from gauge_envs import load_experiment
+from gauge_envs import files, load_experiment
 from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFileError, TrajectoryFileError
+from gauge_envs.evaluation import trajectory_file
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.user_file import load_experiment_file
@@ -261,12 +262,12 @@ def test_arrays_are_those_of_numpy(dtype: str, order: str) -> None:
 
 
 def test_an_array_that_is_not_used_is_not_read() -> None:
-    content = npz(a=npy(np.ones(3)), bomb=npy(np.zeros(20_000_000)))
+    content = npz(a=npy(np.ones(3)), bomb=npy(np.zeros(5_000_000)))
     tracemalloc.start()
     npz_arrays(content, ["a"], MEGABYTE)
     assert tracemalloc.get_traced_memory()[1] < 5 * MEGABYTE
     tracemalloc.stop()
-    with pytest.raises(ValueError, match="bomb: it has 160000128 bytes, the limit of all arrays is 1000000"):
+    with pytest.raises(ValueError, match="bomb: it has 40000128 bytes, the limit of all arrays is 1000000"):
         npz_arrays(content, ["a", "bomb"], MEGABYTE)
 
 
@@ -277,11 +278,13 @@ def test_a_header_that_states_more_than_the_file_holds_is_refused() -> None:
             npz_arrays(npz(a=content), ["a"], MEGABYTE)
 
 
-def test_a_trajectory_in_a_bomb_is_refused(tmp_path: Path) -> None:
+def test_a_trajectory_in_a_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert trajectory_file.MOST_ARRAY_BYTES < 300 * MEGABYTE
+    monkeypatch.setattr(trajectory_file, "MOST_ARRAY_BYTES", 30 * MEGABYTE)
     file = tmp_path / "g.npz"
-    file.write_bytes(npz(g=npy(np.zeros((40_000_000, 1)))))
+    file.write_bytes(npz(g=npy(np.zeros((4_000_000, 1)))))
     assert len(file.read_bytes()) < MEGABYTE
-    with pytest.raises(TrajectoryFileError, match="g: it has 320000128 bytes, the limit"):
+    with pytest.raises(TrajectoryFileError, match="g: it has 32000128 bytes, the limit"):
         read_trajectory(file, load_experiment(NAME))
 
 
@@ -345,7 +348,11 @@ def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeyp
     ],
     ids=["height field", "replicate", "arena"],
 )
-def test_a_model_that_takes_all_memory_is_refused(body: str, reason: str, tmp_path: Path) -> None:
+def test_a_model_that_takes_all_memory_is_refused(
+    body: str, reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert files.child_refusal.__kwdefaults__["cpu_s"] == files.CHILD_CPU_S
+    monkeypatch.setitem(files.child_refusal.__kwdefaults__, "cpu_s", 2)
     file = tmp_path / "bomb.xml"
     file.write_text(f"<mujoco>{body}</mujoco>")
     with pytest.raises(AssetError, match=reason):

@@ -111,10 +111,11 @@ def cpu_s(code: str) -> float:
     return min(times)
 
 
-@pytest.mark.parametrize("word", ["--help", "lits"])
-def test_the_help_and_a_typo_are_quick(word: str) -> None:
-    command = f"import sys; sys.argv = ['gauge', {word!r}]; from gauge_command import main; main()"
-    assert cpu_s(command) < MOST_HELP_COST * cpu_s("import typer")
+def test_the_help_and_a_typo_are_quick() -> None:
+    least_s = cpu_s("import typer")
+    for word in ("--help", "lits"):
+        command = f"import sys; sys.argv = ['gauge', {word!r}]; from gauge_command import main; main()"
+        assert cpu_s(command) < MOST_HELP_COST * least_s
 
 
 def test_the_help_loads_no_tool() -> None:

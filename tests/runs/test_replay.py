@@ -45,7 +45,7 @@ def test_poses_are_those_of_the_trajectory(slide: Result) -> None:
 
 @pytest.mark.parametrize("name", ["Pendulum-metal", "SlopeSlider-3-metal", "BouncingBall-rubber"])
 def test_tethered_driven_and_colliding_bodies_have_the_same_bits(name: str, tmp_path: Path) -> None:
-    request = RunRequest(name, settings={"timestep_s": 1 / 900} if name.startswith("Pendulum") else None)
+    request = RunRequest(name, settings={"timestep_s": 1 / 360} if name.startswith("Pendulum") else None)
     result = load_result(first_file(tmp_path, request))
     made = replay(result)
     assert made.poses.shape[1] == len(made.bodies)

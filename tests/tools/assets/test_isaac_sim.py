@@ -414,7 +414,13 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz: 
 
 
 @pytest.mark.parametrize(
-    "name", ["TextileBending-satin", "TextileFlinging-oxford", "FoamTwisting-hard", "CantileverBeam-soft"]
+    "name",
+    [
+        "TextileBending-satin",
+        pytest.param("TextileFlinging-oxford", marks=pytest.mark.slow),
+        "FoamTwisting-hard",
+        pytest.param("CantileverBeam-soft", marks=pytest.mark.slow),
+    ],
 )
 def test_markers_become_the_generalized_trajectory_of_the_package(name: str, play: Callable[..., Any]) -> None:
     experiment = load_experiment(name)
@@ -480,7 +486,7 @@ def test_markers_are_read_in_the_world_frame(name: str) -> None:
     assert np.abs(read() - np.asarray(experiment.scene.markers.positions_m)).max() < MARKER_REACH_M
 
 
-@pytest.mark.parametrize("name", ["Turntable-3-wood", "FoamTwisting-hard"])
+@pytest.mark.parametrize("name", ["Turntable-3-wood", pytest.param("FoamTwisting-hard", marks=pytest.mark.slow)])
 def test_driven_bodies_are_placed_before_every_step(name: str, play: Callable[..., Any]) -> None:
     experiment = load_experiment(name)
     scene, rate = experiment.scene, steps_per_second(experiment.scene)

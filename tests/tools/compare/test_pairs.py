@@ -103,7 +103,7 @@ CASES = [((0.03, -0.03), False), ((0.0, 0.03), True), ((0.0, 0.01), False), ((0.
 """Friction errors of two engines, and whether their scores are aligned."""
 
 
-@pytest.mark.parametrize(("errors", "align"), CASES[:2])
+@pytest.mark.parametrize(("errors", "align"), [pytest.param(*CASES[0], marks=pytest.mark.slow), CASES[1]])
 def test_the_interval_of_a_difference_holds_the_true_one(errors: tuple[float, float], align: bool) -> None:
     # Of 150 realities, a true 95 % gives 0.91 to 0.99 in 98 of 100 runs.
     assert 0.91 <= coverage(errors, align=align, repeats=150) <= 0.99
@@ -117,7 +117,7 @@ def test_the_interval_of_a_difference_holds_the_true_one_in_95_percent_of_500(
     assert 0.93 <= coverage(errors, align=align, repeats=500) <= 0.97
 
 
-@pytest.mark.parametrize(("error", "align"), [(0.0, True), (0.01, False)])
+@pytest.mark.parametrize(("error", "align"), [pytest.param(0.0, True, marks=pytest.mark.slow), (0.01, False)])
 def test_the_interval_of_a_mean_over_one_experiment_holds_the_true_score(error: float, align: bool) -> None:
     (truth,) = true_scores(WORLD, [error], align=align)
     random = np.random.default_rng(3)

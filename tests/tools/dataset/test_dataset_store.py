@@ -56,7 +56,7 @@ def test_of_two_imports_at_once_one_counts(tmp_path: Path) -> None:
         write_synthetic(tmp_path / str(number), NAME, amounts)
         list(import_trials(find_trials(tmp_path / str(number))))
         means.append(load_imported(NAME).band.mean)
-    processes = [importing(tmp_path / str(number), 15) for number in range(2)]
+    processes = [importing(tmp_path / str(number), 8) for number in range(2)]
     reads = 0
     while any(process.poll() is None for process in processes):
         mean = load_imported(NAME).band.mean

@@ -5,7 +5,9 @@ from __future__ import annotations
 import copy
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,9 +17,11 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity import Verdict, check, configuration
 from gauge_envs.tools.sanity.against import Change, compare
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.phenomena import phenomenon, rigid
 from gauge_envs.tools.sanity.stacks import dialect
 from gauge_envs.tools.sanity.stacks.documents import yaml_document
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
@@ -300,6 +304,17 @@ def test_changes_are_lines_of_python() -> None:
     assert written.gravity_text((0.0, 0.0, -9.80665)) == "self.sim.gravity = (0, 0, -9.81)"
 
 
+@pytest.fixture
+def short_swing(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A pendulum that swings only for as long as its period is measured."""
+    swing = SimpleNamespace(frames=round(rigid.PERIOD_S * FRAME_RATE_HZ) + 2)
+    monkeypatch.setattr(rigid, "published_baselines", lambda _: {"el": swing})
+    phenomenon.cache_clear()
+    yield
+    phenomenon.cache_clear()
+
+
+@pytest.mark.usefixtures("short_swing")
 def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
     settings = {"timestep_s": 0.01, "hinges": "articulation", "link_linear_damping_per_s": 0.05}
     target = TrainingConfiguration(

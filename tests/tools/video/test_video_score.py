@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,13 +31,19 @@ def is_close(name: str, value: float | None, truth: float) -> bool:
     return value is not None and abs(value - truth) <= TOLERANCE[name] * scale
 
 
+@cache
+def known(task: str, seed: int = 7) -> Clip:
+    """A clip that several tests read and none changes."""
+    return clip(task, np.random.default_rng(seed))
+
+
 def scored(one: Clip) -> VideoScore:
     return score(one.frames, one.fps, one.task)
 
 
 @pytest.mark.parametrize("task", FIVE)
 def test_a_known_motion_is_recovered(task: str) -> None:
-    one = clip(task, np.random.default_rng(7))
+    one = known(task)
     result = scored(one)
     assert result.grade is Grade.VALID, result.reasons
     for name, truth in one.truth.items():
@@ -63,7 +70,7 @@ def test_intervals_hold_the_truth(task: str) -> None:
 
 
 def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
-    one = clip("SlopeSlider-2-plastic", np.random.default_rng(3))
+    one = known("SlopeSlider-2-wood")
     right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
     a, slow = right.metrics["a_m_s2"], half.metrics["a_m_s2"]
     assert a is not None
@@ -71,7 +78,7 @@ def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
 
 
 def test_the_scale_follows_resolution_and_aspect() -> None:
-    one = clip("BouncingBall-rubber", np.random.default_rng(5))
+    one = known("BouncingBall-rubber", 5)
     wide = [cv2.resize(frame, (1280, 720)) for frame in one.frames]
     squeezed = [cv2.resize(frame, (640, 480)) for frame in one.frames]
     for frames in (wide, squeezed):
@@ -80,7 +87,7 @@ def test_the_scale_follows_resolution_and_aspect() -> None:
 
 
 def test_an_object_that_vanishes_is_named() -> None:
-    one = clip("Pendulum-metal", np.random.default_rng(7))
+    one = known("Pendulum-metal")
     empty = one.frames[0].copy()
     empty[220:310, 420:510] = empty[220:310, 520:610]
     frames = [*one.frames[:20], *[empty] * 40]
@@ -90,7 +97,7 @@ def test_an_object_that_vanishes_is_named() -> None:
 
 
 def test_a_camera_that_zooms_is_named() -> None:
-    one = clip("SlopeSlider-2-wood", np.random.default_rng(7))
+    one = known("SlopeSlider-2-wood")
     height, width = one.frames[0].shape[:2]
     frames = []
     for number, frame in enumerate(one.frames):
@@ -102,7 +109,7 @@ def test_a_camera_that_zooms_is_named() -> None:
 
 
 def test_a_still_picture_is_invalid() -> None:
-    one = clip("SlopeSlider-2-wood", np.random.default_rng(7))
+    one = known("SlopeSlider-2-wood")
     result = score([one.frames[0]] * 12, 30.0, one.task)
     assert result.grade is Grade.INVALID
     assert result.reasons[0].startswith("the object does not move")
@@ -163,7 +170,7 @@ def written(one: Clip, path: Path) -> Path:
 
 
 def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
-    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    one = known("SlopeSlider-2-metal", 11)
     path = written(one, tmp_path / "slide.mp4")
     arguments = ["video", "score", str(path), "--id", one.task, "--json", "--out", str(tmp_path / "drawn")]
     outcome = CliRunner().invoke(app, arguments)
@@ -181,7 +188,7 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
 
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
-    one = clip("SlopeSlider-2-metal", np.random.default_rng(11))
+    one = known("SlopeSlider-2-metal", 11)
     for model in ("seedance2", "slow"):
         (tmp_path / "videos" / model).mkdir(parents=True)
     written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
