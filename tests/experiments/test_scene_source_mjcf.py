@@ -11,7 +11,6 @@ import gymnasium
 import mujoco
 import numpy as np
 import pytest
-from places import RIGID
 
 from gauge_envs import load_experiment, load_experiment_from_asset
 from gauge_envs.backends import backend, backend_for, backend_of_suffix
@@ -60,9 +59,7 @@ def edited(tmp_path: Path) -> Callable[..., Path]:
 # --- the shipped files -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ALL]
-)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ALL])
 def test_the_shipped_file_is_the_scenes(name: str) -> None:
     found = load_experiment_from_asset(name, shipped(name))
     assert found.asset is not None
@@ -82,7 +79,12 @@ def test_the_shipped_file_states_the_settings_in_force() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    [pytest.param(name, marks=() if name in (TILTED, "NonsmoothContact-1-wood", "BouncingBall-rubber") else pytest.mark.slow) for name in ALL],
+    [
+        pytest.param(
+            name, marks=() if name in (TILTED, "NonsmoothContact-1-wood", "BouncingBall-rubber") else pytest.mark.slow
+        )
+        for name in ALL
+    ],
 )
 def test_the_shipped_file_gives_the_same_trajectory_bit_for_bit(name: str, rollout: Rollout) -> None:
     _, task, _ = rollout(name)
@@ -91,7 +93,8 @@ def test_the_shipped_file_gives_the_same_trajectory_bit_for_bit(name: str, rollo
     assert not info["score"].edited
 
 
-@pytest.mark.parametrize("name", ["TextileStretching-rayon", "StickStack-soft", pytest.param("FoamShearing-soft", marks=pytest.mark.slow)]
+@pytest.mark.parametrize(
+    "name", ["TextileStretching-rayon", "StickStack-soft", pytest.param("FoamShearing-soft", marks=pytest.mark.slow)]
 )
 def test_deformable_bodies_are_read_from_a_file(name: str) -> None:
     runs = []
