@@ -92,7 +92,7 @@ def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
 @pytest.mark.parametrize("proxy", ["node", "material"])
 def test_foam_markers_follow_the_grip(proxy: str, rollout) -> None:
     # The law needs no fine mesh.
-    env, trajectory, _ = rollout("FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.02})
+    env, trajectory, _ = rollout("FoamStretching-soft", marker_proxy=proxy, settings={"cell_m": 0.05})
     moved = trajectory.markers_m[-1] - trajectory.markers_m[0]
     height = trajectory.markers_m[0, :, 2] - env.experiment.scene.body("base-1").pose.position_m[2]
     # Between the grips, 12.85 mm inside the foam's ends, the stretch of 9.23 mm is nearly even.
