@@ -55,11 +55,16 @@ class Stateless(Backend):
         return ReplayedSimulation(simulation) if self.replayed else simulation
 
 
-STATE_CHECKS = ["restore", "restore-*-rigid", "restore-wrench", "restore-rest", "copy", "cloth-restore", "cloth-copy"]
+STATE_CHECKS = ["restore", "restore-wrench", "copy", "cloth-restore", "sample-positions", "reset-*"]
 
 
-def test_a_replayed_simulation_continues_bit_for_bit() -> None:
-    results = list(run_checks(Stateless(replayed=True), only=[*STATE_CHECKS, "sample-positions", "reset-*"]))
+@pytest.mark.parametrize(
+    "only",
+    [STATE_CHECKS, pytest.param(["restore-*-rigid", "restore-rest", "cloth-copy"], marks=pytest.mark.slow)],
+    ids=["short", "long"],
+)
+def test_a_replayed_simulation_continues_bit_for_bit(only: list[str]) -> None:
+    results = list(run_checks(Stateless(replayed=True), only=only))
     assert {one.status for one in results} == {Status.PASS}
 
 

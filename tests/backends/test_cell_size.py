@@ -34,7 +34,9 @@ def node_count(simulation: Simulation, scene: Scene) -> int:
     ("engine", "name", "settings", "cells_m", "counts"),
     [
         ("mujoco", "TextileBending-satin", {}, (0.025, 0.0125), (17**2, 33**2)),
-        ("mujoco", "TableclothPulling-wood", {}, (0.025, 0.0125), (19 * 17, 37 * 33)),
+        pytest.param(
+            *("mujoco", "TableclothPulling-wood", {}, (0.025, 0.0125), (19 * 17, 37 * 33)), marks=pytest.mark.slow
+        ),
         ("mujoco", "FoamStretching-soft", {}, (None, 0.02), (17 * 5 * 5, 19 * 7 * 7)),
         ("mujoco", "RopeWinding-rubber", {}, (0.01, 0.005), (35, 69)),
         ("mujoco", "StickStack-soft", {}, (None, 0.005), (16, 31)),
@@ -88,10 +90,10 @@ def relative_error(engine: str, check: str, settings: Mapping[str, Any]) -> floa
     [
         ("mujoco", "cloth-bending", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.015),
         ("mujoco", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.004),
-        ("mujoco", "foam-tension", {}, {"cell_m": 0.025}, 0.0001),
+        pytest.param("mujoco", "foam-tension", {}, {"cell_m": 0.025}, 0.0001, marks=pytest.mark.slow),
         pytest.param("mujoco", "foam-poisson", {}, {"cell_m": 0.025}, 0.0001, marks=pytest.mark.slow),
         ("mujoco", "rod-bending", {"cell_m": 0.02}, {"cell_m": 0.01}, 0.001),
-        ("newton", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.002),
+        pytest.param("newton", "cloth-stretch", {"cell_m": 0.025}, {"cell_m": 0.0125}, 0.002, marks=pytest.mark.slow),
         pytest.param("newton", "rod-bending", {"cell_m": 0.02}, {"cell_m": 0.01}, 0.001, marks=pytest.mark.slow),
     ],
 )

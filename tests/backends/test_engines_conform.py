@@ -47,29 +47,29 @@ class Engine:
 
 CORE = (
     *("start-*", "order-of-names", "time", "free-fall*", "pendulum-*", "spin-*", "angular-velocity", "velocity-*"),
-    *("wrench-frame", "wrench-force", "inertia-*", "contact-*", "slide*", "hold", "rebound-0.5", "roll-ball"),
-    "restore",
+    *("wrench-frame", "wrench-force", "inertia-box", "inertia-union", "contact-*", "slide", "slide-straight"),
+    *("slide-of-pair", "hold", "rebound-0.5", "roll-ball", "restore"),
 )
 """Checks of every kind of law that a heavy engine runs by default."""
 
+LONG = (
+    *("restore-benchmark-*", "restore-impact", "restore-rest", "determinism", "driven-*", "pushed-ball"),
+    *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
+)
+"""Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
+
 ENGINES = (
     Engine(name="mujoco", module="mujoco"),
-    Engine(name="rapier", module="rapier3d", lacks=DEFORMABLE),
-    Engine(name="physx", module="sapien", lacks=DEFORMABLE, long=("restore-benchmark-*", "collision-slow")),
+    Engine(name="rapier", module="rapier3d", lacks=DEFORMABLE, long=LONG),
+    Engine(name="physx", module="sapien", lacks=DEFORMABLE, long=LONG),
     Engine(
         name="pybullet",
         module="pybullet",
         lacks=("cloth", "air", "rod"),
         long=(
-            "restore-*",
-            "reset-*",
-            "copy",
-            "determinism",
-            "pile-*",
-            "swing-*",
-            "driven-*",
-            "collision-slow",
-            "foam-*",
+            *LONG,
+            *("restore-*", "reset-*", "copy", "swing-*", "foam-*"),
+            *("carry-line", "carry-turn", "rest-lying-cylinder"),
         ),
     ),
     Engine(

@@ -12,6 +12,9 @@ import re
 import shlex
 import subprocess
 import sys
+import tempfile
+import tomllib
+import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -21,9 +24,11 @@ import numpy as np
 import pytest
 from numpy.typing import ArrayLike, NDArray
 from places import ROOT
+from typer.testing import CliRunner
 
 import gauge_envs
 from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.drivers import Driver, DriverMotion
@@ -42,11 +47,32 @@ GROUND_M = np.array([0.1, 0.2, 0.3])
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Environment variables of a process that finds the installed example, and this module."""
+    """Environment variables of a process that finds the example as if it were installed, and this module."""
     target = tmp_path_factory.mktemp("installed")
-    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(target)]
+    project = tomllib.loads((PACKAGE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    facts = target / f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    facts.mkdir()
+    (facts / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n")
+    lines = [
+        line
+        for group, points in project["entry-points"].items()
+        for line in (f"[{group}]", *(f"{name} = {value}" for name, value in points.items()))
+    ]
+    (facts / "entry_points.txt").write_text("\n".join(lines))
+    return process_environment(target, PACKAGE)
+
+
+def process_environment(*folders: Path) -> dict[str, str]:
+    places = [*map(str, folders), str(Path(__file__).parent), str(ROOT / "tests"), os.environ.get("PYTHONPATH", "")]
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, places))}
+
+
+@pytest.mark.slow
+def test_pip_installs_the_example(tmp_path: Path) -> None:
+    options = ["--quiet", "--no-deps", "--no-build-isolation", "--no-index", "--target", str(tmp_path)]
     subprocess.run([sys.executable, "-m", "pip", "install", *options, str(PACKAGE)], check=True, capture_output=True)
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(target), str(Path(__file__).parent), str(ROOT / "tests")])}
+    code = "from gauge_envs.backends import backend; print(backend('point').versions(), backend.__module__)"
+    assert "{'point-engine': '1.0.0'}" in run_python(process_environment(tmp_path), code, cwd=tmp_path)
 
 
 def run_python(environment: dict[str, str], code: str, *, cwd: Path | None = None) -> str:
@@ -208,10 +234,21 @@ def test_all_other_experiments_are_declined_with_reasons(measured: dict[str, Any
     ]
 
 
-def test_command_line_knows_the_engine(environment: dict[str, str], tmp_path: Path) -> None:
-    run = gauge(environment, ["run", "BouncingBall-rubber", "--backend", "point", "--json", "--out", "out"], tmp_path)
-    assert run.returncode == 0, run.stderr
-    assert json.loads(run.stdout)["backend"] == "point"
+def invoked(*arguments: str) -> dict[str, Any]:
+    """What a `gauge` command of this process printed, and its exit code."""
+    run = CliRunner().invoke(app, arguments)
+    return {"exit_code": run.exit_code, "stdout": run.stdout, "stderr": run.stderr}
+
+
+def measure_run() -> dict[str, Any]:
+    with tempfile.TemporaryDirectory() as folder:
+        return invoked("run", "BouncingBall-rubber", "--backend", "point", "--json", "--out", folder)
+
+
+def test_command_line_knows_the_engine(measured: dict[str, Any]) -> None:
+    run = measured["run"]
+    assert run["exit_code"] == 0, run["stderr"]
+    assert json.loads(run["stdout"])["backend"] == "point"
 
 
 # --- physics ---------------------------------------------------------------------------------------------------------
@@ -353,15 +390,28 @@ def test_driven_body_accelerates_uniformly(measured: dict[str, Any]) -> None:
     assert state == pytest.approx(expected, abs=1e-12)
 
 
-@pytest.mark.parametrize(
-    "only", [["start-*", "re*", "free-fall*", "slide", "wrench-*"], pytest.param([], marks=pytest.mark.slow)]
-)
-def test_conformance_kit_finds_nothing(environment: dict[str, str], tmp_path: Path, only: list[str]) -> None:
-    options = [f"--only={pattern}" for pattern in only]
-    run = gauge(environment, ["backend", "check", "point", "--json", *options], tmp_path)
+QUICK = ("start-*", "rest-*", "rebound-*", "reset-*", "restore", "free-fall*", "slide", "wrench-*")
+
+
+def measure_conformance() -> dict[str, Any]:
+    return invoked("backend", "check", "point", "--json", *(f"--only={pattern}" for pattern in QUICK))
+
+
+def statuses(output: str) -> set[str]:
+    return {json.loads(line)["status"] for line in output.splitlines()}
+
+
+def test_conformance_kit_finds_nothing(measured: dict[str, Any]) -> None:
+    run = measured["conformance"]
+    assert run["exit_code"] == 0, run["stdout"] + run["stderr"]
+    assert statuses(run["stdout"]) == {"pass", "declined"}
+
+
+@pytest.mark.slow
+def test_the_whole_conformance_kit_finds_nothing(environment: dict[str, str], tmp_path: Path) -> None:
+    run = gauge(environment, ["backend", "check", "point", "--json"], tmp_path)
     assert run.returncode == 0, run.stdout + run.stderr
-    findings = [json.loads(line) for line in run.stdout.splitlines()]
-    assert {finding["status"] for finding in findings} == {"pass", "declined"}
+    assert statuses(run.stdout) == {"pass", "declined"}
 
 
 # --- guide -----------------------------------------------------------------------------------------------------------
@@ -372,15 +422,26 @@ def fenced(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
-def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(
-    environment: dict[str, str], tmp_path: Path
-) -> None:
-    source = (PACKAGE / "point_engine.py").read_text()
-    blocks = fenced("python")
-    quoted = [block for block in blocks if block in source]
-    assert len(quoted) > 3
-    assert len(blocks) - len(quoted) > 3
-    run_python(environment, "\n".join(block for block in blocks if block not in source), cwd=tmp_path)
+def unquoted() -> list[str]:
+    """Python blocks of the guide that are not quoted from the example."""
+    source = (PACKAGE / "point_engine.py").read_text(encoding="utf-8")
+    return [block for block in fenced("python") if block not in source]
+
+
+def measure_guide() -> str:
+    """Return the error of the guide's own blocks, or nothing."""
+    try:
+        exec("\n".join(unquoted()), {})
+    except Exception:
+        return traceback.format_exc()
+    return ""
+
+
+def test_python_blocks_of_the_guide_run_or_are_quoted_from_the_example(measured: dict[str, Any]) -> None:
+    count = len(unquoted())
+    assert count > 3
+    assert len(fenced("python")) - count > 3
+    assert measured["guide"] == ""
 
 
 def test_toml_of_the_guide_is_that_of_the_example() -> None:

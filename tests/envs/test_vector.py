@@ -64,13 +64,15 @@ def test_make_vec_makes_the_native_one_by_default() -> None:
     assert envs.unwrapped.spec.id == f"GAUGE/{RIGID}"
 
 
-@pytest.mark.parametrize("name", [*ALL_KINDS, "Pendulum-metal", "FoamStretching-soft"])
-def test_worlds_are_single_environments_bit_for_bit(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "steps"), [*((name, 9) for name in ALL_KINDS), ("Pendulum-metal", 9), ("FoamStretching-soft", 2)]
+)
+def test_worlds_are_single_environments_bit_for_bit(name: str, steps: int) -> None:
     envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2)
     options = {} if name.endswith("-soft") else {"jitter": True}
     batches = [envs.reset(seed=5, options=options)]
     envs.action_space.seed(0)
-    actions = [envs.action_space.sample() for _ in range(9)]
+    actions = [envs.action_space.sample() for _ in range(steps)]
     batches += [envs.step(action) for action in actions]
     for number in range(2):
         env = gymnasium.make(f"GAUGE/{name}")
@@ -279,12 +281,12 @@ def test_an_unsupported_id_says_so() -> None:
         (RIGID, "async", "SameStep"),
         (DRIVEN, "sync", "SameStep"),
         (DRIVEN, "async", "NextStep"),
-        (SOFT, "sync", "SameStep"),
+        pytest.param(SOFT, "sync", "SameStep", marks=pytest.mark.slow),
         (SOFT, "async", "NextStep"),
     ],
 )
 def test_scores_arrive_from_sub_environments(name: str, mode: str, autoreset: str) -> None:
-    count = 6 if name == RIGID else 2
+    count = 6 if (name, mode) == (RIGID, "sync") else 2
     envs = ScoreEpisodes(
         gymnasium.make_vec(
             f"GAUGE/{name}",

@@ -28,6 +28,8 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.run.words import summary_document
 
 NAME = "FoamStretching-soft"
+COARSE = {"cell_m": 0.05}
+"""Cells for what holds with any mesh."""
 EXPERIMENT = load_experiment(NAME)
 REST_M = np.array(EXPERIMENT.scene.markers.positions_m)
 
@@ -123,7 +125,7 @@ def test_a_score_survives_json() -> None:
 @pytest.fixture(scope="module")
 def episode(rollout: Callable) -> tuple[Trajectory, dict[str, Any]]:
     """Trajectory and last info of the calibrated foam."""
-    _, trajectory, info = rollout(NAME, marker_proxy="material")
+    _, trajectory, info = rollout(NAME, marker_proxy="material", settings=COARSE)
     return trajectory, info
 
 
@@ -132,7 +134,9 @@ def test_the_poisson_ratio_is_seen_by_the_volume_and_not_by_the_areas(
 ) -> None:
     """Synthetic trials of the calibrated foam, dots placed 0.8 mm off, 0.1 mm of noise; see docs/scores.md."""
     right = episode[0].markers_m
-    wrong = rollout(NAME, marker_proxy="material", parameters={"foam.poisson_ratio": 0.05})[1].markers_m
+    wrong = rollout(NAME, marker_proxy="material", settings=COARSE, parameters={"foam.poisson_ratio": 0.05})[
+        1
+    ].markers_m
     random = np.random.default_rng(8)
     off = 0.8e-3 * random.normal(size=REST_M.shape)
     placed = right + np.einsum("fij,mj->fmi", affine_map(right[0], right).gradient, off)
@@ -167,7 +171,7 @@ def test_info_and_result_hold_the_statistics(episode: tuple[Trajectory, dict[str
     found = info["deformation"]
     assert found == score_deformation(EXPERIMENT, trajectory.markers_m)
     assert info["score"].grade == "none"
-    result = run_episode(RunRequest(NAME, marker_proxy="material"))
+    result = run_episode(RunRequest(NAME, marker_proxy="material", settings=COARSE))
     assert result.deformation == found
     write_result(result, tmp_path / "result.json")
     assert load_result(tmp_path / "result.json").deformation == found
@@ -182,7 +186,7 @@ def test_info_of_a_rigid_body_has_none(rollout: Callable) -> None:
 
 
 def test_worlds_of_a_vector_environment_have_them_too(episode: tuple[Trajectory, dict[str, Any]]) -> None:
-    envs = gymnasium.make_vec("GAUGE/FoamStretching-soft", num_envs=1, marker_proxy="material")
+    envs = gymnasium.make_vec("GAUGE/FoamStretching-soft", num_envs=1, marker_proxy="material", settings=COARSE)
     envs.reset(seed=0)
     actions, over, infos = np.zeros(envs.action_space.shape), False, {}
     while not over:

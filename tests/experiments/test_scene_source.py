@@ -12,7 +12,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from places import RIGID
 from pxr import Gf, Sdf, Usd, UsdUtils, Vt
 from typer.testing import CliRunner
 
@@ -38,6 +37,8 @@ from gauge_envs.tools.compare.words import comparison_rows
 ALL = tuple(variant.name for variant in variants())
 SLIDE = "SlopeSlider-2-wood"
 TILTED = "SlopeSlider-3-wood"
+QUICK = ("BouncingBall-rubber", "NonsmoothContact-2-wood", "Pendulum-metal", "Turntable-2-plastic", "StickStack-soft")
+"""Of each kind one id; `test_usd.py` reads the layers of all."""
 G = 9.80665
 
 Rollout = Callable[..., tuple[Any, Trajectory, dict]]
@@ -79,7 +80,7 @@ def setting(**values: Any) -> Edit:
 # --- the shipped layers ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=() if name in QUICK else pytest.mark.slow) for name in ALL])
 def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
     found = load_experiment_from_asset(name, shipped(name))
     assert found.scene == load_experiment(name).scene
@@ -89,7 +90,7 @@ def test_the_shipped_layer_is_the_task_files_scene(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=() if name in RIGID[:28:4] else pytest.mark.slow) for name in ALL]
+    "name", [pytest.param(name, marks=() if name in QUICK[:4] else pytest.mark.slow) for name in ALL]
 )
 def test_the_shipped_layer_gives_the_same_trajectory_bit_for_bit(name: str, rollout: Rollout) -> None:
     _, task, _ = rollout(name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import shutil
 import tomllib
 from pathlib import Path
@@ -126,7 +127,16 @@ def test_damaged_statistics_are_named(scoring: Path, file: str, old: str, new: s
     assert message in str(caught.value)
 
 
-def test_check_notices_a_changed_marker(scoring: Path, capsys: pytest.CaptureFixture) -> None:
+def test_check_notices_a_changed_marker(
+    scoring: Path, capsys: pytest.CaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Bands have a test of their own, and statistics of two recordings suffice.
+    monkeypatch.setattr(build_recordings, "generated_files", build_recordings.statistics_files)
+    stated = scoring / "facts" / "recordings" / "statistics.toml"
+    sections = re.split(r"(?m)^(?=\[)", stated.read_text(encoding="utf-8"))
+    kept = [part for part in sections if part.startswith(("[foam_bending", "[foam_stretching"))]
+    assert len(kept) > 1
+    stated.write_text("".join(kept), encoding="utf-8")
     table = scoring / "facts" / "recordings" / "foam_bending_markers.csv"
     lines = table.read_text(encoding="utf-8").splitlines()
     lines[-10] = ",".join(["9" + field if k == 5 else field for k, field in enumerate(lines[-10].split(","))])

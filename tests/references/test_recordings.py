@@ -66,7 +66,8 @@ def scoring(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return copy
 
 
-def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, capsys) -> None:
+def test_check_notices_changed_measurements_and_a_missing_band(scoring: Path, capsys, monkeypatch) -> None:
+    monkeypatch.setattr(build_recordings, "statistics_files", lambda scoring: {})
     (scoring / "bands" / "Pendulum-metal.toml").unlink()
     facts = scoring / "facts" / "recordings" / "slope_slider.csv"
     facts.write_text(facts.read_text(encoding="utf-8").replace("85.53", "86.53"), encoding="utf-8")

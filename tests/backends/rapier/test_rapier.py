@@ -399,7 +399,7 @@ def test_batched_worlds_are_single_simulations_bit_for_bit(name: str) -> None:
         worlds.reset(0)
         for single in singles:
             single.reset(0)
-        for frame in range(40):
+        for frame in range(20):
             for index, (world, single) in enumerate(zip(worlds.worlds, singles, strict=True)):
                 for driver in scene.drivers if index != 5 else ():
                     pose, speed = driver.state(scene.body(driver.body).pose, frame / 180)

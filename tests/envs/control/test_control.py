@@ -206,7 +206,13 @@ def test_slope_and_turntable_have_the_calibrated_friction() -> None:
 # --- laws and engines ---
 
 
-@pytest.mark.parametrize("name", STEADY)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name.endswith(("wood", "Pendulum-Limit-metal")) else pytest.mark.slow)
+        for name in STEADY
+    ],
+)
 def test_law_holds_at_98_percent_and_not_at_102(name: str) -> None:
     env = make(name)
     below = by_law(env, 0.98)

@@ -246,7 +246,7 @@ def scenes(draw: st.DrawFn) -> Scene:
     )
 
 
-@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=12, deadline=None, suppress_health_check=list(HealthCheck))
 @given(scene=scenes())
 def test_any_scene_comes_back_to_the_bit(scene: Scene) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -46,7 +46,7 @@ def survives(content: str | bytes, suffix: str = ".usda") -> None:
         assert 0.0 < scene.duration_s < float("inf")
 
 
-@settings(FUZZ, max_examples=60)
+@settings(FUZZ, max_examples=30)
 @given(name=st.sampled_from(NAMES), where=st.floats(0.0, 1.0), length=st.integers(0, 200), data=st.binary(max_size=20))
 def test_bytes_that_are_lost_or_changed(name: str, where: float, length: int, data: bytes) -> None:
     content = layer_text(name).encode()
@@ -81,7 +81,7 @@ def test_times_that_make_no_sense(key: str, value: str) -> None:
     survives(text)
 
 
-@settings(FUZZ, max_examples=120)
+@settings(FUZZ, max_examples=60)
 @given(
     name=st.sampled_from(NAMES), pick=st.integers(0, 10**6), how=st.sampled_from(["remove", "retype", "block", "empty"])
 )
@@ -146,7 +146,7 @@ def test_files_that_do_not_exist(tmp_path: Path) -> None:
             from_usd(path)
 
 
-@settings(FUZZ, max_examples=30)
+@settings(FUZZ, max_examples=15)
 @given(where=st.floats(0.0, 1.0), data=st.binary(min_size=1, max_size=8))
 def test_binary_layers_that_are_damaged(where: float, data: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:
