@@ -14,7 +14,7 @@ import pytest
 from hostile import install
 
 import gauge_envs
-from gauge_envs.backends import Support, backend
+from gauge_envs.backends import Support, backend, registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
@@ -54,7 +54,12 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Calla
     folder.mkdir()
     monkeypatch.syspath_prepend(str(folder))
     backend.cache_clear()
-    yield lambda *names: install(folder, *names)
+
+    def installs(*names: str) -> None:
+        install(folder, *names)
+        registry._scanned.cache_clear()
+
+    yield installs
     backend.cache_clear()
 
 
