@@ -113,7 +113,7 @@ def layers(env: gymnasium.Env) -> list[gymnasium.Env]:
     return found
 
 
-@pytest.mark.parametrize("name", [RIGID, DRIVEN])
+@pytest.mark.parametrize("name", [RIGID, pytest.param(DRIVEN, marks=pytest.mark.slow)])
 def test_a_pickle_goes_on_in_another_process(name: str, tmp_path: Path) -> None:
     env = gymnasium.make(f"GAUGE/{name}")
     env.reset(seed=4, options={"jitter": True})
@@ -287,7 +287,8 @@ def plain_score(name: str) -> Score:
 
 
 @pytest.mark.parametrize(
-    ("name", "layer"), [*((name, one) for name in (RIGID, DRIVEN) for one in LAYERS), (SOFT, flat)]
+    ("name", "layer"),
+    [*((name, one) for name in (RIGID, DRIVEN) for one in LAYERS), pytest.param(SOFT, flat, marks=pytest.mark.slow)],
 )
 def test_wrappers_go_before_and_after_the_score(name: str, layer: Callable[[gymnasium.Env], gymnasium.Env]) -> None:
     after = layer(gymnasium.make(f"GAUGE/{name}"))

@@ -282,7 +282,7 @@ def test_an_unsupported_id_says_so() -> None:
         (DRIVEN, "sync", "SameStep"),
         (DRIVEN, "async", "NextStep"),
         pytest.param(SOFT, "sync", "SameStep", marks=pytest.mark.slow),
-        (SOFT, "async", "NextStep"),
+        pytest.param(SOFT, "async", "NextStep", marks=pytest.mark.slow),
     ],
 )
 def test_scores_arrive_from_sub_environments(name: str, mode: str, autoreset: str) -> None:

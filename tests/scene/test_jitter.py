@@ -61,6 +61,7 @@ def test_a_hinged_ball_turns_about_its_hinge() -> None:
     assert np.linalg.norm(arms - arm, axis=1).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_a_tether_stays_tight() -> None:
     positions, scene = starts("WallBreaking-wood", "ball", Jitter(), count=50)
     tether = next(joint for joint in scene.joints if joint.body == "ball")

@@ -329,7 +329,8 @@ def sliding_lag_m(scene: Scene, *, contact_n_per_m: float, stretch_n: float) -> 
     return float(-solution.y[2, -1])
 
 
-@pytest.mark.parametrize("name", ["soft", pytest.param("hard", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["soft", "hard"])
 def test_foot_that_slides_stays_behind_as_friction_and_elasticity_say(name: str) -> None:
     """The rod's own weight stretches it by 15 micrometres, and presses the foot on the board until it bends."""
     scene = load_experiment(f"StickStack-{name}").scene

@@ -344,7 +344,7 @@ REPEATED = [
     ("RotatingBall-satin", None),
     ("FoamStretching-soft", None),
     ("FoamBending-soft", None),
-    ("FoamStretching-soft", {"preset": "mpm"}),
+    pytest.param("FoamStretching-soft", {"preset": "mpm"}, marks=pytest.mark.slow),
 ]
 
 

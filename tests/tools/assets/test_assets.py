@@ -629,7 +629,7 @@ def test_mjcf_replays_the_trajectory_without_this_project(name: str) -> None:
         # A foam that is twisted stands for those that are pulled and pressed, and for the beam.
         # Cloth that folds under and around bodies takes longest.
         pytest.param(name, marks=pytest.mark.slow)
-        if name.startswith(("TableclothPulling", "Funnel", "FoamS", "FoamC", "CantileverBeam"))
+        if name.startswith(("Tablecloth", "Funnel", "FoamS", "FoamC", "Cantilever", "Rotating", "TextileF", "TextileS"))
         or name not in FIRST.values()
         else name
         for name in DEFORMABLE

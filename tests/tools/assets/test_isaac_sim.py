@@ -418,7 +418,7 @@ def test_a_rigid_trajectory_has_the_score_of_the_run_that_it_repeats(record_hz: 
     [
         "TextileBending-satin",
         pytest.param("TextileFlinging-oxford", marks=pytest.mark.slow),
-        "FoamTwisting-hard",
+        pytest.param("FoamTwisting-hard", marks=pytest.mark.slow),
         pytest.param("CantileverBeam-soft", marks=pytest.mark.slow),
     ],
 )

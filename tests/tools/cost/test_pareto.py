@@ -123,6 +123,7 @@ def test_the_closed_form_of_a_ball_has_its_restitution() -> None:
     assert (exact[14, 2] - (13.297 + 30)) / 1e3 == pytest.approx(speed * since_s - 0.5 * 9.80665 * since_s**2, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_closed_form_of_a_pendulum_keeps_its_length_and_period() -> None:
     experiment = load_experiment("Pendulum-metal")
     exact = closed_form(experiment)

@@ -50,6 +50,7 @@ def stored_files() -> list[str]:
     return sorted(file.name for file in (user_data_folder() / "trials").iterdir() if file.name != ".lock")
 
 
+@pytest.mark.slow
 def test_of_two_imports_at_once_one_counts(tmp_path: Path) -> None:
     means = []
     for number, amounts in enumerate(([0.0, 1.0], [4.0, 5.0])):

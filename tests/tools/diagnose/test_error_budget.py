@@ -293,6 +293,7 @@ def test_parts_sum_to_the_score_whatever_the_trajectory(drawn):
     assert diagnosis.rmse == pytest.approx(trajectory_rmse(values[::6], mean), rel=1e-12)
 
 
+@pytest.mark.slow
 @settings(max_examples=2, deadline=None)
 @given(wild())
 def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
@@ -307,6 +308,7 @@ def test_order_changes_the_parts_but_neither_whole_nor_rest(drawn):
     assert len(set(rests)) == 1
 
 
+@pytest.mark.slow
 def test_the_search_finds_what_a_dense_grid_finds():
     """Of a motion with many local minima, by an independent brute force over shift and speed with NumPy alone."""
     experiment = load_experiment(DRIVEN)

@@ -115,7 +115,7 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
 
 
 @needs_opengl
-@pytest.mark.parametrize("suffix", [".webp", ".gif"])
+@pytest.mark.parametrize("suffix", [".webp", pytest.param(".gif", marks=pytest.mark.slow)])
 def test_other_formats_have_the_length_of_the_film(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"ball{suffix}"
     save_film(results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5))
@@ -358,7 +358,7 @@ def test_without_opengl_there_is_an_error_and_no_film(
 
 
 @needs_opengl
-@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+@pytest.mark.parametrize("suffix", [".mp4", pytest.param(".gif", marks=pytest.mark.slow)])
 def test_an_interrupted_film_leaves_the_earlier_one(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
     if suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg", reason="extra 'video' is not installed")

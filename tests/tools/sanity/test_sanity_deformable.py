@@ -183,6 +183,7 @@ def test_an_engine_that_raises_has_diverged(monkeypatch: pytest.MonkeyPatch) -> 
 # --- engines ---------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_default_of_lines_and_hanging_cloth() -> None:
     measurements = Measurements(MUJOCO)
     found = {name: measurements.measure(one(name), {}) for name in ("cloth-sag", "rope-length", "foot-lag")}

@@ -428,7 +428,16 @@ def test_the_command_fails_for_a_fault_of_the_feet(tmp_path: Path) -> None:
     assert RUNNER.invoke(app, arguments).exit_code == 0
 
 
-@pytest.mark.parametrize("name", ["soft_foot", "one_iteration", "margin_1_cm", "pyramidal_and_soft"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "soft_foot",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("one_iteration", "margin_1_cm", "pyramidal_and_soft")
+        ),
+    ],
+)
 def test_the_feet_of_planted_models_show_the_fault(name: str) -> None:
     report = check(model(model_xml(PLANTED[name])), only=["foot-*"])
     assert report.worst in (Verdict.VISIBLE, Verdict.WRONG)

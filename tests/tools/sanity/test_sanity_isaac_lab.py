@@ -327,6 +327,7 @@ def test_a_setting_without_a_key_is_named_and_never_proposed() -> None:
     assert report.cure is None or "link_linear_damping" not in report.cure.line
 
 
+@pytest.mark.slow
 def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
     """With PGS and one iteration, the solver alone and the iterations alone each bring another flag."""
     counts = {"solver_position_iteration_count": 1, "solver_velocity_iteration_count": 0}

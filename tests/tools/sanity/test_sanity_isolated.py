@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable
 from typing import Any
 
+import pytest
 from typer.testing import CliRunner, Result
 
 from gauge_envs.cli.app import app
@@ -18,6 +19,7 @@ def checked(target: str, *only: str) -> tuple[list[dict[str, Any]], Result]:
     return [json.loads(line) for line in result.stdout.splitlines()][1:], result
 
 
+@pytest.mark.slow
 def test_another_process_measures_the_same_bits(installed: Callable[..., None]) -> None:
     installed("well")
     here, there = checked("mujoco:out_of_box", "creep-wood")[0], checked("well:out_of_box", "creep-wood")[0]
@@ -34,6 +36,7 @@ def test_an_engine_that_dies_costs_one_phenomenon(installed: Callable[..., None]
     assert "segmentation fault" in row["remark"]
 
 
+@pytest.mark.slow
 def test_an_engine_that_cannot_start_is_one_line(installed: Callable[..., None]) -> None:
     installed("at-import", "contact-crash")
     for name, cause in (("at-import", "SystemExit: 3"), ("contact-crash", "segmentation fault")):

@@ -253,7 +253,7 @@ def creep_in_plain_newton(arguments: dict[str, Any], constants: dict[str, float]
 @pytest.mark.parametrize(
     ("cone", "constants"),
     [
-        pytest.param("pyramidal", {"ke": 100.0, "kd": 20.0}, id="soft"),
+        pytest.param("pyramidal", {"ke": 100.0, "kd": 20.0}, id="soft", marks=pytest.mark.slow),
         pytest.param("elliptic", {"ke": 2500.0, "kd": 100.0}, id="default"),
     ],
 )

@@ -20,7 +20,8 @@ from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score,
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 
-FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", "NewtonsCradle-metal", "Pendulum-metal")
+SWINGS = ("NewtonsCradle-metal", "Pendulum-metal")
+FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", *SWINGS)
 
 TOLERANCE = {"a_m_s2": 0.02, "pd_s": 0.01, "mte": 0.02, "de_n": 0.01, "r2": 0.01}
 """Largest error: relative for accelerations and periods, absolute for the others."""
@@ -41,7 +42,7 @@ def scored(one: Clip) -> VideoScore:
     return score(one.frames, one.fps, one.task)
 
 
-@pytest.mark.parametrize("task", FIVE)
+@pytest.mark.parametrize("task", [pytest.param(one, marks=pytest.mark.slow) if one in SWINGS else one for one in FIVE])
 def test_a_known_motion_is_recovered(task: str) -> None:
     one = known(task)
     result = scored(one)
@@ -77,6 +78,7 @@ def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
     assert slow == pytest.approx(a / 4.0, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_scale_follows_resolution_and_aspect() -> None:
     one = known("BouncingBall-rubber", 5)
     wide = [cv2.resize(frame, (1280, 720)) for frame in one.frames]
