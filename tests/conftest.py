@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import gymnasium
 import numpy as np
 import pytest
 from hostile import install
+from places import ROOT
 
 import gauge_envs
 from gauge_envs.backends import Support, backend, registry
@@ -26,8 +28,12 @@ def pytest_configure() -> None:
     """Set what the tests and the programs that they start have in common.
 
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
-    the threads of several processes wait for one another in a loop, which triples the time of some tests.
+    the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
+    kept, also where the environment forbids to write it beside the sources: hundreds of processes import the package.
     """
+    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(ROOT / ".pytest_cache" / "bytecode")
+    sys.dont_write_bytecode = False
+    os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
 
