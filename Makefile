@@ -4,6 +4,9 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 
+# Tests of a file share simulations and processes, so that a file runs on one worker.
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile
+
 DEMO := "SlopeSlider-*" "Turntable-1-*" BouncingBall-rubber NewtonsCradle-metal Pendulum-metal
 
 # What a change is checked with before it is committed.
@@ -27,7 +30,7 @@ demo: $(VENV)/.runs
 	$(BIN)/gauge plot results --out plots
 
 test: lint
-	$(BIN)/python -m pytest -n 2
+	$(PYTEST)
 
 lint: $(VENV)/.installed
 	$(BIN)/ruff check .
@@ -37,18 +40,18 @@ lint: $(VENV)/.installed
 
 # Under a minute: what the pre-commit hooks run, and the tests that fail most often.
 check: lint
-	$(BIN)/python -m pytest -n 2 $(CHECK_TESTS)
+	$(PYTEST) $(CHECK_TESTS)
 
 # Some slow checks train policies, or need packages that the other tests do without.
 slow: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[onnx,ray,rerun,rl,slurm]"
-	$(BIN)/python -m pytest -n 2 -m slow
+	$(PYTEST) -m slow
 
 # Engines that the other tests do without, because they are large, and the slow checks of all engines.
 test-engines: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[drake]"
-	$(BIN)/python -m pytest -n 2 tests/backends/drake
-	$(BIN)/python -m pytest -n 2 -m slow tests/backends
+	$(PYTEST) tests/backends/drake
+	$(PYTEST) -m slow tests/backends
 
 # Genesis, in an environment of its own: PyTorch is large. Its kernels take minutes to compile and stay in this folder.
 test-genesis: $(VENV)-genesis/.installed
