@@ -20,6 +20,9 @@ EXIT_INTERRUPTED = 130
 REPEAT_AFTER_S = 0.01
 """Time after which a signal that was dropped comes again [s]; an exception inside a hook would be dropped, too."""
 
+LONGEST_WAIT_S = 2.0
+"""Time for which a signal waits for the end of an import [s]."""
+
 
 class _State:
     is_command = False
@@ -27,6 +30,9 @@ class _State:
 
     came = False
     """Whether a signal came in while a command ran."""
+
+    since_s: float | None = None
+    """Time of the first one [s]."""
 
     is_reported = False
 
@@ -68,11 +74,18 @@ def _on_signal(number: int, frame: Any) -> None:
     if not _State.is_command:
         report_interrupt()
         os._exit(EXIT_INTERRUPTED)
-    _State.came = True
-    if _State.is_in_hook:
+    _State.came, _State.since_s = True, _State.since_s or time.monotonic()
+    # Extensions print the traceback of an error that their import meets, so Ctrl-C waits for the end of an import.
+    if _State.is_in_hook or (_is_import(frame) and time.monotonic() < _State.since_s + LONGEST_WAIT_S):
         _repeat_soon()
     else:
         raise KeyboardInterrupt
+
+
+def _is_import(frame: Any) -> bool:
+    while frame is not None and frame.f_code.co_filename != "<frozen importlib._bootstrap>":
+        frame = frame.f_back
+    return frame is not None
 
 
 def _on_unraisable(unraisable: Any) -> None:
