@@ -12,10 +12,10 @@ from pydantic import TypeAdapter
 
 from gauge_envs.evaluation.deviation import (
     Deviation,
-    band_baseline,
     band_deviations,
     experiment_sensitivities,
     percentile_among,
+    percentile_interval,
     sampled_frames,
     trial_distances,
 )
@@ -43,18 +43,24 @@ class Score:
             release, else `rmse`; None without a band.
         coordinates: Names of the scored coordinates, in the order of `signed_error`.
         rmse: E_RMSE of the paper.
+        rmse_95: 95 % interval of `rmse`, low and high (`evaluation.uncertainty`).
         rmse_normalized: `rmse` over the published baseline mean; 1 is the mean, and not the median, of real trials.
         rmse_normalized_95: 95 % interval of `rmse_normalized`, low and high (`evaluation.uncertainty`).
-        percentile: Percentage of the real trials that are closer to their mean than the simulation, by RMSE; None
-            without single trials.
+        trial_count: Number of single real trials that percentiles are of; None without single trials.
+        percentile: Percentage of the real trials that are closer to the mean of the others than the simulation is to
+            the mean, by RMSE; None without single trials.
+        percentile_95: 95 % interval of the percentage of all such trials, also unseen ones.
         dtw: E_DTW of the paper.
         dtw_normalized: `dtw` over the published baseline mean.
         dtw_normalized_95: 95 % interval of `dtw_normalized`.
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
-        rmse_aligned_normalized: `rmse_aligned` over the published baseline mean, which is not aligned.
+        rmse_aligned_95: 95 % interval of `rmse_aligned`.
+        rmse_aligned_normalized: `rmse_aligned` over the mean of the real trials, each aligned to the mean of the others;
+            1 is a typical trial. None without single trials.
         rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
         percentile_aligned: As `percentile`, with the simulation and each trial aligned.
+        percentile_aligned_95: 95 % interval of the percentage of all such trials.
         compared_frames: Number of frames with a mean.
         measured_frames: Number of those that at least half of the trials show; the others are extrapolated.
         extrapolated_share: Share of the squared error, without alignment, in extrapolated frames.
@@ -92,17 +98,22 @@ class Score:
     primary: str | None = None
     coordinates: tuple[str, ...] | None = None
     rmse: float | None = None
+    rmse_95: tuple[float, float] | None = None
     rmse_normalized: float | None = None
     rmse_normalized_95: tuple[float, float] | None = None
+    trial_count: int | None = None
     percentile: float | None = None
+    percentile_95: tuple[float, float] | None = None
     dtw: float | None = None
     dtw_normalized: float | None = None
     dtw_normalized_95: tuple[float, float] | None = None
     release_offset_s: float | None = None
     rmse_aligned: float | None = None
+    rmse_aligned_95: tuple[float, float] | None = None
     rmse_aligned_normalized: float | None = None
     rmse_aligned_normalized_95: tuple[float, float] | None = None
     percentile_aligned: float | None = None
+    percentile_aligned_95: tuple[float, float] | None = None
     compared_frames: int | None = None
     measured_frames: int | None = None
     extrapolated_share: float | None = None
@@ -243,11 +254,13 @@ def _band_scores(
     sigma = np.where(band.measured[:, None], band.sigma, np.nan)
     z = z_scores(simulated, band.mean, sigma)
     squares = np.nansum(np.square(deviations.raw.values), axis=1)
-    trials, baseline = trial_distances(band), band_baseline(experiment, band)
+    raw, trials = deviations.raw, trial_distances(band)
     scores = _metric_fields(distances, baselines) | {
         "primary": deviations.primary,
         "coordinates": band.coordinates,
-        "percentile": None if trials is None else percentile_among(trials.raw, distances["rmse"]),
+        "rmse_95": raw.interval,
+        "rmse_normalized_95": raw.normalized_interval,
+        "trial_count": None if trials is None else len(trials.raw),
         "compared_frames": int(known.sum()),
         "measured_frames": int((known & band.measured).sum()),
         "extrapolated_share": float(squares[~band.measured].sum() / squares.sum()) if squares.any() else 0.0,
@@ -262,20 +275,28 @@ def _band_scores(
         scores |= {
             "release_offset_s": deviations.release_offset_s,
             "rmse_aligned": aligned.rmse,
-            "rmse_aligned_normalized": _over(aligned.rmse, baselines, "rmse"),
-            "percentile_aligned": None if trials is None else percentile_among(trials.aligned, aligned.rmse),
+            "rmse_aligned_95": aligned.interval,
+            "rmse_aligned_normalized": aligned.normalized,
+            "rmse_aligned_normalized_95": aligned.normalized_interval,
         }
-    if baseline is not None:
-        scores["rmse_normalized_95"] = _interval(deviations.raw, baseline)
+    if trials is not None:
+        scores |= _percentiles("percentile", trials.raw, raw)
+        scores |= {} if aligned is None else _percentiles("percentile_aligned", trials.aligned, aligned)
+    if raw.baseline is not None and (line := baselines.get("dtw")) is not None and line.mean:
         cells = np.flatnonzero(known)[path]
-        low, high = deviations.raw.errors.path_interval(cells, simulated, band.mean)
-        if (line := baselines.get("dtw")) is not None and line.mean:
-            scores["dtw_normalized_95"] = low / line.mean, high / line.mean
-        if aligned is not None:
-            scores["rmse_aligned_normalized_95"] = _interval(aligned, baseline)
-        first = deviations.first
-        scores["budget"] = first.errors.budget(first.values, baseline=baseline.mean)
+        low, high = raw.errors.path_interval(cells, simulated, band.mean)
+        scores["dtw_normalized_95"] = low / line.mean, high / line.mean
+    first = deviations.first
+    if first.baseline is not None:
+        scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
     return scores
+
+
+def _percentiles(field: str, distances: FloatArray, deviation: Deviation) -> dict[str, Any]:
+    return {
+        field: percentile_among(distances, deviation.rmse),
+        f"{field}_95": percentile_interval(distances, deviation.interval),
+    }
 
 
 def _origin(sensitivities: Sensitivities) -> str:
@@ -285,8 +306,3 @@ def _origin(sensitivities: Sensitivities) -> str:
         for key, value in sensitivities.settings.items()
     ]
     return f"{sensitivities.backend} ({', '.join([*versions, *settings])})"
-
-
-def _interval(deviation: Deviation, baseline: Baseline) -> tuple[float, float]:
-    low, high = deviation.errors.interval(deviation.values)
-    return low / baseline.mean, high / baseline.mean

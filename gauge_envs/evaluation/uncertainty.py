@@ -141,6 +141,20 @@ class BandErrors:
             return self
         return replace(self, shapes=self.shapes - np.outer(self.shapes @ direction, direction) / size)
 
+    def with_baseline(self, distances: FloatArray) -> BandErrors:
+        """Return the errors with the mean distance of other trials as the baseline.
+
+        Args:
+            distances: Distance of each trial, shape [trial_count].
+        """
+        count, mean = len(distances), float(distances.mean())
+        if count >= LEAST_RESAMPLED:
+            ratio = _weights(count) @ distances / mean
+            return replace(self, baseline_ratio=ratio, baseline_source=f"bootstrap over {count} trials")
+        relative = float(distances.std(ddof=1)) / mean / math.sqrt(count) if count > 1 else 0.0
+        source = f"standard deviation over the root of {count} trials"
+        return replace(self, baseline_ratio=_baseline_ratio(relative), baseline_source=source)
+
     def redrawn(self, kind: str, stream: str) -> BandErrors:
         """Return the errors with other random factors for one kind, which two simulations do not share.
 
@@ -196,15 +210,18 @@ class BandErrors:
         squares = np.einsum("ks,ks->k", self.factors @ (self.shapes @ self.shapes.T), self.factors)
         return size, along, np.maximum(squares, np.square(along))
 
-    def interval(self, deviation: FloatArray) -> tuple[float, float]:
+    def interval(self, deviation: FloatArray, *, over_baseline: bool = True) -> tuple[float, float]:
         """Return the 95 % interval of a root-mean-square distance, in the unit of the deviation.
 
         Args:
             deviation: Simulation minus mean, shape [T, C].
+            over_baseline: Whether the interval is that of the ratio to the baseline, times the baseline; else it is of
+                the distance alone.
         """
+        errors = self if over_baseline else replace(self, baseline_ratio=np.ones(DRAW_COUNT))
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        low, high = self._interval(vector)
+        low, high = errors._interval(vector)
         return min(_reported(low), size), max(_reported(high), size)
 
     def _interval(self, vector: FloatArray) -> tuple[float, float]:
@@ -399,11 +416,16 @@ def _baseline_ratio(relative: float) -> FloatArray:
     return np.maximum(1.0 + relative * _random("baseline").standard_normal(DRAW_COUNT), 0.1)
 
 
+def _weights(count: int) -> FloatArray:
+    """Return the weights of trials that are drawn with replacement, the same for the mean and each baseline."""
+    return np.asarray(_random("sampling").multinomial(count, np.full(count, 1.0 / count), DRAW_COUNT) / count)
+
+
 def _resampled(band: Band, trials: FloatArray, shapes: _Shapes) -> tuple[FloatArray, str]:
     """Add the bootstrap of trials, in two parts: the shift of the mean in time, and the rest."""
     count = len(trials)
     residuals = np.nan_to_num(trials - band.mean).reshape(count, -1)
-    weights = _random("sampling").multinomial(count, np.full(count, 1.0 / count), DRAW_COUNT) / count
+    weights = _weights(count)
     # A bootstrap has the variance of n instead of n - 1, and the tails of a normal instead of Student's distribution.
     tail = 0.5 * (1.0 + LEVEL)
     wider = math.sqrt(count / (count - 1)) * float(stdtrit(count - 1, tail) / stdtrit(1e9, tail))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import MissingExtraError, ShapeError
-from gauge_envs.evaluation.deviation import band_baseline
+from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
@@ -43,8 +43,8 @@ def score_worlds(
 
     Returns:
         Arrays of shape [world_count] by field of `Score`, NaN for a world without a score: `rmse`; `rmse_normalized` if
-        there is a published baseline; and for bands that are aligned `release_offset_s`, `rmse_aligned` and
-        `rmse_aligned_normalized`.
+        there is a published baseline; and for bands that are aligned `release_offset_s` and `rmse_aligned`, with
+        `rmse_aligned_normalized` if the band has single trials.
     """
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
     if values.ndim != 3 or values.shape[1:] != (len(times_s), band.projection.shape[1]) or len(times_s) < needed:
@@ -74,12 +74,11 @@ def _is_aligned(experiment: Experiment, band: Band) -> bool:
 
 
 def _normalized(experiment: Experiment, band: Band, scores: dict[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return scores with those over the published baseline added, if there is one."""
-    baseline = band_baseline(experiment, band)
-    if baseline is None:
-        return scores
+    """Return scores with those over their baselines added, where there is one; see `Deviation.baseline`."""
+    published = band_baseline(experiment, band)
+    baselines = {"rmse": None if published is None else published.mean, "rmse_aligned": aligned_baseline(band)}
     return scores | {
-        f"{key}_normalized": scores[key] / baseline.mean for key in ("rmse", "rmse_aligned") if key in scores
+        f"{key}_normalized": scores[key] / mean for key, mean in baselines.items() if mean is not None and key in scores
     }
 
 

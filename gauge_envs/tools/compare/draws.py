@@ -17,11 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from gauge_envs.evaluation.deviation import Deviation, band_baseline, band_deviations, experiment_sensitivities
+from gauge_envs.evaluation.deviation import Deviation, band_deviations, experiment_sensitivities
 from gauge_envs.evaluation.uncertainty import LEVEL, SEED
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
-from gauge_envs.references.published import Baseline
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 
@@ -107,8 +106,7 @@ def score_draws(
     Returns:
         The draws; None if a repeat has no score, because a mean without failures would be too good.
     """
-    baseline = band_baseline(experiment, band)
-    if baseline is None or any(result.outcome is not Outcome.FINISHED for result in results):
+    if any(result.outcome is not Outcome.FINISHED for result in results):
         return None
     stream = json.dumps(asdict(configuration), sort_keys=True)
     sensitivities = experiment_sensitivities(experiment, configuration.backend)
@@ -118,8 +116,10 @@ def score_draws(
             return None
         times_s, values = result.trajectory.arrays(later=True)
         deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
-        raw.append(_draws(deviations.raw, baseline, stream))
-        primary.append(_draws(deviations.first, baseline, stream))
+        if deviations.first.baseline is None:
+            return None
+        raw.append(_draws(deviations.raw, stream))
+        primary.append(_draws(deviations.first, stream))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
     draw_count = len(raw[0][1])
     order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(draw_count)
@@ -132,9 +132,9 @@ def score_draws(
     )
 
 
-def _draws(deviation: Deviation, baseline: Baseline, stream: str) -> tuple[float, FloatArray]:
+def _draws(deviation: Deviation, stream: str) -> tuple[float, FloatArray]:
     errors = deviation.errors.redrawn("discretization", stream)
-    return deviation.rmse / baseline.mean, errors.draws(deviation.values) / baseline.mean
+    return deviation.rmse / deviation.baseline, errors.draws(deviation.values) / deviation.baseline
 
 
 def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
