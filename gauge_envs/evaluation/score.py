@@ -56,8 +56,8 @@ class Score:
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
         rmse_aligned_95: 95 % interval of `rmse_aligned`.
-        rmse_aligned_normalized: `rmse_aligned` over the mean of the real trials, each aligned to the mean of the others;
-            1 is a typical trial. None without single trials.
+        rmse_aligned_normalized: `rmse_aligned` over the mean of the same distance of the real trials, each aligned to the
+            mean of the others. None without single trials.
         rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
         percentile_aligned: As `percentile`, with the simulation and each trial aligned.
         percentile_aligned_95: 95 % interval of the percentage of all such trials.

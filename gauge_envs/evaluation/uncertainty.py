@@ -218,10 +218,11 @@ class BandErrors:
             over_baseline: Whether the interval is that of the ratio to the baseline, times the baseline; else it is of
                 the distance alone.
         """
-        errors = self if over_baseline else replace(self, baseline_ratio=np.ones(DRAW_COUNT))
+        if not over_baseline:
+            return replace(self, baseline_ratio=np.ones(DRAW_COUNT)).interval(deviation)
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        low, high = errors._interval(vector)
+        low, high = self._interval(vector)
         return min(_reported(low), size), max(_reported(high), size)
 
     def _interval(self, vector: FloatArray) -> tuple[float, float]:

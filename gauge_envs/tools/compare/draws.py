@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from gauge_envs.evaluation.deviation import Deviation, band_deviations, experiment_sensitivities
+from gauge_envs.evaluation.deviation import band_deviations, experiment_sensitivities
 from gauge_envs.evaluation.uncertainty import LEVEL, SEED
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
@@ -110,16 +110,18 @@ def score_draws(
         return None
     stream = json.dumps(asdict(configuration), sort_keys=True)
     sensitivities = experiment_sensitivities(experiment, configuration.backend)
-    raw, primary = [], []
+    raw: list[tuple[float, FloatArray]] = []
+    primary: list[tuple[float, FloatArray]] = []
     for result in results:
         if result.trajectory is None or result.score.rmse_normalized is None:
             return None
         times_s, values = result.trajectory.arrays(later=True)
         deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
-        if deviations.first.baseline is None:
-            return None
-        raw.append(_draws(deviations.raw, stream))
-        primary.append(_draws(deviations.first, stream))
+        for deviation, drawn in ((deviations.raw, raw), (deviations.first, primary)):
+            if deviation.baseline is None:
+                return None
+            errors = deviation.errors.redrawn("discretization", stream)
+            drawn.append((deviation.rmse / deviation.baseline, errors.draws(deviation.values) / deviation.baseline))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
     draw_count = len(raw[0][1])
     order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(draw_count)
@@ -130,11 +132,6 @@ def score_draws(
         primary=np.array([score for score, _ in primary]),
         primary_draws=np.array([draws[order] for _, draws in primary]),
     )
-
-
-def _draws(deviation: Deviation, stream: str) -> tuple[float, FloatArray]:
-    errors = deviation.errors.redrawn("discretization", stream)
-    return deviation.rmse / deviation.baseline, errors.draws(deviation.values) / deviation.baseline
 
 
 def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, FloatArray], tuple[float, FloatArray]]:
