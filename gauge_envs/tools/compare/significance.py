@@ -20,10 +20,10 @@ ROUNDING = 1e-5
 def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *, degrees: int) -> float:
     """Return the two-sided p-value of two scores being equal.
 
-    It is below 0.05 where at least 97.5 % of the draws have the sign of the observed difference. Draws cannot be counted
-    further into the tail: of 4000, the smallest share on both sides is 0.0005, and the first of 153 pairs needs 0.0003.
-    So Student's t continues it. It fits because the difference of two squared distances is linear in the mean of the
-    trials, and so is a mean over trials. It is taken over the sum of the squares, in which the baseline cancels.
+    It is below 0.05 where at least 97.5 % of the draws have the sign of the observed difference. The tail beyond cannot
+    be counted: of 4000 draws, the smallest share on both sides is 0.0005, and the first of 153 pairs needs 0.0003. So
+    Student's t continues it. It fits because the difference of two squared distances is linear in the mean of the
+    trials. It is taken over the sum of the squares, in which the baseline cancels.
 
     Args:
         first: Score and its draws, shape [draw_count].
