@@ -168,9 +168,8 @@ class ThrowLimit(ControlEnv):
         value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
         known = input_uncertainties()
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        contacts = load_experiment(self._variant).scene.contacts
-        (calibrated,) = (c.restitution for c in contacts if PLATE in c.second)
-        std = known.restitution.std(calibrated, self._variant.material)
+        (calibrated,) = load_experiment(self._variant).scene.contacts
+        std = known.restitution.std(calibrated.restitution, self._variant.material)
         changes = (
             highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value,
             highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value,
