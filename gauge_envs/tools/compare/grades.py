@@ -6,6 +6,7 @@ configurations with the same constants: a rank among engines of which some have 
 
 Draws are paired between configurations (`draws`). A pair has a p-value in each experiment (`significance`), corrected
 for the number of pairs in that experiment by Holm. Below 0.05 the two are distinguishable.
+A difference of at most `NEGLIGIBLE` counts as none.
 
 Over the experiments of a grade, each experiment counts the same, because in a mean of scores the one with the largest
 decides. A configuration is distinguishably closer than another if it is so in more than half of the experiments, again
@@ -28,7 +29,7 @@ from scipy.stats import norm
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
-from gauge_envs.tools.compare.significance import ROUNDING, holm, majority_p_value, p_value
+from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -345,7 +346,7 @@ def _compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]
                 id=one.id,
                 difference=value - other,
                 difference_95=_interval(value - other, apart),
-                probability_of_improvement=0.5 * float(np.mean(apart < -ROUNDING) + np.mean(apart <= ROUNDING)),
+                probability_of_improvement=0.5 * float(np.mean(apart < -NEGLIGIBLE) + np.mean(apart <= NEGLIGIBLE)),
                 p=p,
                 p_holm=p,
             )

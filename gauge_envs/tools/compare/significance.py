@@ -13,14 +13,16 @@ from gauge_envs.evaluation.uncertainty import LEVEL
 
 FloatArray = NDArray[np.float64]
 
-ROUNDING = 1e-5
-"""Difference of normalized scores that counts as zero: rounding to single precision at 1 m is 0.1 um, of 10 mm."""
+NEGLIGIBLE = 0.01
+"""Difference of normalized scores up to which two configurations count as equal: the last digit of a score that tables
+show, a hundredth of the distance of a typical trial. Configurations share the errors of the reference, so without this
+limit it would tell apart steps and solvers that differ by micrometres."""
 
 
 def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *, degrees: int) -> float:
-    """Return the two-sided p-value of two scores being equal.
+    """Return the two-sided p-value of two scores that differ by at most `NEGLIGIBLE`.
 
-    It is below 0.05 where at least 97.5 % of the draws have the sign of the observed difference. The tail beyond cannot
+    It is below 0.05 where 97.5 % of the draws differ by more, with the sign of the observed difference. The tail cannot
     be counted: of 4000 draws, the smallest share on both sides is 0.0005, and the first of 153 pairs needs 0.0003. So
     Student's t continues it. It fits because the difference of two squared distances is linear in the mean of the
     trials. It is taken over the sum of the squares, in which the baseline cancels.
@@ -31,10 +33,11 @@ def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *
         degrees: Degrees of freedom: number of real trials minus 1.
     """
     (one, one_draws), (other, other_draws) = first, second
-    if abs(one - other) <= ROUNDING:
+    if abs(one - other) <= NEGLIGIBLE:
         return 1.0
-    observed, draws = _contrast(one, other), _contrast(one_draws, other_draws)
     sign = 1.0 if one > other else -1.0
+    limit = sign * NEGLIGIBLE
+    observed, draws = _contrast(one - limit, other), _contrast(one_draws - limit, other_draws)
     half = sign * float(observed) - float(np.quantile(sign * draws, 0.5 * (1.0 - LEVEL)))
     if half <= 0.0:
         return 0.0

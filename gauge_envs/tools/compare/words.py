@@ -31,6 +31,7 @@ from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
 from gauge_envs.tools.compare.grades import ExperimentDifference, GradeComparison, Mean, PairComparison, grade_name
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
@@ -319,7 +320,8 @@ def _experiment_rank_table(comparison: Comparison) -> Table:
         rows=rows,
         notes=(
             "Best to worst rank: behind those that are distinguishably closer, before those that are distinguishably "
-            "further. Pairs apart: distinguishable pairs; at 5 %, corrected by Holm for all pairs of the experiment. "
+            "further. Pairs apart: distinguishable pairs; at 5 %, corrected by Holm for all pairs of the experiment. A "
+            f"difference of at most {NEGLIGIBLE} counts as none. "
             "Only configurations with the same constants are ranked against each other.",
         ),
     )

@@ -13,7 +13,7 @@ from slide_worlds import FRAMES, World, band_of, rmse, sample_baseline, trials_o
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws
 from gauge_envs.tools.compare.grades import DIFFERENT, GradedExperiment, compare_grade, compare_pairs
-from gauge_envs.tools.compare.significance import holm, majority_p_value, p_value
+from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
 FloatArray = NDArray[np.float64]
 
@@ -53,8 +53,16 @@ def test_a_common_baseline_does_not_change_a_p_value() -> None:
     common, baseline = 0.2 * random.standard_normal(4000), np.exp(0.3 * random.standard_normal(4000))
     draws = 3.0 + common, 2.0 - common
     plain, scaled = (p_value((3.0, draws[0] * by), (2.0, draws[1] * by), degrees=19) for by in (1.0, baseline))
-    assert scaled == pytest.approx(plain, rel=1e-9)
+    # But for the negligible difference, which is not scaled.
+    assert student.isf(scaled / 2.0, 19) == pytest.approx(student.isf(plain / 2.0, 19), rel=0.03)
     assert plain < 0.05
+
+
+def test_a_difference_that_no_table_shows_is_none() -> None:
+    near = scored(2.0, 2.0 + 0.9 * NEGLIGIBLE, 2.0 + 1.2 * NEGLIGIBLE)
+    pairs = {(one.first, one.second): one for one in compare_pairs([near], [(0, 1), (0, 2), (1, 2)])}
+    assert {pair: one.distinguishable for pair, one in pairs.items()} == {(0, 1): False, (0, 2): True, (1, 2): False}
+    assert pairs[0, 1].probability_of_improvement == 0.5
 
 
 def test_more_than_half_of_the_experiments_have_to_agree() -> None:
