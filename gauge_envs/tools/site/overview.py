@@ -13,6 +13,7 @@ from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, quantity_text
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.tools.compare import (
+    DIFFERENT,
     PUBLISHED,
     ExperimentComparison,
     GradeComparison,
@@ -72,6 +73,7 @@ def overview_page(site: Site) -> str:
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
+    answers += [line for grade in comparison.grades if grade.constants == DIFFERENT for line in _changes(site, grade)]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         element("div", *(element("p", answer) for answer in answers), class_="answer"),
@@ -122,6 +124,20 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
     return join(sentences)
+
+
+def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
+    """Yield what other constants change in the same engine, which no rank says."""
+    for pair in grade.pairs:
+        engines = {site.comparison.configurations[index].backend for index in (pair.first, pair.second)}
+        if len(engines) > 1:
+            continue
+        closer, further = pair.closer, pair.first + pair.second - pair.closer
+        start = element("b", f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ")
+        between = f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
+        if pair.distinguishable:
+            between = f"{site.labels[further]} is distinguishably further than {site.labels[closer]}."
+        yield join([start, between])
 
 
 def _constants(grade: GradeComparison) -> str:

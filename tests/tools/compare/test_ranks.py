@@ -163,6 +163,7 @@ def test_other_constants_are_ranked_apart_and_their_pairs_say_so() -> None:
 
 # --- worlds in which no engine differs -------------------------------------------------------------------------------
 
+
 def equal_engines(count: int, trial_count: int, size: float, random: np.random.Generator) -> GradedExperiment:
     """Engines that are equally far from the true mean, each in a direction of its own, and trials that scatter in all.
 
