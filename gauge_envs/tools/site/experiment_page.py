@@ -86,9 +86,9 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
     ]
     parts = [
         *_head(one, experiment, band),
+        *_causes(site, results),
         *_forest(site, one),
         *_scores(site, one),
-        *_causes(site, results),
         *([Heading("3D replay"), *replays] if replays else []),
         *_curves(site, one.unit, results, band),
         *_pairs(site, one),
