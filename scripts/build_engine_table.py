@@ -43,6 +43,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.conformance.matrix import read_columns
 from gauge_envs.tools.leaderboard.trajectory import rescored
@@ -441,10 +442,10 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     passing = sum(not one["fails"] for _, one in rows)
     yield from ("### Ranks", "")
     yield (
-        f"Among the {passing} configurations that fail no check. A cell has the score, 1 being a typical trial, "
-        "and the best to worst rank in this experiment: behind those that are distinguishably closer, before those that "
-        "are distinguishably further, at 5 % for all pairs of the experiment together (Holm). The mean rank counts each "
-        "experiment the same."
+        f"Among the {passing} configurations that fail no check. A cell has the score, 1 being a typical trial, and the "
+        "best to worst rank in this experiment: behind those that are distinguishably closer, before those that are "
+        "distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference of at most "
+        f"{NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
     )
     by_name = dict(rows)
     for grade in data["grades"]:
