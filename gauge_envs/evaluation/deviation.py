@@ -51,17 +51,15 @@ class Deviation:
         return None if self.baseline is None else self.rmse / self.baseline
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the root mean square, in the band's unit."""
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of the root mean square, in the band's unit; None if refused."""
         return self.errors.interval(self.values, over_baseline=False)
 
     @property
     def normalized_interval(self) -> tuple[float, float] | None:
-        """95 % interval of the normalized root mean square."""
-        if self.baseline is None:
-            return None
-        low, high = self.errors.interval(self.values)
-        return low / self.baseline, high / self.baseline
+        """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
+        ends = None if self.baseline is None else self.errors.interval(self.values)
+        return None if ends is None or self.baseline is None else (ends[0] / self.baseline, ends[1] / self.baseline)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
