@@ -68,6 +68,9 @@ WIDEST = 3.0
 INPUT_KINDS = ("constant", "start", "tilt", "discretization")
 """Kinds of contributions that are inputs of the simulation. A score is of the inputs as they are, without these."""
 
+NEGLIGIBLE = 1e-5
+"""Size of an error shape over the largest one below which it is left out."""
+
 TRIAL_KINDS = ("release", "sampling")
 """Kinds with a shape for each trial, if there are single trials."""
 
@@ -117,16 +120,18 @@ class _Source:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Reference:
-    """Errors of the reference alone; those of single trials come first.
+    """Errors of the reference alone, by their components along orthonormal shapes.
 
     Attributes:
-        shapes: Error shapes, shape [shape_count, entry_count].
-        factors: Random factors of the shapes, shape [draw_count, shape_count].
+        shapes: Orthonormal shapes, shape [component_count, entry_count].
+        components: Components of the error in each draw, shape [draw_count, component_count].
+        squares: Their sum of squares, shape [draw_count].
         variance: Mean square of the error, unbiased.
     """
 
     shapes: FloatArray
-    factors: FloatArray
+    components: FloatArray
+    squares: FloatArray
     variance: float
 
 
@@ -239,17 +244,16 @@ class BandErrors:
         factors = [self.factors[:, one.columns] for one in others]
         variance = sum(float(np.square(one).sum()) for one in shapes)
         if count:
-            trials = self._trials
-            shapes, factors = [trials, *shapes], [_trial_weights(count), *factors]
-            variance += float(np.square(trials).sum()) / (count * (count - 1))
-        empty = np.zeros((0, self.shapes.shape[1])), np.zeros((DRAW_COUNT, 0))
+            shapes, factors = [self._trials, *shapes], [_trial_weights(count), *factors]
+            variance += float(np.square(self._trials).sum()) / (count * (count - 1))
+        left, sizes, right = np.linalg.svd(np.concatenate(shapes), full_matrices=False)
+        kept = sizes > NEGLIGIBLE * sizes[0]
+        components = np.concatenate(factors, axis=1) @ (left[:, kept] * sizes[kept])
         return _Reference(
-            shapes=np.concatenate(shapes) if shapes else empty[0],
-            factors=np.concatenate(factors, axis=1) if factors else empty[1],
-            variance=variance,
+            shapes=right[kept], components=components, squares=np.square(components).sum(axis=1), variance=variance
         )
 
-    @property
+    @cached_property
     def _trials(self) -> FloatArray:
         """Error shape of each trial, shape [trial_count, entry_count]."""
         groups = [self.shapes[one.columns] for one in self.sources if one.kind in TRIAL_KINDS]
@@ -303,31 +307,23 @@ class BandErrors:
             return np.ones(DRAW_COUNT)
         return np.asarray(self.baseline_bias * np.exp(np.clip(wider * self.baseline, -10.0, 10.0)))
 
-    def _moments(self, vector: FloatArray, factors: FloatArray) -> tuple[float, FloatArray, FloatArray]:
-        """Return |d|, and for each draw e . u and |e|^2."""
-        shapes = self._reference.shapes
-        size = float(np.linalg.norm(vector))
-        along = factors @ (shapes @ (vector / size if size > 0.0 else vector))
-        squares = np.einsum("ks,ks->k", factors @ (shapes @ shapes.T), factors)
-        return size, along, np.maximum(squares, np.square(along))
-
     def _interval(self, vector: FloatArray, wider: float, *, over_baseline: bool) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
-        factors = wider * self._reference.factors
-        size, along, squares = self._moments(vector, factors)
-        added = np.sqrt(np.maximum(size**2 + 2.0 * size * along + squares, 0.0))
+        reference = self._reference
+        size, along, squares = float(np.linalg.norm(vector)), reference.shapes @ vector, wider**2 * reference.squares
+        # |d|^2 e . u, and |d + e| of each draw.
+        along = wider * (reference.components @ along)
+        added = np.sqrt(np.maximum(size**2 + 2.0 * along + squares, 0.0))
         if not self.is_observed:
             low, high = np.quantile(added / ratio, [tail, 1.0 - tail])
             # The law itself is one of the possible truths.
             return min(float(low), size), float(high)
-        # The direction of the true deviation is not that of the observed one: it has its own errors.
-        shapes = self._reference.shapes
-        products = np.einsum("ks,ks->k", factors @ (shapes @ shapes.T), np.roll(factors, 1, axis=0))
-        along = (size * np.roll(along, 1) + products) / np.maximum(added, 1e-150)
-        squares, ratio = np.roll(squares, 1), np.roll(ratio, 1)
-        excess = np.square(along) - squares + size**2
-        roots = np.where(excess >= 0.0, ratio * (np.sqrt(np.maximum(excess, 0.0)) - along), -np.inf)
+        # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
+        products = wider**2 * np.einsum("kc,kc->k", reference.components[:-1], reference.components[1:])
+        along = (along[:-1] + products) / np.maximum(added[1:], 1e-150)
+        excess = np.square(along) - squares[:-1] + size**2
+        roots = np.where(excess >= 0.0, ratio[:-1] * (np.sqrt(np.maximum(excess, 0.0)) - along), -np.inf)
         reached = float(np.mean(squares <= size**2))
         if reached < BELOW_NOISE:
             return 0.0, float(np.quantile(added * ratio, LEVEL))
@@ -348,18 +344,20 @@ class BandErrors:
             mean: Mean of the real trials, shape [T, C].
         """
         reference = self._reference
-        shapes = (reference.shapes * _root_of_frames(self.known)).reshape(-1, *self.known.shape)
+        scale = _root_of_frames(self.known)
         difference = np.nan_to_num(simulated[path[:, 0]] - mean[path[:, 1]])
         lengths = np.linalg.norm(difference, axis=1)
         observed = float(lengths.mean())
         units = difference / np.maximum(lengths, 1e-300)[:, None]
-        trials = shapes[: self.trial_count, path[:, 1]]
-        series = np.einsum("npc,pc->n", trials, units) / len(path) - observed * self.influence
+        series = np.zeros(0)
+        if self.trial_count:
+            trials = (self._trials * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
+            series = np.einsum("npc,pc->n", trials, units) / len(path) - observed * self.influence
         if refusal(series) is not None:
             return None
-        errors = shapes[:, path[:, 1]].reshape(len(shapes), -1)
+        errors = (reference.shapes * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
         count = max(min(DRAW_COUNT, PATH_NUMBERS // difference.size), 100)
-        cells = (widening(series) * reference.factors[:count] @ errors).reshape(count, *difference.shape) + difference
+        cells = widening(series) * np.tensordot(reference.components[:count], errors, axes=1) + difference
         ratio = self._ratio(widening(series), over_baseline=True)[:count]
         tail = 0.5 * (1.0 - LEVEL)
         low, high = np.quantile(np.linalg.norm(cells, axis=2).mean(axis=1) / ratio, [tail, 1.0 - tail])
@@ -377,11 +375,12 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        size, along, squares = self._moments(self.flat(deviation), self._reference.factors)
-        ratio = self._ratio(1.0, over_baseline=True)
+        vector, reference = self.flat(deviation), self._reference
+        ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
+        along = 2.0 * reference.components @ (reference.shapes @ vector)
         if not self.is_observed:
-            return np.asarray(np.sqrt(np.maximum(size**2 + 2.0 * size * along + squares, 0.0)) / ratio)
-        drawn = size**2 - 2.0 * size * along + squares - squares.mean() - self._reference.variance
+            return np.asarray(np.sqrt(np.maximum(square + along + reference.squares, 0.0)) / ratio)
+        drawn = square - along + reference.squares - reference.squares.mean() - reference.variance
         return np.asarray(np.sign(drawn) * np.sqrt(np.abs(drawn)) * ratio)
 
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
