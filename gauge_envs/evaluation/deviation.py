@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,7 +13,7 @@ from scipy.special import betaincinv
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S, release_offset, trajectory_rmse
-from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors
+from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors, refusal, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
@@ -220,21 +221,31 @@ def percentile_among(distances: FloatArray, distance: float) -> float:
     return 100.0 * float(np.mean(distances < distance))
 
 
-def percentile_interval(distances: FloatArray, interval: tuple[float, float]) -> tuple[float, float]:
+def percentile_interval(
+    distances: FloatArray, distance: float, interval: tuple[float, float] | None
+) -> tuple[float, float] | None:
     """Return a 95 % interval of the percentage of all real trials, seen or not, that are closer to the mean.
 
-    Its ends are those of Clopper and Pearson for the trials that are closer than the ends of the distance, so it holds
-    in at least 95 %, for the scatter of the trials and the uncertainty of the distance together.
+    Two things are uncertain, and their widths add in quadrature on each side: which trials were drawn, after Clopper
+    and Pearson, and the distance. Trials that are like the one before count as fewer.
 
     Args:
-        distances: Distance of each trial, shape [trial_count].
-        interval: 95 % interval of the distance of the simulation, in the same unit.
+        distances: Distance of each trial, in recorded order, shape [trial_count].
+        distance: Distance of the simulation, in the same unit.
+        interval: Its 95 % interval; None if refused.
+
+    Returns:
+        The interval; None without that of the distance, or if the distances depend too much on their order.
     """
-    count, tail = len(distances), 0.5 * (1.0 - LEVEL)
-    fewest, most = (int(np.sum(distances < end)) for end in interval)
-    low = float(betaincinv(fewest, count - fewest + 1, tail)) if fewest else 0.0
-    high = float(betaincinv(most + 1, count - most, 1.0 - tail)) if most < count else 1.0
-    return 100.0 * low, 100.0 * high
+    if interval is None or refusal(distances) is not None:
+        return None
+    count, tail = len(distances) / widening(distances) ** 2, 0.5 * (1.0 - LEVEL)
+    fewest, share, most = (float(np.mean(distances < end)) for end in (interval[0], distance, interval[1]))
+    closer = share * count
+    low = float(betaincinv(closer, count - closer + 1.0, tail)) if closer else 0.0
+    high = float(betaincinv(closer + 1.0, count - closer, 1.0 - tail)) if share < 1.0 else 1.0
+    below, above = math.hypot(share - low, share - fewest), math.hypot(high - share, most - share)
+    return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 
 
 def _shifted_rmse(trial: FloatArray, mean: FloatArray, shifts_s: FloatArray) -> FloatArray:

@@ -53,6 +53,12 @@ SEED = 20_260_711
 LEAST_TRIALS = 3
 """Number of trials from which their scatter gives an interval."""
 
+LEAST_SCATTER = 0.8
+"""Smallest relative standard deviation of the distances of trials; that of one normal coordinate is 0.76."""
+
+FEW_TRIALS = 2.5
+"""Trials that the mean costs the scatter of the distances of few trials."""
+
 LAG_MARGIN = 0.5
 """Standard errors by which the correlation of consecutive trials may be larger than measured."""
 
@@ -191,7 +197,7 @@ class BandErrors:
         count = len(distances)
         if count < LEAST_TRIALS:
             return self
-        influence = distances / distances.mean() - 1.0
+        influence = _relative_influence(distances)
         return replace(
             self,
             baseline=_trial_weights(count) @ influence,
@@ -545,9 +551,19 @@ def _from_trials(band: Band, trials: FloatArray, shapes: _Shapes) -> FloatArray:
     # The mean is subtracted, so an error of the mean enters with the other sign.
     shapes.add("release time of the mean", "release", "A", source, list(-shift), weights)
     shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), weights)
-    distances = np.linalg.norm(residuals, axis=1)
-    mean = float(distances.mean())
-    return distances / mean - 1.0 if mean > 0.0 else np.zeros(count)
+    return _relative_influence(np.linalg.norm(residuals, axis=1))
+
+
+def _relative_influence(distances: FloatArray) -> FloatArray:
+    """Return the relative effect of each trial on the mean distance of trials, shape [trial_count].
+
+    It is enlarged for two reasons: distances from a mean of the same few trials scatter too little, and an outlier that
+    one trial in twenty is need not be among the trials at hand.
+    """
+    count, mean, std = len(distances), float(distances.mean()), float(distances.std(ddof=1)) if len(distances) > 1 else 0.0
+    if count < LEAST_TRIALS or std <= 0.0:
+        return np.zeros(count)
+    return (distances - mean) * max(1.0 / mean, LEAST_SCATTER / std) * math.sqrt(count / (count - FEW_TRIALS))
 
 
 def widening(series: FloatArray) -> float:

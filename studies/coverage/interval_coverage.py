@@ -74,7 +74,8 @@ def _measure_one(
             ends = own.interval(deviation)
             ratio = None if ends is None else (ends[0] / baseline, ends[1] / baseline)
             tally[f"{kind} ratio", name][verdict(ratio, truth.ratio(kind, engine))] += 1
-            percent = None if mm is None else percentile_interval(distances, mm)
+            distance = float(np.linalg.norm(own.flat(deviation)))
+            percent = percentile_interval(distances, distance, mm)
             tally[f"{kind} percentile", name][verdict(percent, truth.percentile(kind, engine))] += 1
         score = np.array([float(np.linalg.norm(own.flat(deviation)))]) / baseline
         drawn = own.draws(deviation)[None] / baseline
