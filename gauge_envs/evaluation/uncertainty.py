@@ -53,11 +53,8 @@ SEED = 20_260_711
 LEAST_TRIALS = 3
 """Number of trials from which their scatter gives an interval."""
 
-LEAST_SCATTER = 0.8
-"""Smallest relative standard deviation of the distances of trials; that of one normal coordinate is 0.76."""
-
-FEW_TRIALS = 2.5
-"""Trials that the mean costs the scatter of the distances of few trials."""
+LEAST_SCATTER = 0.9
+"""Smallest relative standard deviation of the distances of trials. That of one normal coordinate is 0.76."""
 
 LAG_MARGIN = 0.5
 """Standard errors by which the correlation of consecutive trials may be larger than measured."""
@@ -318,7 +315,7 @@ class BandErrors:
         ratio = self._ratio(wider, over_baseline=over_baseline)
         reference = self._reference
         size, along, squares = float(np.linalg.norm(vector)), reference.shapes @ vector, wider**2 * reference.squares
-        # |d|^2 e . u, and |d + e| of each draw.
+        # e . d and |d + e| of each draw
         along = wider * (reference.components @ along)
         added = np.sqrt(np.maximum(size**2 + 2.0 * along + squares, 0.0))
         if not self.is_observed:
@@ -557,13 +554,14 @@ def _from_trials(band: Band, trials: FloatArray, shapes: _Shapes) -> FloatArray:
 def _relative_influence(distances: FloatArray) -> FloatArray:
     """Return the relative effect of each trial on the mean distance of trials, shape [trial_count].
 
-    It is enlarged for two reasons: distances from a mean of the same few trials scatter too little, and an outlier that
-    one trial in twenty is need not be among the trials at hand.
+    Few trials scatter less about their own mean than trials do, and may lack the outlier that one trial in twenty is.
+    So their relative standard deviation counts as `LEAST_SCATTER` if it is smaller.
     """
-    count, mean, std = len(distances), float(distances.mean()), float(distances.std(ddof=1)) if len(distances) > 1 else 0.0
-    if count < LEAST_TRIALS or std <= 0.0:
+    count = len(distances)
+    std = float(distances.std(ddof=1)) if count >= LEAST_TRIALS else 0.0
+    if std <= 0.0:
         return np.zeros(count)
-    return (distances - mean) * max(1.0 / mean, LEAST_SCATTER / std) * math.sqrt(count / (count - FEW_TRIALS))
+    return np.asarray((distances - distances.mean()) * max(1.0 / distances.mean(), LEAST_SCATTER / std))
 
 
 def widening(series: FloatArray) -> float:
