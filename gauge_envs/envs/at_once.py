@@ -333,7 +333,7 @@ def episodes_in_lockstep(
             world,
             band=band if one.trial is None and one.overrides == stated.overrides else arguments.band(one),
             marker_proxy=arguments.proxy,
-            backend=arguments.backend,
+            backend=arguments.default_backend,
         )
         for one, world in zip(experiments, worlds.worlds, strict=True)
     ]

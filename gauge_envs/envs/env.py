@@ -116,7 +116,11 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     def _build(self, experiment: Experiment) -> None:
         super()._build(experiment)
         self.episode = Episode(
-            experiment, self.simulation, band=self.band, marker_proxy=self.arguments.proxy, backend=self.backend_name
+            experiment,
+            self.simulation,
+            band=self.band,
+            marker_proxy=self.arguments.proxy,
+            backend=self.arguments.default_backend,
         )
 
     def _state(self) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class Episode:
         world: The world, at the start of the experiment's scene.
         band: Band that rewards are relative to; with None they are 0.
         marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
-        backend: Name of the engine, whose sensitivities the score's intervals use.
+        backend: Name of the engine, whose sensitivities the score uses; None for other settings than its default ones.
 
     Attributes:
         experiment: The experiment.

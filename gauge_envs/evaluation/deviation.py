@@ -39,12 +39,14 @@ class Deviation:
         errors: Its errors.
         baseline: Mean of the same distance over real trials, which normalizes it: published for a simulation as it is,
             of the trials at hand for an aligned one. None without one.
+        velocity: Velocity of a simulation that was aligned, shape [T, C]; None for one as it is.
     """
 
     values: FloatArray
     rmse: float
     errors: BandErrors
     baseline: float | None
+    velocity: FloatArray | None = None
 
     @property
     def normalized(self) -> float | None:
@@ -79,6 +81,11 @@ class Deviations:
     aligned: Deviation | None
     release_offset_s: float | None
     primary: str
+
+    @property
+    def is_aligned(self) -> bool:
+        """Whether the primary score is that of the aligned simulation."""
+        return self.primary == "rmse_aligned" and self.aligned is not None
 
     @property
     def first(self) -> Deviation:
@@ -137,7 +144,7 @@ def band_deviations(
         errors = errors.with_baseline(trials.aligned)
     return Deviations(
         raw=raw,
-        aligned=Deviation(values=shifted - band.mean, rmse=rmse, errors=errors, baseline=baseline),
+        aligned=Deviation(values=shifted - band.mean, rmse=rmse, errors=errors, baseline=baseline, velocity=velocity),
         release_offset_s=offset_s,
         primary="rmse" if experiment.scene.drivers else "rmse_aligned",
     )

@@ -19,8 +19,15 @@ from gauge_envs.evaluation.deviation import (
     sampled_frames,
     trial_distances,
 )
+from gauge_envs.evaluation.explained import Explained, explained
 from gauge_envs.evaluation.implied import ImpliedParameter, implied_parameters
-from gauge_envs.evaluation.metrics.trajectory import band_coverage, dtw_path, mean_abs_z, signed_error, z_scores
+from gauge_envs.evaluation.metrics.trajectory import (
+    band_coverage,
+    dtw_path,
+    mean_abs_z,
+    signed_error,
+    z_scores,
+)
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
@@ -56,8 +63,8 @@ class Score:
         release_offset_s: Constant time shift that minimises the RMSE [s]; positive when reality is released later.
         rmse_aligned: RMSE after that shift.
         rmse_aligned_95: 95 % interval of `rmse_aligned`.
-        rmse_aligned_normalized: `rmse_aligned` over the mean of the same distance of the real trials, each aligned to the
-            mean of the others. None without single trials.
+        rmse_aligned_normalized: `rmse_aligned` over the mean of that of the real trials, each aligned to the mean of
+            the others. None without single trials.
         rmse_aligned_normalized_95: 95 % interval of `rmse_aligned_normalized`.
         percentile_aligned: As `percentile`, with the simulation and each trial aligned.
         percentile_aligned_95: 95 % interval of the percentage of all such trials.
@@ -88,7 +95,9 @@ class Score:
         el: Energy loss, ratio; 0 is ideal.
         implied: Physical parameters that the trajectory implies, beside those of the real trials.
         budget: Contributions to the uncertainty of the `primary` score, largest first.
-        sensitivities: Engine and settings whose sensitivities the interval uses; None if inputs are left out.
+        explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
+            without sensitivities of the engine.
+        sensitivities: Engine and settings of these sensitivities.
         withheld: Why the band is not used by default; None for a band that is.
         edited: Whether the scene is that of an asset which differs from the calibrated scene.
     """
@@ -141,6 +150,7 @@ class Score:
     el: float | None = None
     implied: tuple[ImpliedParameter, ...] = ()
     budget: tuple[BudgetEntry, ...] = ()
+    explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
     withheld: str | None = None
     edited: bool = False
@@ -188,7 +198,8 @@ def score_trajectory(
             the 30 Hz frames; more samples make the release offset more precise. Samples after the last frame let the
             simulation be shifted to earlier times.
         values: g(t) at those times, shape [sample_count, coordinate_count].
-        backend: Engine of the trajectory, whose sensitivities the intervals use; None for one of unknown origin.
+        backend: Engine of the trajectory with its default settings, whose sensitivities say what inputs can explain;
+            None for other settings, or one of unknown origin.
         sensitivities: Measured sensitivities that replace the stored ones of the engine.
 
     Raises:
@@ -198,9 +209,10 @@ def score_trajectory(
     baselines = experiment.baselines
     scores: dict[str, Any] = {}
     if band is not None:
-        # An edited scene is another one, whose sensitivities are not known.
+        # An edited scene is another one, and another engine may treat a constant in another way.
         if sensitivities is None:
-            sensitivities = experiment_sensitivities(experiment, backend)
+            stored = experiment_sensitivities(experiment, backend)
+            sensitivities = stored if stored is not None and stored.backend == backend else None
         scores |= _band_scores(experiment, band, times_s, values, frames, sensitivities)
     scores["implied"] = implied_parameters(
         experiment, band, times_s=times_s, values=values, release_offset_s=scores.get("release_offset_s")
@@ -289,6 +301,8 @@ def _band_scores(
     first = deviations.first
     if first.baseline is not None:
         scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
+    if sensitivities is not None:
+        scores["explained"] = explained(experiment, band, sensitivities, deviations, times_s=times_s, values=values)
     return scores
 
 

@@ -88,10 +88,14 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
     builder = SceneBuilder(
         task_path(experiment.variant.family), experiment.spec, experiment.variant, experiment.overrides
     )
-    return (*_contacts(builder), *_masses(builder, experiment), *_starts(builder, experiment))
+    return (
+        *_contacts(builder, experiment.variant.material),
+        *_masses(builder, experiment),
+        *_starts(builder, experiment),
+    )
 
 
-def _contacts(builder: SceneBuilder) -> Iterator[UncertainParameter]:
+def _contacts(builder: SceneBuilder, material: str | None) -> Iterator[UncertainParameter]:
     for constant in ("friction", "restitution"):
         entry = getattr(input_uncertainties(), constant)
         owners = dict.fromkeys(
@@ -103,13 +107,13 @@ def _contacts(builder: SceneBuilder) -> Iterator[UncertainParameter]:
         )
         for owner in owners:
             value = builder.constants.get(owner, {}).get(constant)
-            if value is not None:
+            if value:
                 yield UncertainParameter(
                     name=f"{owner}.{constant}",
                     key=f"{owner}.{constant}",
                     value=float(value),
-                    std=entry.std,
-                    unit=entry.unit,
+                    std=entry.std(float(value), material),
+                    unit="1",
                     source=f"scoring/uncertainties.toml: {entry.source}",
                     high=1.0 if constant == "restitution" else math.inf,
                 )

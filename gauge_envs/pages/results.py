@@ -115,6 +115,21 @@ def score_interval(score: Score, metric: str) -> tuple[float, float] | None:
     return None if field is None else getattr(score, f"{field}_95")
 
 
+def percentile_text(score: Score, metric: str) -> str | None:
+    """Return the percentage of real trials that are closer to their mean, with its 95 % interval; None without trials.
+
+    Example:
+        >>> percentile_text(Score(grade="trials", unit="mm", percentile=40.0, percentile_95=(12.0, 71.5)), "rmse")
+        '40 % [12, 72]'
+    """
+    field = PERCENTILES.get(metric)
+    percentile = None if field is None else getattr(score, field)
+    if percentile is None:
+        return None
+    ends = getattr(score, f"{field}_95")
+    return f"{percentile:.0f} %" + ("" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]")
+
+
 # --- convergence ---
 
 NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell"}

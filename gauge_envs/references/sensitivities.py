@@ -32,6 +32,22 @@ class StandardUncertainty(FileModel):
     source: str
 
 
+class ConstantUncertainty(FileModel):
+    """Standard uncertainty of a published constant, over its value, by material."""
+
+    relative: dict[str, Positive]
+    source: str
+
+    def std(self, value: float, material: str | None) -> float:
+        """Return the standard uncertainty of a constant, in its unit.
+
+        Args:
+            value: Published value.
+            material: Material of the variant; one without trials has the uncertainty of `other`.
+        """
+        return value * self.relative.get(material or "other", self.relative["other"])
+
+
 class _TrialCount(FileModel):
     """Number of real trials where only their mean and standard deviation are published."""
 
@@ -42,8 +58,8 @@ class _TrialCount(FileModel):
 class StandardUncertainties(FileModel):
     """The file `scoring/uncertainties.toml`: 1-sigma uncertainties, each with its source."""
 
-    friction: StandardUncertainty
-    restitution: StandardUncertainty
+    friction: ConstantUncertainty
+    restitution: ConstantUncertainty
     start: StandardUncertainty
     tilt: StandardUncertainty
     trials: _TrialCount
@@ -78,8 +94,9 @@ class InputUncertainty:
         std: Standard uncertainty, in `unit`.
         unit: Unit of `std`.
         source: Origin of `std`.
-        change: Change of g(t) per standard uncertainty at the frames, shape [T, D], in the observable's unit. A file
-            has four significant digits of it.
+        change: Change of g(t) at the frames when the input is one standard uncertainty higher, shape [T, D], in the
+            observable's unit. A file has four significant digits of it.
+        change_below: The same for one standard uncertainty lower; None where it is the opposite of `change`.
     """
 
     __pydantic_config__ = FileModel.model_config
@@ -90,6 +107,7 @@ class InputUncertainty:
     unit: str
     source: str
     change: _Table
+    change_below: _Table | None = None
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -131,7 +149,7 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
         backend: Name of the engine; None for a trajectory of unknown origin.
 
     Returns:
-        The table, or None if there is none.
+        The table, or None if there is none; one that version 0.1 measured does not count.
     """
     for engine in dict.fromkeys(filter(None, (backend, FALLBACK_ENGINE))):
         if Path(engine).name != engine:
@@ -142,7 +160,10 @@ def load_sensitivities(variant: str, backend: str | None) -> Sensitivities | Non
                 stamp = file.stat()
             except OSError:
                 continue
-            return _read(file, stamp.st_mtime_ns)
+            table = _read(file, stamp.st_mtime_ns)
+            # Version 0.1 moved constants by a smaller uncertainty, that of the scatter of trials.
+            if all(one.change_below is not None for one in table.inputs if one.kind == "constant"):
+                return table
     return None
 
 

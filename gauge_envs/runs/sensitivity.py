@@ -15,9 +15,10 @@ from gauge_envs.backends.base import Backend
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.sensitivities import (
+    ConstantUncertainty,
     InputUncertainty,
     Sensitivities,
     StandardUncertainty,
@@ -48,7 +49,6 @@ class _Perturbation:
         low: Scene below.
         high: Scene above.
         tilt: Rotation about the origin of the scene above; that of the scene below is its inverse.
-        width: Distance of the two scenes, in standard uncertainties.
     """
 
     name: str
@@ -57,7 +57,6 @@ class _Perturbation:
     low: Scene
     high: Scene
     tilt: Rotation | None = None
-    width: float = 2.0
 
 
 def measure_sensitivities(request: RunRequest) -> Sensitivities:
@@ -85,11 +84,18 @@ def measure_sensitivities(request: RunRequest) -> Sensitivities:
             continue
         if one.tilt is not None:
             low, high = _rotated(low, one.tilt), _rotated(high, one.tilt.inv())
-        change = (high - low) / one.width
         known = one.known
+        # A constant is moved far, so that up and down differ; of the others, half the difference is the change.
+        change, below = (high - nominal, low - nominal) if one.kind == "constant" else (0.5 * (high - low), None)
         inputs.append(
             InputUncertainty(
-                name=one.name, kind=one.kind, std=known.std, unit=known.unit, source=known.source, change=change
+                name=one.name,
+                kind=one.kind,
+                std=known.std,
+                unit=known.unit,
+                source=known.source,
+                change=change,
+                change_below=below,
             )
         )
     for setting, name, unit in (("timestep_s", "time step", "s"), ("cell_m", "cell", "m")):
@@ -146,22 +152,25 @@ def _rotated(frames: FloatArray, rotation: Rotation) -> FloatArray:
 
 def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
     scene, known = experiment.scene, input_uncertainties()
+    material = experiment.variant.material if isinstance(experiment, TaskExperiment) else None
     for constant in ("friction", "restitution"):
-        entry = getattr(known, constant)
+        entry: ConstantUncertainty = getattr(known, constant)
         # Contacts with one value share one calibrated number.
         for value in dict.fromkeys(getattr(contact, constant) for contact in scene.contacts):
+            std = entry.std(value, material)
+            if std == 0.0:
+                continue
             group = [contact for contact in scene.contacts if getattr(contact, constant) == value]
-            low, high = max(value - entry.std, 0.0), value + entry.std
+            low, high = max(value - std, 0.0), value + std
             if constant == "restitution":
                 high = min(high, 1.0)
             pairs = ", ".join(f"{contact.first[0]}/{contact.second[0]}" for contact in group)
             yield _Perturbation(
                 name=f"{constant} {pairs}",
                 kind="constant",
-                known=entry,
+                known=StandardUncertainty(std=std, unit="1", source=entry.source),
                 low=_with_contacts(scene, group, constant, low),
                 high=_with_contacts(scene, group, constant, high),
-                width=(high - low) / entry.std,
             )
     for name, direction in _start_directions(experiment):
         shift = known.start.std * direction

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import pickle
 from dataclasses import replace
+from functools import partial
 
 import gymnasium
 import numpy as np
@@ -45,17 +46,65 @@ def test_the_aligned_score_prefers_the_real_friction_and_the_raw_one_does_not():
         run_episode(RunRequest(SLIDES[0], parameters={"cube.friction": friction})).score
         for friction in (0.257145, 0.282)
     )
-    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx((1.005, 0.046), abs=2e-3)
-    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx((0.270, 0.265), abs=2e-3)
+    assert (real.rmse_normalized, real.rmse_aligned_normalized) == pytest.approx((1.005, 1.24), abs=5e-3)
+    assert (wrong.rmse_normalized, wrong.rmse_aligned_normalized) == pytest.approx((0.270, 7.09), abs=2e-2)
     assert real.primary == wrong.primary == "rmse_aligned"
     assert real.primary_normalized < wrong.primary_normalized
 
 
 def test_an_earlier_release_is_simulated_and_not_held(scores):
-    """Held at its last frame, the cube would score 0.497."""
+    """Held at its last frame, the cube would be 12.5 mm away."""
     score = scores["SlopeSlider-2-plastic"]
     assert score.release_offset_s < 0.0
-    assert score.rmse_aligned_normalized == pytest.approx(0.241, abs=2e-3)
+    assert score.rmse_aligned == pytest.approx(6.04, abs=0.05)
+
+
+@pytest.mark.parametrize("name", SLIDES)
+def test_an_aligned_error_is_over_that_of_aligned_trials(scores, name):
+    score, band = scores[name], bundled_band(name)
+    leave_one_out = []
+    for number, trial in enumerate(band.trials):
+        mean = np.nanmean(np.delete(band.trials, number, axis=0), axis=0)
+        seen = np.isfinite(trial).all(axis=1)
+        times_s = np.arange(len(trial))[seen] / 30.0
+        near = min(np.arange(-0.3, 0.3, 0.01), key=partial(_shifted_rmse, times_s, trial[seen], mean))
+        shifts = [_shifted_rmse(times_s, trial[seen], mean, near + late) for late in np.arange(-0.01, 0.01, 2e-5)]
+        leave_one_out.append(min(shifts))
+    assert score.rmse_aligned / score.rmse_aligned_normalized == pytest.approx(np.mean(leave_one_out), rel=0.02)
+
+
+def _shifted_rmse(times_s, values, mean, shift_s):
+    queries_s = np.arange(len(mean)) / 30.0 - shift_s
+    usable = (queries_s <= times_s[-1] + 1e-9) & np.isfinite(mean).all(axis=1)
+    if usable.sum() < 0.6 * np.isfinite(mean).all(axis=1).sum():
+        return np.inf
+    moved = np.column_stack([np.interp(queries_s[usable], times_s, column) for column in values.T])
+    return float(np.sqrt(np.square(moved - mean[usable]).sum(axis=1).mean()))
+
+
+# --- what inputs explain ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "constant"), [(SLIDES[0], "cube.friction"), (SLIDES[1], "cube.friction"), (BALL, "ball.restitution")]
+)
+def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(scores, name, constant):
+    first = scores[name].explained[0]
+    assert first.name.startswith(constant.partition(".")[2])
+    published = getattr(load_experiment(name).scene.contacts[0], constant.partition(".")[2])
+    moved = run_episode(RunRequest(name, parameters={constant: published + first.change * first.std})).score
+    assert moved.rmse_aligned == pytest.approx(first.left, rel=0.03)
+    assert first.left < 0.3 * scores[name].rmse_aligned
+
+
+def test_nothing_explains_an_error_of_the_engine(scores):
+    """A table of another engine, of other settings or of other constants says nothing."""
+    assert scores[BALL].explained
+    assert run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})).score.explained is None
+    effective = run_episode(RunRequest(BALL, parameters="effective")).score.explained
+    assert not any(one.kind == "constant" for one in effective)
+    law = run_episode(RunRequest("SlopeSlider-1-plastic")).score
+    assert {one.kind for one in law.explained} <= {"discretization"}
 
 
 @pytest.mark.parametrize(
@@ -67,7 +116,7 @@ def test_extrapolated_frames_and_their_share_of_the_error_are_stated(scores, nam
     assert 100.0 * score.extrapolated_share == pytest.approx(share, abs=0.6)
 
 
-@pytest.mark.parametrize(("name", "median"), list(zip(SLIDES, [0.75, 0.47, 0.80], strict=True)))
+@pytest.mark.parametrize(("name", "median"), list(zip(SLIDES, [0.79, 0.49, 0.85], strict=True)))
 def test_the_median_real_trial_is_not_at_1_and_the_percentile_says_so(name, median):
     distances = trial_distances(bundled_band(name)).raw
     baseline = published_baselines(name)["rmse"].mean
@@ -155,9 +204,10 @@ def test_measured_sensitivities_of_a_slide_are_those_of_the_closed_form():
     band = bundled_band(SLIDES[0])
     times_s = np.arange(len(band.mean)) / 30.0
     changes = {one.name: band.project(one.change)[:, 0] for one in table.inputs}
-    friction = -500.0 * GRAVITY * math.cos(SLOPE) * input_uncertainties().friction.std * times_s**2
+    std = input_uncertainties().friction.std(0.273673, "wood")
+    friction = -500.0 * GRAVITY * math.cos(SLOPE) * std * times_s**2
     tilt = 500.0 * GRAVITY * (math.cos(SLOPE) + 0.273673 * math.sin(SLOPE)) * math.radians(0.3) * times_s**2
-    np.testing.assert_allclose(changes["friction cube/board, cube/ground"], friction, atol=0.02)
+    np.testing.assert_allclose(changes["friction cube/board, cube/ground"], friction, atol=0.1)
     np.testing.assert_allclose(changes["tilt about y"], tilt, atol=0.05)
     assert np.abs(changes["start of cube along its x axis"][:-1] - 1.0).max() < 0.025
 

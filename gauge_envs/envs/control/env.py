@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import SimulationEnvironment
-from gauge_envs.envs.control.limit import Ending, Limit, LimitReport, friction_uncertainty, pair_friction
+from gauge_envs.envs.control.limit import Ending, Limit, LimitReport, pair_friction
 from gauge_envs.envs.divergence import speed_fault
 from gauge_envs.envs.lockstep import run_frames
 from gauge_envs.envs.rendering.lazy import Pictures
@@ -24,6 +24,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
+from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
@@ -142,7 +143,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             quantity=quantity,
             unit="1",
             value=pair_friction(self.experiment.scene, *pair),
-            sigma=friction_uncertainty(self._variant.material) * calibrated,
+            sigma=input_uncertainties().friction.std(calibrated, self._variant.material),
             law=self.LAW,
             sigma_source=self.SIGMA_SOURCE,
         )

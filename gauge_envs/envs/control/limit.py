@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cache
-from pathlib import Path
-from typing import Any
 
-from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.scene import Scene
 
 
@@ -79,35 +73,6 @@ class LimitReport:
         return (self.reached - self.limit.value) / self.limit.sigma
 
 
-SLOPE_TRIALS = "slope_slider_30deg_summary.toml"
-"""Mean and scatter of the friction of cubes sliding down at 30 degrees, from 19 or 20 real trials of each material."""
-
-SLOPE_TRIALS_OF = "SlopeSlider-2-{material}"
-"""Experiment of those trials."""
-
-
-@cache
-def _slope_trials(path: Path) -> dict[str, Any]:
-    return toml_document(read_regular(path, MOST_TOML_BYTES))
-
-
 def pair_friction(scene: Scene, first: str, second: str) -> float:
     """Return the friction coefficient of two bodies of a scene that touch."""
     return next(c.friction for c in scene.contacts if {first, second} <= {*c.first, *c.second})
-
-
-def friction_uncertainty(material: str) -> float:
-    """Return the relative standard uncertainty of a cube's calibrated friction.
-
-    It is the root mean square distance of the friction in single real trials from the calibrated coefficient, over that
-    coefficient. The trials are those of SlopeSlider-2, whose accelerations are bundled. The distance includes the
-    scatter of trials and the difference of their mean, which is the larger part for wood and plastic.
-
-    Args:
-        material: Material of the cube: `wood`, `plastic` or `metal`.
-    """
-    trials = _slope_trials(data_folder("scoring") / "facts" / SLOPE_TRIALS)[material]
-    calibrated = pair_friction(load_experiment(SLOPE_TRIALS_OF.format(material=material)).scene, "cube", "board")
-    count, scatter = trials["trial_count"], trials["friction"]["std"]
-    variance = scatter**2 * (count - 1) / count + (trials["friction"]["mean"] - calibrated) ** 2
-    return math.sqrt(variance) / calibrated

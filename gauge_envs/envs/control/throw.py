@@ -14,6 +14,7 @@ from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver, with_stage
 from gauge_envs.evaluation.reference_path import ReferencePath
+from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene, Sphere
 from gauge_envs.scene.timing import SAMPLES_PER_FRAME
@@ -97,7 +98,10 @@ class ThrowLimit(ControlEnv):
 
     FAMILY = "BouncingBall"
     LAW = "an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times"
-    SIGMA_SOURCE = "restitution from the scatter of 22 real drops, 0.0022; start height from the same drops, 1 mm"
+    SIGMA_SOURCE = (
+        "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
+        "scatter"
+    )
 
     DURATION_S = 3.0
     """Time of an episode; three impacts and the way up take 1.8 s."""
@@ -163,8 +167,11 @@ class ThrowLimit(ControlEnv):
         (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
         value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
         known = input_uncertainties()
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        (calibrated,) = load_experiment(self._variant).scene.contacts
+        std = known.restitution.std(calibrated.restitution, self._variant.material)
         changes = (
-            highest_m(self._drop_m, restitution + known.restitution.std, scene.gravity_m_per_s2) - value,
+            highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value,
             highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value,
         )
         return Limit(

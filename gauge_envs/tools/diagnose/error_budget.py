@@ -198,13 +198,9 @@ def _diagnosis(
     experiment: Experiment, band: Band, budget: NestedFits, order: Sequence[BudgetStage], *, measured_only: bool
 ) -> Diagnosis:
     baselines, recorded = experiment.baselines, experiment.recorded
-    baseline = baselines["rmse"].mean if "rmse" in baselines and band.normalized_by_baseline else None
     whole, left = budget.fit(()), budget.fit(order)
     deviations = budget.deviations()
     extrapolated = ~band.measured[budget.known]
-
-    def normalized(fit: StageFit) -> float | None:
-        return fit.rmse / baseline if baseline else None
 
     def part(index: int) -> StagePart:
         stage, before, after = order[index], budget.fit(order[:index]), budget.fit(order[: index + 1])
@@ -216,8 +212,6 @@ def _diagnosis(
             share=_over(before.mean_square - after.mean_square, whole.mean_square),
             rmse_before=before.rmse,
             rmse_after=after.rmse,
-            rmse_before_normalized=normalized(before),
-            rmse_after_normalized=normalized(after),
             alone_share=_over(whole.mean_square - alone.mean_square, whole.mean_square),
             last_share=_over(others.mean_square - left.mean_square, whole.mean_square),
             by_coordinate=tuple((before.mean_squares - after.mean_squares).tolist()),
@@ -230,7 +224,6 @@ def _diagnosis(
         grade=band.grade.value,
         source=band.source,
         unit=band.unit,
-        baseline=baseline,
         coordinates=band.coordinates,
         kind=budget.motion.kind,
         subject=MARKERS if not recorded else f"the {recorded[0]}" if len(recorded) == 1 else SEVERAL_BODIES,
@@ -240,7 +233,6 @@ def _diagnosis(
         extrapolated_share=_over(float(deviations[extrapolated].sum()), float(deviations.sum())),
         mean_square=whole.mean_square,
         rmse=whole.rmse,
-        rmse_normalized=normalized(whole),
         dtw_over_rmse=None,
         measured_only=measured_only,
         by_coordinate=tuple(whole.mean_squares.tolist()),
@@ -249,7 +241,6 @@ def _diagnosis(
             mean_square=left.mean_square,
             share=_over(left.mean_square, whole.mean_square),
             rmse=left.rmse,
-            rmse_normalized=normalized(left),
             by_coordinate=tuple(left.mean_squares.tolist()),
         ),
         published=_published(baselines),

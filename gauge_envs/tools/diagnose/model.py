@@ -41,8 +41,6 @@ class StagePart:
         share: `explained` over the whole mean squared error.
         rmse_before: RMSE before the stage.
         rmse_after: RMSE after the stage.
-        rmse_before_normalized: `rmse_before` over the published baseline; None without a baseline.
-        rmse_after_normalized: `rmse_after` over the published baseline; None without a baseline.
         alone_share: Reduction by the stage as the only one, over the whole.
         last_share: Reduction by the stage after both others, over the whole.
         by_coordinate: Reduction of each coordinate's mean squared error, shape [C]; it sums to `explained`. A
@@ -57,8 +55,6 @@ class StagePart:
     share: float
     rmse_before: float
     rmse_after: float
-    rmse_before_normalized: float | None
-    rmse_after_normalized: float | None
     alone_share: float
     last_share: float
     by_coordinate: tuple[float, ...]
@@ -74,14 +70,12 @@ class Remainder:
         mean_square: Mean squared error.
         share: `mean_square` over that of the unchanged simulation.
         rmse: Root of `mean_square`.
-        rmse_normalized: `rmse` over the published baseline; None without a baseline.
         by_coordinate: Mean squared error of each coordinate, shape [C].
     """
 
     mean_square: float
     share: float
     rmse: float
-    rmse_normalized: float | None
     by_coordinate: tuple[float, ...]
 
 
@@ -113,7 +107,6 @@ class Diagnosis:
         grade: Grade of the band.
         source: Source of the band.
         unit: Unit of g(t) and of every RMSE.
-        baseline: Published mean RMSE of the real trials, which normalizes RMSEs; None without one.
         coordinates: Names of the band coordinates.
         kind: Kind of the simulated motion, which decides the quantity of the stage `rate`.
         subject: What is observed, as `the ball`.
@@ -123,7 +116,6 @@ class Diagnosis:
         extrapolated_share: Share of the squared error in extrapolated frames.
         mean_square: Mean squared error.
         rmse: Root of `mean_square`: the RMSE of the score, unless `measured_only`.
-        rmse_normalized: `rmse` over the baseline; None without a baseline.
         dtw_over_rmse: DTW of the score over its RMSE; None if it is not known.
         measured_only: Whether extrapolated frames were left out.
         by_coordinate: Mean squared error of each coordinate, shape [C].
@@ -138,7 +130,6 @@ class Diagnosis:
     grade: str
     source: str
     unit: str
-    baseline: float | None
     coordinates: tuple[str, ...]
     kind: MotionKind
     subject: str
@@ -148,7 +139,6 @@ class Diagnosis:
     extrapolated_share: float
     mean_square: float
     rmse: float
-    rmse_normalized: float | None
     dtw_over_rmse: float | None
     measured_only: bool
     by_coordinate: tuple[float, ...]

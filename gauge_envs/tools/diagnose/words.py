@@ -25,8 +25,7 @@ MOST_AXES = 6
 
 LEGEND = (
     "Parts are added from the top down, each fitted together with those above it: what they take off the squared error "
-    "(share) and off the normalized RMSE adds up to the whole. Alone: share taken off as the only change; last: after "
-    "both others. Normalized: over the published mean RMSE of the real trials."
+    "(share) and off the RMSE adds up to the whole. Alone: share taken off as the only change; last: after both others."
 )
 
 
@@ -56,16 +55,14 @@ def diagnosis_document(pairs: Sequence[tuple[Result, Diagnosis]]) -> Document:
 
 def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
     rest = diagnosis.rest
-    start = {"rmse_after": diagnosis.rmse, "rmse_after_normalized": diagnosis.rmse_normalized}
-    rows = [{"part": "as it is"} | start, *map(_part_row, diagnosis.parts)]
-    rows.append({"part": "rest", "off": rest.rmse_normalized, "share": rest.share})
+    rows: list[dict[str, Any]] = [{"part": "as it is", "rmse_after": diagnosis.rmse}, *map(_part_row, diagnosis.parts)]
+    rows.append({"part": "rest", "off": rest.rmse, "share": rest.share})
     return Table(
         title=f"{short_id(diagnosis.id)}  {label}",
         columns=(
             Column("part", "part"),
             Column("rmse_after", "RMSE left", quantity_text, unit=diagnosis.unit, is_number=True),
-            Column("rmse_after_normalized", "normalized", score_text, is_number=True),
-            Column("off", "taken off", score_text, is_number=True),
+            Column("off", "taken off", quantity_text, unit=diagnosis.unit, is_number=True),
             Column("share", "share", _share, is_number=True),
             Column("alone_share", "alone", _share, is_number=True),
             Column("last_share", "last", _share, is_number=True),
@@ -76,12 +73,10 @@ def _budget_table(diagnosis: Diagnosis, label: str) -> Table:
 
 
 def _part_row(part: StagePart) -> dict[str, Any]:
-    row = {"part": part.stage.value, "rmse_after": part.rmse_after, "rmse_after_normalized": part.rmse_after_normalized}
+    row: dict[str, Any] = {"part": part.stage.value, "rmse_after": part.rmse_after}
     if part.missing is not None:
         return row | {"changes": "does not apply"}
-    before, after = part.rmse_before_normalized, part.rmse_after_normalized
-    row["off"] = None if before is None or after is None else before - after
-    row["changes"] = f"fitted: {_changes(part)}"
+    row |= {"off": part.rmse_before - part.rmse_after, "changes": f"fitted: {_changes(part)}"}
     return row | {key: getattr(part, key) for key in ("share", "alone_share", "last_share")}
 
 
@@ -215,11 +210,8 @@ def _percent(share: float) -> str:
 
 
 def _rmse_text(diagnosis: Diagnosis, *rmses: float) -> str:
-    """Return one RMSE, or its change from one to another, in the unit and in baselines."""
-    text = f"RMSE {' to '.join(f'{rmse:.3g}' for rmse in rmses)} {diagnosis.unit}"
-    if diagnosis.baseline is None:
-        return text
-    return f"{text}, {' to '.join(f'{rmse / diagnosis.baseline:.3g}' for rmse in rmses)} baselines"
+    """Return one RMSE, or its change from one to another, with the unit."""
+    return f"RMSE {' to '.join(f'{rmse:.3g}' for rmse in rmses)} {diagnosis.unit}"
 
 
 def findings(diagnosis: Diagnosis) -> tuple[str, ...]:
@@ -261,10 +253,7 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
             left += 100.0 * part.share
         rest = "rest" if place == 0 else None
         axis.barh(place, 100.0 * diagnosis.rest.share, left=left, color=ENGINES[0], height=0.72, label=rest)
-        rmses, unit = (diagnosis.rmse_normalized, diagnosis.rest.rmse_normalized), ""
-        if None in rmses:
-            rmses, unit = (diagnosis.rmse, diagnosis.rest.rmse), f" {diagnosis.unit}"
-        text = " to ".join(map(score_text, rmses)) + unit
+        text = f"{score_text(diagnosis.rmse)} to {score_text(diagnosis.rest.rmse)} {diagnosis.unit}"
         axis.text(101.0, place, text, va="center", fontsize=8, color="#404040")
     names = [f"{short_id(diagnosis.id)}\n{result_label(result)}" for result, diagnosis in pairs]
     axis.set_yticks(range(len(pairs)), names, fontsize=8)
@@ -273,7 +262,7 @@ def draw_diagnoses(pairs: Sequence[tuple[Result, Diagnosis]]) -> Figure:
     axis.set_xticks(range(0, 101, 20))
     order = ", then ".join(part.stage.value for part in pairs[0][1].parts)
     shares = f"share of the squared error that is gone with {order} [%]"
-    ends = "at the right: RMSE before and after, over the mean of the real trials or with its unit"
+    ends = "at the right: RMSE before and after"
     axis.set_xlabel(f"{shares}\n{ends}", loc="left", fontsize=9)
     tidy_axis(axis)
     axis.grid(visible=False, axis="y")

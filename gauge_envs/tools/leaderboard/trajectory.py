@@ -47,7 +47,7 @@ SCORE_TOLERANCE = 1e-6
 """Largest difference of a stated score, relative and absolute. Last digits depend on the processor, and the fit of the
 release time ends within 1e-7 s. No table shows so many digits."""
 
-WRITTEN_ANEW = ("budget", "sensitivities")
+WRITTEN_ANEW = ("budget", "explained", "sensitivities")
 """Keys that are written anew without a comparison, as all intervals `*_95`: they depend on sensitivities that
 `gauge run --uncertainty` measures and stores on another machine."""
 

@@ -95,17 +95,18 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
     constants = spec.constants_of(body, material, None)
     uncertain = input_uncertainties()
     friction, restitution, mass_kg = (constants[key] for key in ("friction", "restitution", "mass_kg"))
+    assert restitution is not None and mass_kg is not None, "task files state both"
     origin = spec.provenance_of(f"constants.{body}.{material}")
-    std = None
+    # Only the ball's published restitution was compared with trials.
+    std = uncertain.restitution.std(restitution, material) if family == DROP[0] and name not in RECORDED else None
     if name in RECORDED:
         restitution = spec.parameters["effective"].values[f"{body}.restitution"]
         origin += f"; restitution: {spec.provenance_of('parameters.effective')}"
-        # Only the drops of the ball were measured more than once.
-        std = uncertain.restitution.std if family == DROP[0] else None
     if name in WITHOUT_FRICTION:
         friction = None
-    friction_std = None if friction is None or name in NOT_CALIBRATED else uncertain.friction.std
-    assert restitution is not None and mass_kg is not None, "task files state both"
+    friction_std = None
+    if friction is not None and name not in NOT_CALIBRATED:
+        friction_std = uncertain.friction.std(friction, material)
     whence = [f"friction: {uncertain.friction.source}"] if friction_std is not None else []
     whence += [f"restitution: {uncertain.restitution.source}"] if std is not None else []
     return MaterialPair(

@@ -14,6 +14,7 @@ from gauge_envs.pages.results import (
     SCORE_METRICS,
     discretization_text,
     normalized_score,
+    percentile_text,
     raw_score,
     result_label,
     score_interval,
@@ -44,6 +45,9 @@ BUDGET_NOTE = (
     "knowledge (GUM). Share: of the variance. --format wide shows the sources."
 )
 
+MOST_CAUSES = 3
+"""Number of inputs that are named as possible causes of an error."""
+
 TONES = {Outcome.DIVERGED: Tone.ERROR, Outcome.FAILED: Tone.ERROR, Outcome.DECLINED: Tone.WARNING}
 """Outcomes whose reasons are reported."""
 
@@ -72,9 +76,9 @@ def _score_table(results: Sequence[Result]) -> Table:
             Column("grade", "grade", place=Place.HEADING),
             LABEL,
             Column("metric", "metric"),
+            Column("percentile", "real trials closer", is_number=True),
             Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED else ""),
-            Column("normalized", "normalized [95 %]", is_number=True),
-            Column("percentile", "%", lambda percentile: f"{percentile:.0f}", is_number=True),
+            Column("normalized", "over real trials", is_number=True),
             *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
             Column("extrapolated", "extrapolated", lambda x: f"{100.0 * x:.0f} %", is_number=True, wide_only=True),
             Column("z", "|z|", number_text, is_number=True, wide_only=True),
@@ -85,8 +89,8 @@ def _score_table(results: Sequence[Result]) -> Table:
         notes=(
             "",
             NORMALIZED_NOTE,
-            "%: real trials that are closer to their mean. Aligned: after the best time shift. --format wide shows "
-            "more columns.",
+            "Real trials closer: to the mean of the others than the simulation is to the mean; in brackets the share "
+            "of all such trials. Aligned: after the best time shift. --format wide shows more columns.",
             *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
         ),
     )
@@ -108,11 +112,13 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         if (normalized if metric is ALIGNED else raw) is None and line is None:
             continue
         is_partial = metric.is_normalized and raw is not None and normalized is None
-        row = common | {
+        row: dict[str, Any] = common | {
             "metric": metric.title,
-            "score": None if raw is None else with_unit(number_text(raw), metric.unit_of(score.unit)),
+            "percentile": percentile_text(score, key),
+            "score": None
+            if raw is None
+            else with_unit(interval_text(raw, getattr(score, f"{key}_95", None)), metric.unit_of(score.unit)),
             "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
-            "percentile": getattr(score, PERCENTILES[key]) if key in PERCENTILES else None,
             # Published scores are over the whole motion. Some laws hold for its first frames alone.
             "engines": None if line is None or is_partial else line.engines,
         }
@@ -182,6 +188,7 @@ def _deformation_table(results: Sequence[Result]) -> Table:
 def _remarks(result: Result) -> Iterator[str]:
     """Yield what the table does not say of a result."""
     name = short_id(result.id)
+    yield from reality_lines(name, result.score)
     if result.score.implied:
         yield _implied_line(name, result.score)
     if result.score.withheld:
@@ -189,6 +196,27 @@ def _remarks(result: Result) -> Iterator[str]:
     yield from estimator_lines(name, result.score)
     if result.is_edited:
         yield f"{name}, {result.asset['file']}: {shortened(result.asset['changes'])}."
+
+
+def reality_lines(name: str, score: Score) -> Iterator[str]:
+    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it."""
+    if score.primary is None:
+        return
+    percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
+    if percentile is not None and count is not None:
+        farther = count - round(0.01 * percentile * count)
+        answer = f"{farther} of {count} are as far from the mean of the others, or farther"
+        if not farther:
+            answer = f"none of the {count} is as far from the mean of the others"
+        yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
+    error = getattr(score, score.primary)
+    causes = [
+        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {number_text(error - one.left)}"
+        for one in (score.explained or ())[:MOST_CAUSES]
+    ]
+    if causes:
+        whole = with_unit(number_text(error), score.unit)
+        yield f"{name}: of {whole}, each alone can explain: {', '.join(causes)}."
 
 
 def _implied_line(name: str, score: Score) -> str:

@@ -46,7 +46,7 @@ class Standing(StrEnum):
     def badge(self) -> Html:
         """A sign and words, so that the colour alone says nothing."""
         kind, text = {
-            Standing.NEAR: ("inside", "\u2713 below 1"),
+            Standing.NEAR: ("inside", "\u25bc below 1"),
             Standing.EVEN: ("visible", "\u2248 1 is in the interval"),
             Standing.FAR: ("wrong", "\u25b2 above 1"),
         }[self]

@@ -17,14 +17,13 @@ from gauge_envs.tools.compare import ExperimentComparison, GradeComparison, Pair
 from gauge_envs.tools.site.model import LOST, Site, Standing, score_cell, section, site_page, whisker_text
 
 SCALE_NOTE = (
-    "Score: distance to the real mean over the published mean distance of single real trials, which is 1. Lower is "
-    "closer. In brackets: 95 % interval, from the sample of real trials, the uncertain inputs and the discretization."
+    "Score: distance to the real mean over the mean distance of single real trials, which is 1. Lower is closer. In "
+    "brackets: 95 % interval, from the sample of real trials."
 )
 
 ALIGNED_NOTE = (
-    "RMSE aligned: after the best constant shift in time, because a real release is not at an exact time. The 1 is of "
-    "trials that are not aligned. So an aligned score below 1 does not mean closer than the real trials; the page of "
-    "the experiment states the share of real trials that are closer."
+    "RMSE aligned: after the best constant shift in time, because a real release is not at an exact time. So are the "
+    "trials of the 1."
 )
 
 RANK_NOTE = (

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any
 
@@ -121,23 +120,11 @@ def make_control_env(task: str, **arguments: Any) -> ControlEnv:
 def task_uncertainties(env: ControlEnv) -> tuple[UncertainParameter, ...]:
     """Return the uncertain inputs of a control task around its calibrated values.
 
-    A constant that is the task's limit has the uncertainty of the limit, which the task derives from trials of the very
-    pair of bodies.
-
     Args:
         env: The task, without wrappers.
     """
-    experiment = env.experiment
-    assert isinstance(experiment, TaskExperiment)
-    calibrated = load_experiment(experiment.variant)
-    found = []
-    for parameter in uncertain_parameters(calibrated):
-        stated = experiment.overrides.get(parameter.key, parameter.value)
-        if isinstance(stated, float) and math.isclose(stated, env.limit.value, rel_tol=1e-12):
-            source = f'info["limit"]: {env.limit.sigma_source}'
-            parameter = replace(parameter, std=env.limit.sigma, source=source)
-        found.append(parameter)
-    return tuple(found)
+    assert isinstance(env.experiment, TaskExperiment)
+    return uncertain_parameters(load_experiment(env.experiment.variant))
 
 
 def training_world(

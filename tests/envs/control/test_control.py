@@ -30,7 +30,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
-from gauge_envs.envs.control.limit import Ending, Limit, LimitReport, friction_uncertainty
+from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.envs.control.pendulum import PendulumLimit
 from gauge_envs.envs.control.play import engine_limit, play
 from gauge_envs.envs.control.slope_slider import SlopeSliderLimit
@@ -38,6 +38,7 @@ from gauge_envs.envs.control.tasks import control_tasks, find_control_task
 from gauge_envs.envs.control.turntable import TurntableLimit
 from gauge_envs.errors import ActionError, BackendError, EpisodeError, ParameterError, UnknownNameError
 from gauge_envs.files import data_folder
+from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
 
 NAMES = tuple(task.name for task in control_tasks())
@@ -190,7 +191,7 @@ def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material: 
     friction = math.tan(angle) - np.array(accelerations) / (GRAVITY_M_PER_S2 * math.cos(angle))
     calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
     expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
-    assert friction_uncertainty(material) == pytest.approx(expected, rel=0.02)
+    assert input_uncertainties().friction.std(1.0, material) == pytest.approx(expected, rel=0.02)
 
 
 def test_slope_and_turntable_have_the_calibrated_friction() -> None:
@@ -198,7 +199,7 @@ def test_slope_and_turntable_have_the_calibrated_friction() -> None:
     # The recording of SlopeSlider-3-metal has a kinetic friction of 0.251 +- 0.010.
     assert abs(0.251 - SlopeSliderLimit("metal").limit.value) < SlopeSliderLimit("metal").limit.sigma
     turntable = TurntableLimit("plastic")
-    assert turntable.limit.sigma == pytest.approx(0.322256 * friction_uncertainty("plastic"))
+    assert turntable.limit.sigma == pytest.approx(input_uncertainties().friction.std(0.322256, "plastic"))
     # An override changes what holds in the scene, not how well the real coefficient is known.
     assert TurntableLimit("plastic", parameters={"cube.friction": 0.2}).limit.sigma == turntable.limit.sigma
 
