@@ -59,6 +59,16 @@ class Deviation:
         return self.errors.interval(self.values, over_baseline=False)
 
     @property
+    def refusal(self) -> str | None:
+        """Why the root mean square has no interval; None if it has one."""
+        return self.errors.refusal(self.values, over_baseline=False)
+
+    @property
+    def normalized_refusal(self) -> str | None:
+        """Why the normalized root mean square has no interval; None if it has one, or without a baseline."""
+        return None if self.baseline is None else self.errors.refusal(self.values)
+
+    @property
     def normalized_interval(self) -> tuple[float, float] | None:
         """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
         ends = None if self.baseline is None else self.errors.interval(self.values)
@@ -111,7 +121,6 @@ def band_deviations(
     *,
     times_s: FloatArray,
     values: FloatArray,
-    sensitivities: Sensitivities | None = None,
 ) -> Deviations:
     """Return the deviations of a generalized trajectory from a band, with their errors.
 
@@ -120,12 +129,11 @@ def band_deviations(
         band: Reference of the score.
         times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count].
         values: g(t) at those times, shape [sample_count, coordinate_count].
-        sensitivities: Uncertain inputs of the simulation; None leaves them out.
     """
     frames = sampled_frames(experiment, times_s, values)
     simulated = band.project(frames)
     published = band_baseline(experiment, band)
-    errors = band_errors(band, published, sensitivities).with_projection(band, frames)
+    errors = band_errors(band, published).with_projection(band, frames)
     raw = Deviation(
         values=simulated - band.mean,
         rmse=trajectory_rmse(simulated, band.mean),

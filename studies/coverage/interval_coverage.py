@@ -1,8 +1,8 @@
 """Measure how often 95 % intervals hold the true score in simulated realities, and write the table of it.
 
-    python studies/coverage/interval_coverage.py measure [TABLE [WORLD ...]]   measures, half an hour in all
-    python studies/coverage/interval_coverage.py                               writes the tables of the note
-    python studies/coverage/interval_coverage.py --check                       fails if the note is not current
+python studies/coverage/interval_coverage.py measure [TABLE [WORLD ...]]   measures, half an hour in all
+python studies/coverage/interval_coverage.py                               writes the tables of the note
+python studies/coverage/interval_coverage.py --check                       fails if the note is not current
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def measure(world: World, count: int, *, realities: int, seed: int, tally: Tally
     shifted = [align(world, engine, means) for engine in engines]
     inside = rms(trials - means[:, None]).mean(axis=1)
     for one in range(realities):
-        errors = band_errors(band_of(trials[one]), None, None)
+        errors = band_errors(band_of(trials[one]), None)
         raw = [(world.engine(engine, np.zeros(())) - means[one])[:, None] for engine in engines]
         _measure_kind(world, "raw", [errors] * len(raw), raw, distances["raw"][one], float(inside[one]), tally)
         others = distances["aligned"][one]
