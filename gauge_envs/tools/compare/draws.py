@@ -69,7 +69,7 @@ def repeats_interval(values: Sequence[float], intervals: Sequence[tuple[float, f
     return max(spread.mean - below, 0.0), spread.mean + above
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ScoreDraws:
     """Normalized RMSE of the repeats of a configuration in one experiment, with its draws.
 
