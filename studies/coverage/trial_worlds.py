@@ -176,9 +176,11 @@ class Truth:
     distances: dict[str, FloatArray]
 
     def ratio(self, kind: str, engine: int) -> float:
+        """Return the true ratio of an engine."""
         return self.mm[kind][engine] / float(self.distances[kind].mean())
 
     def percentile(self, kind: str, engine: int) -> float:
+        """Return the percentage of all trials that are closer than an engine."""
         values = self.distances[kind]
         return 100.0 * float(np.searchsorted(values, self.mm[kind][engine])) / len(values)
 
