@@ -130,15 +130,19 @@ class _Components:
 
     Attributes:
         shapes: Orthonormal shapes, shape [component_count, entry_count].
-        drawn: Components of the error in each draw, shape [draw_count, component_count].
-        squares: Their sum of squares, shape [draw_count].
+        of_trials: Components of the error of the sample of trials in each draw, shape [draw_count, component_count].
+        of_others: Those of all other errors, same shape.
         variance: Mean square of the error, unbiased.
     """
 
     shapes: FloatArray
-    drawn: FloatArray
-    squares: FloatArray
+    of_trials: FloatArray
+    of_others: FloatArray
     variance: float
+
+    def drawn(self, wider: float) -> FloatArray:
+        """Return the components of each draw, with a widening for trials that depend on each other."""
+        return wider * self.of_trials + self.of_others
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -245,22 +249,24 @@ class BandErrors:
         """The errors by their components."""
         count = self.trial_count
         others = [one for one in self.sources if not (count and one.kind in TRIAL_KINDS)]
-        shapes = [self.shapes[one.columns] for one in others]
-        factors = [self.factors[:, one.columns] for one in others]
-        variance = sum(float(np.square(one).sum()) for one in shapes)
-        if count:
-            shapes, factors = [self._trials, *shapes], [_trial_weights(count), *factors]
-            variance += float(np.square(self._trials).sum()) / (count * (count - 1))
-        left, sizes, right = np.linalg.svd(np.concatenate(shapes), full_matrices=False)
+        shapes = np.concatenate([self._trials, *(self.shapes[one.columns] for one in others)])
+        factors = [np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one.columns] for one in others)]
+        left, sizes, right = np.linalg.svd(shapes, full_matrices=False)
         kept = sizes > NEGLIGIBLE * sizes[0]
-        drawn = np.concatenate(factors, axis=1) @ (left[:, kept] * sizes[kept])
-        return _Components(shapes=right[kept], drawn=drawn, squares=np.square(drawn).sum(axis=1), variance=variance)
+        along = left[:, kept] * sizes[kept]
+        squares = np.square(along).sum(axis=1)
+        return _Components(
+            shapes=right[kept],
+            of_trials=_trial_weights(count) @ along[:count],
+            of_others=np.concatenate(factors, axis=1) @ along[count:],
+            variance=float(squares[:count].sum() / max(count * (count - 1), 1) + squares[count:].sum()),
+        )
 
     @cached_property
     def _trials(self) -> FloatArray:
         """Error shape of each trial, shape [trial_count, entry_count]."""
-        groups = [self.shapes[one.columns] for one in self.sources if one.kind in TRIAL_KINDS]
-        return np.asarray(np.sum(groups, axis=0))
+        groups = [self.shapes[one.columns] for one in self.sources if self.trial_count and one.kind in TRIAL_KINDS]
+        return np.sum(groups, axis=0) if groups else np.zeros((0, self.shapes.shape[1]))
 
     def influences(self, deviation: FloatArray, *, over_baseline: bool = True) -> FloatArray:
         """Return the effect of each trial on a distance, to first order, in the unit of the deviation.
@@ -274,8 +280,6 @@ class BandErrors:
         """
         vector = self.flat(deviation)
         size = float(np.linalg.norm(vector))
-        if not self.trial_count:
-            return np.zeros(0)
         along = self._trials @ (vector / size) if size > 0.0 else np.linalg.norm(self._trials, axis=1)
         return np.asarray(along - size * self.influence if over_baseline else along)
 
@@ -313,17 +317,17 @@ class BandErrors:
     def _interval(self, vector: FloatArray, wider: float, *, over_baseline: bool) -> tuple[float, float]:
         tail = 0.5 * (1.0 - LEVEL)
         ratio = self._ratio(wider, over_baseline=over_baseline)
-        errors = self._components
-        size, along, squares = float(np.linalg.norm(vector)), errors.shapes @ vector, wider**2 * errors.squares
+        drawn = self._components.drawn(wider)
+        size, squares = float(np.linalg.norm(vector)), np.square(drawn).sum(axis=1)
         # e . d and |d + e| of each draw
-        along = wider * (errors.drawn @ along)
+        along = drawn @ (self._components.shapes @ vector)
         added = np.sqrt(np.maximum(size**2 + 2.0 * along + squares, 0.0))
         if not self.is_observed:
             low, high = np.quantile(added / ratio, [tail, 1.0 - tail])
             # The law itself is one of the possible truths.
             return min(float(low), size), float(high)
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
-        products = wider**2 * np.einsum("kc,kc->k", errors.drawn[:-1], errors.drawn[1:])
+        products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
         along = (along[:-1] + products) / np.maximum(added[1:], 1e-150)
         excess = np.square(along) - squares[:-1] + size**2
         roots = np.where(excess >= 0.0, ratio[:-1] * (np.sqrt(np.maximum(excess, 0.0)) - along), -np.inf)
@@ -352,15 +356,13 @@ class BandErrors:
         lengths = np.linalg.norm(difference, axis=1)
         observed = float(lengths.mean())
         units = difference / np.maximum(lengths, 1e-300)[:, None]
-        series = np.zeros(0)
-        if self.trial_count:
-            trials = (self._trials * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
-            series = np.einsum("npc,pc->n", trials, units) / len(path) - observed * self.influence
+        trials = (self._trials * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
+        series = np.einsum("npc,pc->n", trials, units) / len(path) - observed * self.influence
         if refusal(series) is not None:
             return None
         shapes = (errors.shapes * scale).reshape(-1, *self.known.shape)[:, path[:, 1]]
         count = max(min(DRAW_COUNT, PATH_NUMBERS // difference.size), 100)
-        cells = widening(series) * np.tensordot(errors.drawn[:count], shapes, axes=1) + difference
+        cells = np.tensordot(errors.drawn(widening(series))[:count], shapes, axes=1) + difference
         ratio = self._ratio(widening(series), over_baseline=True)[:count]
         tail = 0.5 * (1.0 - LEVEL)
         low, high = np.quantile(np.linalg.norm(cells, axis=2).mean(axis=1) / ratio, [tail, 1.0 - tail])
@@ -378,13 +380,14 @@ class BandErrors:
         Args:
             deviation: Simulation minus mean, shape [T, C].
         """
-        vector, errors = self.flat(deviation), self._components
+        vector, drawn = self.flat(deviation), self._components.drawn(1.0)
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
-        along = 2.0 * errors.drawn @ (errors.shapes @ vector)
+        along = 2.0 * drawn @ (self._components.shapes @ vector)
+        squares = np.square(drawn).sum(axis=1)
         if not self.is_observed:
-            return np.asarray(np.sqrt(np.maximum(square + along + errors.squares, 0.0)) / ratio)
-        drawn = square - along + errors.squares - errors.squares.mean() - errors.variance
-        return np.asarray(np.sign(drawn) * np.sqrt(np.abs(drawn)) * ratio)
+            return np.asarray(np.sqrt(np.maximum(square + along + squares, 0.0)) / ratio)
+        lengths = square - along + squares - squares.mean() - self._components.variance
+        return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
         """Return the contributions to the uncertainty of a normalized score, largest first.
@@ -524,9 +527,11 @@ def _trial_weights(count: int) -> FloatArray:
     With them a weighted sum of `count` values is the standard error of their mean times a number of Student's t with
     count - 1 degrees of freedom. The weights depend on the number alone, so the mean and each baseline have the same.
     """
+    if count < 2:
+        return np.zeros((DRAW_COUNT, count))
     random = _random("sampling")
     normal = random.standard_normal((DRAW_COUNT, count))
-    scale = np.sqrt(random.chisquare(max(count - 1, 1), DRAW_COUNT) * count)
+    scale = np.sqrt(random.chisquare(count - 1, DRAW_COUNT) * count)
     return np.asarray((normal - normal.mean(axis=1, keepdims=True)) / scale[:, None])
 
 

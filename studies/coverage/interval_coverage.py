@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
 import numpy as np
-from generated import write_or_check
+from generated import markdown_table, settle
 from trial_worlds import CHOSEN_ON, HELD_OUT, WORLDS, FloatArray, World, align, band_of, leave_one_out, rms
 
 from gauge_envs.evaluation.deviation import percentile_interval
@@ -26,6 +26,7 @@ from gauge_envs.tools.compare.grades import GradedExperiment, compare_pair
 
 TABLE = Path(__file__).with_name("coverage.csv")
 NOTE = Path(__file__).with_name("README.md")
+BEGIN, END = "<!-- tables, written by interval_coverage.py -->", "<!-- end of tables -->"
 HOLDS = 92.0
 """Percentage from which a row holds."""
 COUNTS = {"slide": (5, 10, 20), "drop": (5, 10, 22)}
@@ -217,7 +218,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure, or write the tables of the note."""
     words = list(sys.argv[1:] if arguments is None else arguments)
     if words[:1] != ["measure"]:
-        return write_or_check(generate, script="", what="the tables of the note", arguments=words)
+        before, _, rest = NOTE.read_text(encoding="utf-8").partition(BEGIN)
+        text = f"{before}{BEGIN}\n\n{tables(read())}\n\n{END}{rest.partition(END)[2]}"
+        return settle({NOTE: text}, "../studies/coverage/interval_coverage.py", check="--check" in words)
     file = Path(words[1]) if len(words) > 1 else TABLE
     rows: list[Row] = []
     started = time.process_time()

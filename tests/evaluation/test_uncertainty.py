@@ -136,13 +136,13 @@ def test_percentiles_are_those_of_the_real_trials(scores):
         assert (distances.aligned <= distances.raw + 1e-9).all()
 
 
-def test_seven_of_nine_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
+def test_published_slide_scores_lie_in_the_interval_of_mujoco(scores):
     inside = [
         scores[name].rmse_normalized_95[0] <= published <= scores[name].rmse_normalized_95[1]
         for name in SLIDES
         for published in published_baselines(name)["rmse"].engines.values()
     ]
-    assert sum(inside) == 7
+    assert sum(inside) >= 8
     for score in scores.values():
         for value, (low, high) in (
             (score.rmse_normalized, score.rmse_normalized_95),
@@ -194,7 +194,7 @@ def test_a_law_has_an_interval_although_its_simulation_is_exact():
     low, high = score.rmse_normalized_95
     assert low <= score.rmse_normalized < 0.05
     combined = math.hypot(*(entry.standard_uncertainty for entry in score.budget))
-    assert combined > math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean
+    assert combined == pytest.approx(math.hypot(baseline.mean, baseline.std) / math.sqrt(20) / baseline.mean, rel=1e-5)
     assert combined < high < 3.0 * combined
 
 
