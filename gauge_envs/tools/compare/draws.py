@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from gauge_envs.evaluation.deviation import band_deviations
-from gauge_envs.evaluation.uncertainty import LEVEL, SEED, refusal, widening
+from gauge_envs.evaluation.uncertainty import LEVEL, SEED, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.configuration import RunConfiguration
@@ -142,21 +142,12 @@ def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, F
     """Return the mean primary score of two configurations, each with its draws of shape [draw_count].
 
     Repeats are paired by seed: those of a seed that only one of the two has are left out. Without a common seed, all
-    repeats of each count. Draws are wider where the trials that decide between the two depend on each other.
+    repeats of each count. Where the trials that decide between the two depend on each other, draws are wider by as much
+    as that takes: no difference is refused.
     """
     chosen, others = _common_repeats(first, second)
-    wider = widening(_pair_influence(first, second))
+    wider = widening(_influence(first, chosen, raw=False) - _influence(second, others, raw=False))
     return _mean(first, chosen, raw=False, wider=wider), _mean(second, others, raw=False, wider=wider)
-
-
-def pair_refusal(first: ScoreDraws, second: ScoreDraws) -> str | None:
-    """Return why the difference of two configurations has no interval; None if it has one."""
-    return refusal(_pair_influence(first, second))
-
-
-def _pair_influence(first: ScoreDraws, second: ScoreDraws) -> FloatArray:
-    chosen, others = _common_repeats(first, second)
-    return _influence(first, chosen, raw=False) - _influence(second, others, raw=False)
 
 
 def _common_repeats(first: ScoreDraws, second: ScoreDraws) -> tuple[Sequence[int], Sequence[int]]:

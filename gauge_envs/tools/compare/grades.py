@@ -29,7 +29,7 @@ from scipy.stats import norm
 
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.bands import BandGrade
-from gauge_envs.tools.compare.draws import ScoreDraws, pair_refusal, paired_scores
+from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -284,8 +284,7 @@ def compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int])
         if first is None or second is None:
             continue
         (value, draws), (other, other_draws) = paired_scores(first, second)
-        refused = pair_refusal(first, second) is not None
-        interval = (-np.inf, np.inf) if refused else _interval(value - other, draws - other_draws)
+        interval = _interval(value - other, draws - other_draws)
         differences.append(
             ExperimentDifference(
                 id=one.id,
