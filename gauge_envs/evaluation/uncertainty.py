@@ -59,10 +59,10 @@ SEED = 20_260_711
 LEAST_TRIALS = 3
 """Number of trials from which their scatter gives an interval."""
 
-LEAST_SCATTER = 0.9
-"""Smallest relative standard deviation of the distances of trials. That of one normal coordinate is 0.76."""
+LEAST_SCATTER = math.sqrt(0.5 * math.pi - 1.0)
+"""Smallest relative standard deviation of the distances of trials: that of one normal coordinate, 0.76."""
 
-LAG_MARGIN = 0.5
+LAG_MARGIN = 0.75
 """Standard errors by which the correlation of consecutive trials may be larger than measured."""
 
 GROUPS = 4
@@ -71,8 +71,8 @@ GROUPS = 4
 GROUP_SHARE = 0.8
 """Factor on the width from these means. It is exact with 1; with the margin above, 0.8 holds in the tested worlds."""
 
-WIDEST = 3.0
-"""Widening from which on an interval is refused: the trials count as a ninth of their number."""
+WIDEST = 5.0
+"""Widening from which on an interval is refused: the trials count as a twenty-fifth of their number."""
 
 NEGLIGIBLE = 1e-5
 """Size of an error shape over the largest one below which it is left out."""
@@ -570,7 +570,7 @@ def widening(series: FloatArray) -> float:
     """Return by how much an interval is wider than that of independent trials, at least 1.
 
     It is the larger one of two numbers. The first is the root of (1 + r) / (1 - r), where r is the correlation of
-    consecutive trials plus its bias and half its standard error. The second compares the scatter of the means of four
+    consecutive trials plus its bias and three quarters of its standard error. The second compares the scatter of the means of four
     consecutive groups with that of single trials. Both are above 1 for most independent trials.
 
     Args:
