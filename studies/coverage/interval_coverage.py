@@ -11,7 +11,7 @@ import csv
 import sys
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 
@@ -199,8 +199,8 @@ def tables(rows: Sequence[Row]) -> str:
         held = [row.held for row in rows if row.part == part]
         least, above = sum(one >= HOLDS for one in held), sum(one > OVER for one in held)
         lines.append(
-            f"- worlds {PARTS[part]}: {least} of {len(held)} rows hold in {HOLDS:.0f} % or more, {above} of them in more "
-            f"than {OVER:.0f} %; pooled {np.mean(held):.1f} %"
+            f"- worlds {PARTS[part]}: {least} of {len(held)} rows hold in {HOLDS:.0f} % or more, {above} of them in "
+            f"more than {OVER:.0f} %; pooled {np.mean(held):.1f} %"
         )
     return "\n".join(lines)
 

@@ -156,7 +156,7 @@ class World:
         engines = range(len(self.engine_errors))
         raw = [float(rms(self.engine(one, np.zeros(())) - mean)) for one in engines]
         aligned = [float(rms(align(self, one, mean[None])[0][0])) for one in engines]
-        distances = rms(population - mean), aligned_distances(population[:20_000], mean[None])
+        distances = rms(population - mean), aligned_distances(population[:10_000], mean[None])
         return Truth(
             mm={"raw": raw, "aligned": aligned},
             distances={"raw": np.sort(distances[0]), "aligned": np.sort(distances[1])},
