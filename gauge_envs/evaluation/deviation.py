@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -12,7 +13,7 @@ from scipy.special import betaincinv
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S, release_offset, trajectory_rmse
-from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors
+from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors, refusal, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
@@ -53,17 +54,25 @@ class Deviation:
         return None if self.baseline is None else self.rmse / self.baseline
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """95 % interval of the root mean square, in the band's unit."""
+    def interval(self) -> tuple[float, float] | None:
+        """95 % interval of the root mean square, in the band's unit; None if refused."""
         return self.errors.interval(self.values, over_baseline=False)
 
     @property
+    def refusal(self) -> str | None:
+        """Why the root mean square has no interval; None if it has one."""
+        return self.errors.refusal(self.values, over_baseline=False)
+
+    @property
+    def normalized_refusal(self) -> str | None:
+        """Why the normalized root mean square has no interval; None if it has one, or without a baseline."""
+        return None if self.baseline is None else self.errors.refusal(self.values)
+
+    @property
     def normalized_interval(self) -> tuple[float, float] | None:
-        """95 % interval of the normalized root mean square."""
-        if self.baseline is None:
-            return None
-        low, high = self.errors.interval(self.values)
-        return low / self.baseline, high / self.baseline
+        """95 % interval of the normalized root mean square; None without a baseline, or if refused."""
+        ends = None if self.baseline is None else self.errors.interval(self.values)
+        return None if ends is None or self.baseline is None else (ends[0] / self.baseline, ends[1] / self.baseline)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,7 +121,6 @@ def band_deviations(
     *,
     times_s: FloatArray,
     values: FloatArray,
-    sensitivities: Sensitivities | None = None,
 ) -> Deviations:
     """Return the deviations of a generalized trajectory from a band, with their errors.
 
@@ -121,12 +129,11 @@ def band_deviations(
         band: Reference of the score.
         times_s: Times of the samples since the first frame [s], strictly increasing, shape [sample_count].
         values: g(t) at those times, shape [sample_count, coordinate_count].
-        sensitivities: Uncertain inputs of the simulation; None leaves them out.
     """
     frames = sampled_frames(experiment, times_s, values)
     simulated = band.project(frames)
     published = band_baseline(experiment, band)
-    errors = band_errors(band, published, sensitivities).with_projection(band, frames)
+    errors = band_errors(band, published).with_projection(band, frames)
     raw = Deviation(
         values=simulated - band.mean,
         rmse=trajectory_rmse(simulated, band.mean),
@@ -229,21 +236,31 @@ def percentile_among(distances: FloatArray, distance: float) -> float:
     return 100.0 * float(np.mean(distances < distance))
 
 
-def percentile_interval(distances: FloatArray, interval: tuple[float, float]) -> tuple[float, float]:
+def percentile_interval(
+    distances: FloatArray, distance: float, interval: tuple[float, float] | None
+) -> tuple[float, float] | None:
     """Return a 95 % interval of the percentage of all real trials, seen or not, that are closer to the mean.
 
-    Its ends are those of Clopper and Pearson for the trials that are closer than the ends of the distance, so it holds
-    in at least 95 %, for the scatter of the trials and the uncertainty of the distance together.
+    Two things are uncertain, and their widths add in quadrature on each side: which trials were drawn, after Clopper
+    and Pearson, and the distance. Trials that are like the one before count as fewer.
 
     Args:
-        distances: Distance of each trial, shape [trial_count].
-        interval: 95 % interval of the distance of the simulation, in the same unit.
+        distances: Distance of each trial, in recorded order, shape [trial_count].
+        distance: Distance of the simulation, in the same unit.
+        interval: Its 95 % interval; None if refused.
+
+    Returns:
+        The interval; None without that of the distance, or if the distances depend too much on their order.
     """
-    count, tail = len(distances), 0.5 * (1.0 - LEVEL)
-    fewest, most = (int(np.sum(distances < end)) for end in interval)
-    low = float(betaincinv(fewest, count - fewest + 1, tail)) if fewest else 0.0
-    high = float(betaincinv(most + 1, count - most, 1.0 - tail)) if most < count else 1.0
-    return 100.0 * low, 100.0 * high
+    if interval is None or refusal(distances) is not None:
+        return None
+    count, tail = len(distances) / widening(distances) ** 2, 0.5 * (1.0 - LEVEL)
+    fewest, share, most = (float(np.mean(distances < end)) for end in (interval[0], distance, interval[1]))
+    closer = share * count
+    low = float(betaincinv(closer, count - closer + 1.0, tail)) if closer else 0.0
+    high = float(betaincinv(closer + 1.0, count - closer, 1.0 - tail)) if share < 1.0 else 1.0
+    below, above = math.hypot(share - low, share - fewest), math.hypot(high - share, most - share)
+    return 100.0 * max(share - below, 0.0), 100.0 * min(share + above, 1.0)
 
 
 def _shifted_rmse(trial: FloatArray, mean: FloatArray, shifts_s: FloatArray) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -12,6 +12,7 @@ from pydantic import TypeAdapter
 
 from gauge_envs.evaluation.deviation import (
     Deviation,
+    Deviations,
     band_deviations,
     experiment_sensitivities,
     percentile_among,
@@ -95,6 +96,7 @@ class Score:
         el: Energy loss, ratio; 0 is ideal.
         implied: Physical parameters that the trajectory implies, beside those of the real trials.
         budget: Contributions to the uncertainty of the `primary` score, largest first.
+        refused: Intervals that the trials do not support, each with its reason, as `rmse_95: 2 trials: ...`.
         explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
             without sensitivities of the engine.
         sensitivities: Engine and settings of these sensitivities.
@@ -150,6 +152,7 @@ class Score:
     el: float | None = None
     implied: tuple[ImpliedParameter, ...] = ()
     budget: tuple[BudgetEntry, ...] = ()
+    refused: tuple[str, ...] = ()
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
     withheld: str | None = None
@@ -257,7 +260,7 @@ def _band_scores(
 ) -> dict[str, Any]:
     baselines = experiment.baselines if band.normalized_by_baseline else {}
     simulated = band.project(frames)
-    deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
+    deviations = band_deviations(experiment, band, times_s=times_s, values=values)
     # A recording may end before the episode. Frames without a mean would be warped onto its last frame.
     known = np.isfinite(band.mean).any(axis=1)
     cost, path = dtw_path(simulated[known], band.mean[known])
@@ -296,8 +299,9 @@ def _band_scores(
         scores |= {} if aligned is None else _percentiles("percentile_aligned", trials.aligned, aligned)
     if raw.baseline is not None and (line := baselines.get("dtw")) is not None and line.mean:
         cells = np.flatnonzero(known)[path]
-        low, high = raw.errors.path_interval(cells, simulated, band.mean)
-        scores["dtw_normalized_95"] = low / line.mean, high / line.mean
+        ends = raw.errors.path_interval(cells, simulated, band.mean)
+        scores["dtw_normalized_95"] = None if ends is None else (ends[0] / line.mean, ends[1] / line.mean)
+    scores["refused"] = tuple(_refused(deviations))
     first = deviations.first
     if first.baseline is not None:
         scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
@@ -309,8 +313,15 @@ def _band_scores(
 def _percentiles(field: str, distances: FloatArray, deviation: Deviation) -> dict[str, Any]:
     return {
         field: percentile_among(distances, deviation.rmse),
-        f"{field}_95": percentile_interval(distances, deviation.interval),
+        f"{field}_95": percentile_interval(distances, deviation.rmse, deviation.interval),
     }
+
+
+def _refused(deviations: Deviations) -> Iterator[str]:
+    for field, one in (("rmse", deviations.raw), ("rmse_aligned", deviations.aligned)):
+        if one is not None:
+            reasons = {f"{field}_95": one.refusal, f"{field}_normalized_95": one.normalized_refusal}
+            yield from (f"{name}: {reason}" for name, reason in reasons.items() if reason is not None)
 
 
 def _origin(sensitivities: Sensitivities) -> str:

@@ -1,93 +1,79 @@
-"""The 95 % interval of a score holds the true score, in simulated realities whose truth is known.
+"""The 95 % intervals of scores hold the true scores, in simulated realities whose truth is known.
 
-A reality is a Coulomb slide with a true friction, tilt and start. Twenty trials are drawn from it, with their own
-friction and release time. The experimenter knows friction, tilt and start with the uncertainties of
-`scoring/uncertainties.toml`, simulates with these, and scores. The true score is that of a simulation with the true
-inputs against the mean of infinitely many trials, over their mean score.
+`studies/coverage` has the worlds, the script and the measured table. The method and its numbers were chosen on the
+worlds `CHOSEN_ON` with the seeds 1 and 2; the table has other seeds, and `HELD_OUT` has the worlds that it was not
+chosen on. `BEYOND` are worlds in which no method holds without knowing the sessions.
 """
 
 from __future__ import annotations
 
 import math
+from collections import Counter
+from functools import cache
 
 import numpy as np
 import pytest
-from slide_worlds import (
-    TRIAL_COUNT,
-    World,
-    aligned,
-    band_of,
-    equivalent_friction,
-    rmse,
-    sample_baseline,
-    sensitivities,
-    simulated_mm,
-    trials_of,
-    true_baseline,
-)
+from interval_coverage import REALITIES, SEEDS, Row, counts, coverage, main, read
+from trial_worlds import CHOSEN_ON, HELD_OUT, WORLDS
 
-from gauge_envs.evaluation.uncertainty import band_errors
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.evaluation import uncertainty
+from gauge_envs.tools.compare import draws
+
+FAST = [("drop, skewed release", 5), ("drop, release correlated 0.4", 22)]
+"""Worlds and numbers of trials in which intervals of a plain bootstrap fail."""
 
 
-def coverage(world: World, *, repeats: int, inputs_known: bool = False, align: bool = False, seed: int = 1) -> float:
-    """Return the share of simulated realities whose interval holds the true score."""
-    random = np.random.default_rng(seed)
-    population = trials_of(world, 40_000, random)
-    truth = population.mean(axis=0)[:, None]
-    known = input_uncertainties()
-    true_run = simulated_mm(world.friction + world.engine_friction_error, 0.0, 0.0)
-    true_deviation = true_run - truth
-    if align:
-        true_deviation, _ = aligned(true_run, world.friction + world.engine_friction_error, truth)
-    true_score = rmse(true_deviation) / true_baseline(population)
-    table = None if inputs_known else sensitivities(world.friction)
-    held = 0
-    for _ in range(repeats):
-        band = band_of(trials_of(world, TRIAL_COUNT, random))
-        errors = np.zeros(3) if inputs_known else random.standard_normal(3)
-        friction = world.friction + world.engine_friction_error + known.friction.std * errors[0]
-        tilt, start = math.radians(known.tilt.std) * errors[1], 1e3 * known.start.std * errors[2]
-        run = simulated_mm(friction, tilt, start)
-        of_band = band_errors(band, None, table)
-        deviation = run - band.mean
-        if align:
-            # A tilt acts as a change of friction.
-            deviation, velocity = aligned(run, equivalent_friction(friction, tilt), band.mean)
-            of_band = of_band.aligned(velocity)
-        low, high = (end / sample_baseline(band) for end in of_band.interval(deviation))
-        held += low <= true_score <= high
-    return held / repeats
+def pooled(rows: list[Row], quantity: str) -> float:
+    """Return the percentage of the intervals of a quantity that hold the truth."""
+    chosen = [row for row in rows if row.quantity == quantity]
+    return (
+        100.0
+        * sum(row.realities - row.refused - row.missed for row in chosen)
+        / sum(row.realities - row.refused for row in chosen)
+    )
 
 
-WORLDS = {
-    "released late": World(),
-    "wrong friction": World(engine_friction_error=0.03),
-    "both": World(release_s=0.06, engine_friction_error=-0.03),
-}
+@pytest.mark.parametrize(("name", "count"), FAST)
+def test_intervals_hold_the_truth(name: str, count: int) -> None:
+    rows = coverage(name, count, realities=60, seeds=(21, 22))
+    for quantity in sorted({row.quantity for row in rows}):
+        # Of 120 realities, a true 95 % gives at least 89 % in 99 of 100 runs.
+        assert pooled(rows, quantity) >= 89.0, quantity
 
 
-RESOLVED = [("released late", False), ("both", False), ("wrong friction", True), ("both", True)]
-"""Worlds, and whether scores are aligned, whose true score is above its errors.
+def test_a_plain_bootstrap_is_found_to_miss_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Resampled trials, with the tails of a normal and as if they were independent, as an earlier version had it."""
 
-The method of the interval was chosen with these worlds and the default seed. Other seeds gave 92 to 93 % in them.
-"""
+    @cache
+    def resampled(count: int) -> np.ndarray:
+        random = np.random.default_rng(1)
+        return random.multinomial(count, np.full(count, 1.0 / count), uncertainty.DRAW_COUNT) / count - 1.0 / count
 
-BELOW = [("wrong friction", False), ("released late", True)]
-"""Those whose true score is below its errors: late release cancels excess friction, or nothing is left to align."""
+    monkeypatch.setattr(uncertainty, "_trial_weights", resampled)
+    for module in (uncertainty, draws):
+        monkeypatch.setattr(module, "widening", lambda series: 1.0)
+    for (name, count), quantity in zip(FAST, ("raw pair", "raw mm"), strict=True):
+        assert pooled(coverage(name, count, realities=60, seeds=(21, 22)), quantity) < 89.0, name
 
 
-@pytest.mark.parametrize(
-    ("name", "align", "repeats"),
-    [(*RESOLVED[0], 150), *(pytest.param(*one, 500, marks=pytest.mark.slow) for one in RESOLVED)],
-)
-def test_interval_holds_the_true_score_in_95_percent_of_simulated_realities(
-    name: str, align: bool, repeats: int
-) -> None:
-    assert 0.93 <= coverage(WORLDS[name], repeats=repeats, align=align) <= 0.97
+def test_the_table_is_whole_and_holds_as_the_note_says() -> None:
+    rows = read()
+    cases = Counter((row.world, row.trials) for row in rows)
+    assert set(cases) == {(name, count) for name in WORLDS for count in counts(name)}
+    assert set(cases.values()) == {16}
+    assert {row.realities for row in rows} == {REALITIES * len(SEEDS)}
+    assert [row.held for row in rows] == sorted(row.held for row in rows)
+    assert not main(["--check"])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("name", "align"), BELOW)
-def test_interval_of_a_score_below_its_errors_is_not_too_short(name: str, align: bool) -> None:
-    assert coverage(WORLDS[name], repeats=500, align=align) >= 0.93
+@pytest.mark.parametrize(("name", "count"), [(next(iter(CHOSEN_ON)), 20), (next(iter(HELD_OUT)), 5)])
+def test_the_table_is_that_of_the_script(name: str, count: int) -> None:
+    measured = {(row.quantity, row.engines): row for row in coverage(name, count)}
+    for row in read():
+        if (row.world, row.trials) == (name, count):
+            again = measured[row.quantity, row.engines]
+            # Rounding of a matrix product may move the end of an interval over the truth.
+            assert math.isclose(again.missed, row.missed, abs_tol=2) and math.isclose(
+                again.refused, row.refused, abs_tol=2
+            )

@@ -1,24 +1,22 @@
 """Scores of repeats: their mean and scatter, and bootstrap draws that are paired between configurations.
 
-A draw resamples the real trials, and with them the mean and the baseline, and draws the uncertain inputs of the
-simulation. All configurations of an experiment share these draws, so their common errors cancel in a difference. The
-error of discretization is not common: each configuration has its own. Draws of two experiments are independent.
+A draw has a mean and a baseline that the real trials could have had as well. All configurations of an experiment share
+these draws, so the errors of the reference cancel in a difference. Draws of two experiments are independent.
 """
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from gauge_envs.evaluation.deviation import band_deviations, experiment_sensitivities
-from gauge_envs.evaluation.uncertainty import LEVEL, SEED
+from gauge_envs.evaluation.deviation import band_deviations
+from gauge_envs.evaluation.uncertainty import LEVEL, SEED, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.configuration import RunConfiguration
@@ -71,7 +69,7 @@ def repeats_interval(values: Sequence[float], intervals: Sequence[tuple[float, f
     return max(spread.mean - below, 0.0), spread.mean + above
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False)
 class ScoreDraws:
     """Normalized RMSE of the repeats of a configuration in one experiment, with its draws.
 
@@ -79,15 +77,19 @@ class ScoreDraws:
         seeds: Seed of each repeat.
         raw: E_RMSE of the paper, normalized, shape [repeat_count].
         raw_draws: Its draws, shape [repeat_count, draw_count].
+        raw_influences: Effect of each real trial on it, shape [repeat_count, trial_count]; no columns without trials.
         primary: The score that reports show first, aligned if the experiment starts with a release, same shape.
         primary_draws: Its draws.
+        primary_influences: Effect of each real trial on it.
     """
 
     seeds: tuple[int | None, ...]
     raw: FloatArray
     raw_draws: FloatArray
+    raw_influences: FloatArray
     primary: FloatArray
     primary_draws: FloatArray
+    primary_influences: FloatArray
 
     def mean(self, *, raw: bool = False) -> tuple[float, FloatArray]:
         """Return the mean over the repeats, and its draws of shape [draw_count].
@@ -95,7 +97,8 @@ class ScoreDraws:
         Args:
             raw: Whether to take the raw score instead of the primary one.
         """
-        return _mean(self, range(len(self.seeds)), raw=raw)
+        every = range(len(self.seeds))
+        return _mean(self, every, raw=raw, wider=widening(_influence(self, every, raw=raw)))
 
 
 def score_draws(
@@ -108,29 +111,30 @@ def score_draws(
     """
     if any(result.outcome is not Outcome.FINISHED for result in results):
         return None
-    stream = json.dumps(asdict(configuration), sort_keys=True)
-    sensitivities = experiment_sensitivities(experiment, configuration.backend)
-    raw: list[tuple[float, FloatArray]] = []
-    primary: list[tuple[float, FloatArray]] = []
+    raw: list[tuple[float, FloatArray, FloatArray]] = []
+    primary: list[tuple[float, FloatArray, FloatArray]] = []
     for result in results:
         if result.trajectory is None or result.score.rmse_normalized is None:
             return None
         times_s, values = result.trajectory.arrays(later=True)
-        deviations = band_deviations(experiment, band, times_s=times_s, values=values, sensitivities=sensitivities)
+        deviations = band_deviations(experiment, band, times_s=times_s, values=values)
         for deviation, drawn in ((deviations.raw, raw), (deviations.first, primary)):
-            if deviation.baseline is None:
+            if (baseline := deviation.baseline) is None:
                 return None
-            errors = deviation.errors.redrawn("discretization", stream)
-            drawn.append((deviation.rmse / deviation.baseline, errors.draws(deviation.values) / deviation.baseline))
+            draws = deviation.errors.draws(deviation.values)
+            influences = deviation.errors.influences(deviation.values)
+            drawn.append((deviation.rmse / baseline, draws / baseline, influences / baseline))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
     draw_count = len(raw[0][1])
     order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(draw_count)
     return ScoreDraws(
         seeds=tuple(result.seed for result in results),
-        raw=np.array([score for score, _ in raw]),
-        raw_draws=np.array([draws[order] for _, draws in raw]),
-        primary=np.array([score for score, _ in primary]),
-        primary_draws=np.array([draws[order] for _, draws in primary]),
+        raw=np.array([score for score, _, _ in raw]),
+        raw_draws=np.array([draws[order] for _, draws, _ in raw]),
+        raw_influences=np.array([influences for _, _, influences in raw]),
+        primary=np.array([score for score, _, _ in primary]),
+        primary_draws=np.array([draws[order] for _, draws, _ in primary]),
+        primary_influences=np.array([influences for _, _, influences in primary]),
     )
 
 
@@ -138,23 +142,34 @@ def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, F
     """Return the mean primary score of two configurations, each with its draws of shape [draw_count].
 
     Repeats are paired by seed: those of a seed that only one of the two has are left out. Without a common seed, all
-    repeats of each count.
+    repeats of each count. Where the trials that decide between the two depend on each other, draws are wider by as much
+    as that takes: no difference is refused.
     """
+    chosen, others = _common_repeats(first, second)
+    wider = widening(_influence(first, chosen, raw=False) - _influence(second, others, raw=False))
+    return _mean(first, chosen, raw=False, wider=wider), _mean(second, others, raw=False, wider=wider)
+
+
+def _common_repeats(first: ScoreDraws, second: ScoreDraws) -> tuple[Sequence[int], Sequence[int]]:
     common = [seed for seed in first.seeds if seed in second.seeds]
     if not common:
-        return first.mean(), second.mean()
-    return (
-        _mean(first, [first.seeds.index(seed) for seed in common], raw=False),
-        _mean(second, [second.seeds.index(seed) for seed in common], raw=False),
-    )
+        return range(len(first.seeds)), range(len(second.seeds))
+    return [first.seeds.index(seed) for seed in common], [second.seeds.index(seed) for seed in common]
 
 
-def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> tuple[float, FloatArray]:
+def _influence(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> FloatArray:
+    influences = scores.raw_influences if raw else scores.primary_influences
+    return np.asarray(influences[list(chosen)].mean(axis=0))
+
+
+def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool, wider: float) -> tuple[float, FloatArray]:
     """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
     index = list(chosen)
     values, draws = (scores.raw, scores.raw_draws) if raw else (scores.primary, scores.primary_draws)
+    values, draws = values[index], draws[index]
+    draws = values[:, None] + wider * (draws - values[:, None])
     weights = _repeat_weights(len(index), draws.shape[1])
-    return float(values[index].mean()), np.einsum("kn,nk->k", weights, draws[index])
+    return float(values.mean()), np.einsum("kn,nk->k", weights, draws)
 
 
 @cache

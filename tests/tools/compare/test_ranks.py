@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.stats import t as student, ttest_1samp
-from slide_worlds import FRAMES, band_of, rmse, sample_baseline
+from trial_worlds import band_of
 
 from gauge_envs.evaluation.uncertainty import band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws
@@ -85,7 +85,7 @@ def scored(*scores: float, name: str = "exact", scatter: float = 0.0) -> GradedE
     for score in scores:
         drawn = score + scatter * random.standard_normal((1, 4000))
         value = np.array([score])
-        draws.append(ScoreDraws(seeds=(0,), raw=value, raw_draws=drawn, primary=value, primary_draws=drawn))
+        draws.append(ScoreDraws((0,), value, drawn, np.zeros((1, 0)), value, drawn, np.zeros((1, 0))))
     return GradedExperiment(id=name, draws=tuple(draws), trial_count=20)
 
 
@@ -163,6 +163,8 @@ def test_other_constants_are_ranked_apart_and_their_pairs_say_so() -> None:
 
 # --- worlds in which no engine differs -------------------------------------------------------------------------------
 
+FRAMES = 12
+
 
 def equal_engines(count: int, trial_count: int, size: float, random: np.random.Generator) -> GradedExperiment:
     """Engines that are equally far from the true mean, each in a direction of its own, and trials that scatter in all.
@@ -175,14 +177,16 @@ def equal_engines(count: int, trial_count: int, size: float, random: np.random.G
     """
     truth = 100.0 * np.linspace(0.0, 1.0, FRAMES)[:, None] ** 2
     band = band_of(truth[:, 0] + random.standard_normal((trial_count, FRAMES)))
-    errors, baseline = band_errors(band, None, None), sample_baseline(band)
+    errors = band_errors(band, None)
+    baseline = float(np.mean([np.linalg.norm(errors.flat(trial - band.mean)) for trial in band.trials]))
     draws = []
     for _ in range(count):
         direction = random.standard_normal((FRAMES, 1))
-        deviation = truth + size * direction / rmse(direction) - band.mean
-        score = np.array([rmse(deviation) / baseline])
+        deviation = truth + size * direction / np.sqrt(np.mean(np.square(direction))) - band.mean
+        score = np.array([np.linalg.norm(errors.flat(deviation)) / baseline])
         drawn = errors.draws(deviation)[None] / baseline
-        draws.append(ScoreDraws(seeds=(0,), raw=score, raw_draws=drawn, primary=score, primary_draws=drawn))
+        influences = errors.influences(deviation)[None] / baseline
+        draws.append(ScoreDraws((0,), score, drawn, influences, score, drawn, influences))
     return GradedExperiment(id="equal", draws=tuple(draws), trial_count=trial_count)
 
 
