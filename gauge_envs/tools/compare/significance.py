@@ -36,8 +36,9 @@ def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *
     if abs(one - other) <= NEGLIGIBLE:
         return 1.0
     sign = 1.0 if one > other else -1.0
-    limit = sign * NEGLIGIBLE
-    observed, draws = _contrast(one - limit, other), _contrast(one_draws - limit, other_draws)
+    limit = 0.5 * sign * NEGLIGIBLE
+    observed = _contrast(one - limit, other + limit)
+    draws = _contrast(one_draws - limit, other_draws + limit)
     half = sign * float(observed) - float(np.quantile(sign * draws, 0.5 * (1.0 - LEVEL)))
     if half <= 0.0:
         return 0.0
