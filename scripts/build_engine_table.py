@@ -456,7 +456,10 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
         head = ("configuration", *(name.removeprefix("GAUGE/") for name in grade["ids"]), "mean rank")
         yield from markdown_table(head, (ranked_cells(one, by_name, grade) for one in grade["ranked"]))
         counts = [f"{count[0]} of {count[1]}" for count in (grade["pairs_apart"][name] for name in grade["ids"])]
-        pairs = [f"{closer} than {further}" for closer, further in grade["apart"]]
+        further: dict[str, list[str]] = {}
+        for closer, other in grade["apart"]:
+            further.setdefault(closer, []).append(other)
+        pairs = [f"{closer} than {', '.join(others)}" for closer, others in further.items()]
         yield ""
         yield (
             f"Distinguishable pairs in each, in this order: {', '.join(counts)}. Distinguishably closer in more than "
@@ -465,7 +468,7 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     yield from ("", "#### Not ranked", "")
     yield "These fail conformance checks, so a low score may be two errors that cancel. Primary scores against trials:"
     yield ""
-    short = [name.rsplit("-", 1)[1] for name in TRIALS]
+    short = [*(name.rsplit("-", 1)[1] for name in SLIDES), "ball"]
     head = ("configuration", "", *short, *(f"{name}, trials' constants" for name in short))
     apart = (
         (name, f"fails {one['fails']} checks; not ranked", *apart_cells(one)) for name, one in rows if one["fails"]
