@@ -14,7 +14,7 @@ UNITS = (
     "m/s m/s\\^2 m/s² mm/s cm/s mm\\^2 rad/s rad/s\\^2 m/J kg/m\\^2 g/m\\^2 kB MB GB px words times x sigma "
     "cores? checks ids frames trials episodes worlds iterations steps samples nodes prims faults videos films clips"
 ).split()
-NUMBER = r"[+-]?\d[\d,]*(?: 000)*(?:\.\d+)?(?:e-?\d+)?"
+NUMBER = r"[+-]?(?:\d{1,3}(?: \d{3})+|\d[\d,]*)(?:\.\d+)?(?:e-?\d+)?"
 STATED = re.compile(
     rf"(?<![\w./^-])(?:1/)?{NUMBER}(?:(?:,| to| and| or| of| x|,? once| ±| \+-) ?(?:1/)?{NUMBER})*"
     rf"(?:[ -]?(?:{'|'.join(sorted(UNITS, key=len, reverse=True))})(?![\w^]))"
@@ -23,10 +23,10 @@ STATED = re.compile(
 """A number with a unit, with the numbers that share it; or a decimal fraction, which may be a score or a ratio."""
 
 VERSION = re.compile(
-    r"(?:Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world|PyTorch|Rerun"
+    r"(?:Apache|Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world|PyTorch|Rerun"
     r"|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
 )
-"""A version after the name of what has it. `tests/test_dependencies.py` and the engines compare versions."""
+"""A version after the name of what has it: no measurement."""
 
 STUDY = re.compile(r"\]\([^)\s]*\bstudies/(\w+)/README\.md")
 
@@ -39,20 +39,29 @@ def visible(text: str) -> str:
 
 
 def blocks(text: str) -> Iterator[tuple[str, str]]:
-    """Yield each paragraph, list item, row and heading of a page in one line, with the paragraph that introduces it.
+    """Yield each paragraph, list item, row and heading of a page in one line, with the text that introduces it.
 
-    A paragraph introduces the list or the table right after it if it ends with a colon.
+    A list or a table is introduced by the paragraph right before it if that ends with a colon, a row by the head of its
+    table too.
     """
-    introduction, current = "", ""
+    introduction, head, current = "", "", ""
     for line in [*text.splitlines(), ""]:
-        starts = re.match(r" *([-*]|\d+\.) |\||#", line)
-        if current and (starts or not line.strip()):
-            is_item = re.match(r"([-*]|\d+\.) |\|", current)
-            yield current, introduction if is_item else ""
-            if not is_item:
+        if current and (re.match(r" *([-*]|\d+\.) |\||#", line) or not line.strip()):
+            is_row = current.startswith("|")
+            is_item = bool(re.match(r"([-*]|\d+\.) ", current))
+            head = (head or current) if is_row else ""
+            yield current, f"{introduction} {head}" if is_row or is_item else ""
+            if not (is_row or is_item):
                 introduction = current if current.endswith(":") else ""
             current = ""
         current = f"{current} {line.strip()}".strip()
+
+
+def shown(text: str) -> str:
+    """What a page shows as written by a script, or as the output of its code and commands."""
+    parts = re.findall(r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL)
+    outputs = re.findall(r"^```text\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return "\n".join([*(part for _, part in parts), *outputs, *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE)])
 
 
 @cache
@@ -86,8 +95,8 @@ def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
     Returns:
         For each such block its numbers and its text.
     """
-    text = visible(page.read_text(encoding="utf-8"))
-    found = []
+    whole = page.read_text(encoding="utf-8")
+    text, own, found = visible(whole), values(shown(whole)), []
     for block, introduction in blocks(text):
         left = block
         for phrase in phrases:
@@ -96,7 +105,8 @@ def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
         studies = STUDY.findall(block) or STUDY.findall(introduction)
         left = re.sub(r"\]\([^)]*\)", "]", left)
         stated = [match[0] for match in STATED.finditer(left)]
-        known = [number for study in studies for number in numbers_of_study(study)]
+        known = [*own, *(number for study in studies for number in numbers_of_study(study))]
+        known += [100.0 * number for number in known if number < 1.0]  # 0.45 as 45 %
         bare = [
             one for one in stated if not all(is_among(number, known) for number in re.findall(r"\d[\d.,]*\d|\d", one))
         ]
