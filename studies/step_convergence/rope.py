@@ -1,6 +1,6 @@
 """How far RopeWinding-rubber in MuJoCo moves from its default run when a numerical setting changes, and from when on.
 
-    python studies/step_convergence/rope.py > studies/step_convergence/rope.csv
+python studies/step_convergence/rope.py > studies/step_convergence/rope.csv
 """
 
 from __future__ import annotations

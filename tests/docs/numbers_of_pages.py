@@ -9,22 +9,27 @@ from pathlib import Path
 
 from places import ROOT
 
-UNITS = (
-    "% ° degrees? deg rad s ms us µs microseconds? seconds? minutes? hours? m mm um km cm mm\\^2 g kg Hz kHz N kN Pa kPa MPa J "
-    "m/s m/s\\^2 m/s² mm/s cm/s mm\\^2 rad/s rad/s\\^2 m/J kg/m\\^2 g/m\\^2 kB MB GB px words times x sigma "
-    "cores? checks ids frames trials episodes worlds iterations steps samples nodes prims faults videos films clips"
-).split()
+UNITS = r"""
+    % ° degrees? deg rad rad/s rad/s\^2 Hz kHz
+    s ms us µs microseconds? seconds? minutes? hours?
+    m mm um km cm mm\^2 px m/s mm/s cm/s m/s\^2 m/s² m/J
+    g kg kg/m\^2 g/m\^2 N kN J Pa kPa MPa kB MB GB
+    words times x sigma cores? checks ids frames trials episodes worlds iterations steps samples nodes prims faults
+    videos films clips
+""".split()  # noqa: SIM905  one to a line would be long
+UNIT = "|".join(sorted(UNITS, key=len, reverse=True))
 NUMBER = r"[+-]?(?:\d{1,3}(?: \d{3})+|\d[\d,]*)(?:\.\d+)?(?:e-?\d+)?"
 STATED = re.compile(
     rf"(?<![\w./^-])(?:1/)?{NUMBER}(?:(?:,| to| and| or| of| x|,? once| ±| \+-) ?(?:1/)?{NUMBER})*"
-    rf"(?:[ -]?(?:{'|'.join(sorted(UNITS, key=len, reverse=True))})(?![\w^]))"
+    rf"(?:[ -]?(?:{UNIT})(?![\w^]))"
     r"|(?<![\w./^-])[+-]?\d+\.\d+(?![\w.]*\w)"
 )
 """A number with a unit, with the numbers that share it; or a decimal fraction, which may be a score or a ratio."""
 
 VERSION = re.compile(
-    r"(?:Apache|Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world|PyTorch|Rerun"
-    r"|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
+    r"(?:Apache|Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world"
+    r"|PyTorch|Rerun|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
+    rf"(?![\w.]|[ -]?(?:{UNIT})(?!\w))"
 )
 """A version after the name of what has it: no measurement."""
 
@@ -34,7 +39,7 @@ STUDY = re.compile(r"\]\([^)\s]*\bstudies/(\w+)/README\.md")
 def visible(text: str) -> str:
     """Text of a page without code blocks and generated parts, which other tests compare with what makes them."""
     text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
-    text = re.sub(r"^(?: {4}.*\n)+", "\n", text, flags=re.MULTILINE)
+    text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "", text)
     return re.sub(r"<!-- (.+?), written by .+? -->.*?<!-- end of \1 -->", "", text, flags=re.DOTALL)
 
 
@@ -61,7 +66,9 @@ def shown(text: str) -> str:
     """What a page shows as written by a script, or as the output of its code and commands."""
     parts = re.findall(r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL)
     outputs = re.findall(r"^```text\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
-    return "\n".join([*(part for _, part in parts), *outputs, *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE)])
+    return "\n".join(
+        [*(part for _, part in parts), *outputs, *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE)]
+    )
 
 
 @cache

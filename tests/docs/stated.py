@@ -7,11 +7,13 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import tomllib
 from collections.abc import Mapping
-from functools import cache, reduce
+from functools import cache
 from importlib import import_module
-from typing import Any
+from inspect import getsource, signature
+from typing import Any, get_args
 
 import gymnasium as gym
 from places import ROOT
@@ -19,6 +21,7 @@ from test_docs import NOTE_WORDS
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs.cli.commands import COMMANDS
 
 DEGREE = math.pi / 180.0
 
@@ -31,6 +34,23 @@ def of(name: str) -> Any:
 
 def mb(name: str) -> str:
     return f"{of(name) / 1e6:g} MB"
+
+
+def quoted(module: str, text: str) -> str:
+    """A text that a module of the package has word for word."""
+    assert text in getsource(import_module(f"gauge_envs.{module}"))
+    return text
+
+
+def toml(file: str) -> Mapping[str, Any]:
+    return tomllib.loads((ROOT / file).read_text(encoding="utf-8"))
+
+
+def law_frames(name: str) -> int:
+    """Frames that the law of an experiment scores."""
+    band = reference_band(load_experiment(name))
+    assert band is not None
+    return int(band.measured.sum())
 
 
 def step(settings: SteppedSettings) -> str:
@@ -120,7 +140,7 @@ def met(target: str, check: str) -> float:
 
 def friction_gap(material: str) -> float:
     """Distance between the calibrated friction of a cube and that of its real slides."""
-    summary = tomllib.loads((ROOT / "scoring" / "facts" / "slope_slider_30deg_summary.toml").read_text(encoding="utf-8"))
+    summary = toml("scoring/facts/slope_slider_30deg_summary.toml")
     scene = load_experiment(f"SlopeSlider-2-{material}").scene
     calibrated = of("envs.control.limit.pair_friction")(scene, "cube", "board")
     return abs(calibrated - summary[material]["friction"]["mean"])
@@ -148,27 +168,30 @@ EVERYWHERE = (
 def engines() -> dict[str, list[str]]:
     """Steps, sizes and constants of presets, and results of the conformance checks."""
     checks = f"the {count('mujoco')} [conformance checks](conformance.md#results)"
+    sapien = presets("physx")["out_of_box"]
+    cell_m = get_args(get_args(of("backends.shared.cells.CellSize"))[0])[1].metadata
+    cells = f"{1e3 * of('backends.mujoco.settings.CLOTH_CELL_M'):g} mm"
     mujoco, newton, genesis = presets("mujoco"), presets("newton"), presets("genesis")
     physx, pybullet, rapier, drake = presets("physx"), presets("pybullet"), presets("rapier"), presets("drake")
     return {
         "docs/engines/index.md": [
-            f"triangles of {1e3 * of('backends.mujoco.settings.CLOTH_CELL_M'):g} mm; "
-            f"{1e3 * mujoco['drape'].cell_m:.0f} mm in preset",
+            f"triangles of {cells}; {1e3 * mujoco['drape'].cell_m:.0f} mm in preset",
             f"triangles of {1e3 * of('backends.newton.settings.CLOTH_CELL_M'):g} mm |",
             f"{1e3 * of('backends.newton.settings.SOFT_CELL_M'):g} mm, {1e3 * newton['soft_row'].cell_m:.1f} mm in",
             f"voxels of {1e3 * of('backends.newton.settings.VOXEL_M'):g} mm",
             f"segments of {1e3 * of('backends.mujoco.settings.ROPE_CELL_M'):g} mm | "
             f"segments of {1e3 * of('backends.newton.settings.ROPE_CELL_M'):g} mm |",
-            "between 0.5 mm and 1 m",
+            f"between {1e3 * cell_m[0].ge:g} mm and {cell_m[1].le:g} m",
             f"{of('backends.mujoco.settings.NODE_LIMIT'):,} nodes on MuJoCo or "
             f"{of('backends.newton.settings.NODE_LIMIT'):,} on Newton".replace(",", " "),
-            "elements of 27 nodes",
+            f"elements of {3**3} nodes",
         ],
         "docs/engines/mujoco.md": [
             f"bodies of {mujoco['contact'].kinematic_mass_kg:g} kg",
-            f"| {step(mujoco['contact'])}, contacts with a time constant of {mujoco['contact'].sustained_solref[0]:g} s:",
+            f"| {step(mujoco['contact'])}, contacts with a time constant of "
+            f"{mujoco['contact'].sustained_solref[0]:g} s:",
             f"softer contacts, {step(mujoco['stack'])}: cheaper",
-            f"`discrete` at {step(mujoco['cloth'])}, cells of {1e3 * of('backends.mujoco.settings.CLOTH_CELL_M'):g} mm",
+            f"`discrete` at {step(mujoco['cloth'])}, cells of {cells}",
             f"cells of {1e3 * mujoco['drape'].cell_m:.0f} mm: cheaper",
             f"up to {mujoco['soft'].iterations} iterations",
             f"`discrete` at {step(mujoco['rod'])} |",
@@ -211,16 +234,16 @@ def engines() -> dict[str, list[str]]:
         "docs/engines/physx.md": [
             f"TGS at {step(physx['default'])}, bounce threshold {physx['default'].bounce_threshold_m_per_s:g} m/s",
             f"the same at {step(physx['stack'])}: cheaper",
-            f"the paper's {step(physx['out_of_box'])}: bounce threshold {physx['out_of_box'].bounce_threshold_m_per_s:g} "
-            f"m/s, angular damping {physx['out_of_box'].angular_damping_per_s:g}, sleep",
-            f"{physx['out_of_box'].bounce_threshold_m_per_s:g} m/s in SAPIEN, "
+            f"the paper's {step(sapien)}: bounce threshold {sapien.bounce_threshold_m_per_s:g} m/s, angular damping "
+            f"{sapien.angular_damping_per_s:g}, sleep",
+            f"{sapien.bounce_threshold_m_per_s:g} m/s in SAPIEN, "
             f"{physx['isaac'].bounce_threshold_m_per_s:g} m/s in Isaac Lab",
             f"`out_of_box` and `isaac` fail {count('physx', 'fail', configuration='out_of_box')} and "
             f"{count('physx', 'fail', configuration='isaac')} of the {count('physx', 'pass')} [conformance checks]",
         ],
         "docs/engines/pybullet.md": [
             f"reaches {of('backends.pybullet.world.PLANE_REACH_M'):g} m to each side",
-            "bodies of 1e6 kg",
+            f"bodies of {of('backends.pybullet.world.DRIVEN_MASS_KG'):.0e} kg".replace("e+06", "e6"),
             f"| {step(pybullet['contact'])}: cylinders",
             f"| {step(pybullet['rope'])}: with longer steps",
             f"cells of {1e3 * of('backends.pybullet.settings.SOFT_CELL_M'):.1f} mm; the step is at most "
@@ -252,7 +275,6 @@ def engines() -> dict[str, list[str]]:
             f"points at corners, {step(drake['corners'])}: a hydroelastic corner",
             f"| {step(drake['contact_free'])}: a pendulum",
             f"points at corners, {step(drake['stack'])}: hydroelastic",
-            "(2 g cos(slope))",
             f"on 30 degrees slides with {measured('drake', 'slide'):.2f} instead of {expected('slide'):.2f} m/s^2, "
             f"boxes sink by {-measured('drake', 'rest-box'):.0f} mm",
         ],
@@ -267,7 +289,8 @@ def engines() -> dict[str, list[str]]:
 def control() -> list[str]:
     """Limits, ranges and tolerances of the control tasks."""
     family = {
-        name: of(f"envs.control.{name.lower()}.{name}Limit") for name in ("Turntable", "Carry", "Push", "Throw", "Pendulum")
+        name: of(f"envs.control.{name.lower()}.{name}Limit")
+        for name in ("Turntable", "Carry", "Push", "Throw", "Pendulum")
     }
     slope = of("envs.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
@@ -275,7 +298,9 @@ def control() -> list[str]:
     slip, rest = of("envs.control.friction.SLIP_SPEED_M_PER_S"), of("envs.control.least_time.REST_M_PER_S")
     tolerance_m, tolerance_rad = of("envs.control.least_time.TOLERANCE_M"), of("envs.control.least_time.TOLERANCE_RAD")
     push = family["Push"]
-    braking = of("envs.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
+    braking = (
+        of("envs.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
+    )
     assert "`ratio` is at most 1.03; without an impact it is 0.88" in push.__doc__
     return [
         f"up to {family['Turntable'].ACCELERATION_RAD_PER_S2:g} rad/s^2",
@@ -304,8 +329,12 @@ def control() -> list[str]:
 
 def readers() -> dict[str, list[str]]:
     """Limits of what is read, and tolerances of imports and submissions."""
-    start = of("tools.leaderboard.trajectory.START_TOLERANCE")
-    soft = load_experiment("StickStack-soft")
+    start, baseline, motion = (
+        of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
+    )
+    (download_size,) = re.findall(r"\d+ GB", COMMANDS["data download"][1])
+    poisson = toml("tasks/stick_stack.toml")["constants"]["rod"]["soft"]["poisson_ratio"]
+    rope = toml("tasks/rope_winding.toml")["constants"]["rope"]["rubber"]
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
     return {
         "docs/limits.md": [
@@ -325,22 +354,21 @@ def readers() -> dict[str, list[str]]:
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
-            "after 4 or 5 frames",
-            f"Poisson ratio of 0.62 is not admissible; {soft.scene.deformables[0].poisson_ratio:g} is used",
-            f"modulus, 795 Pa, cannot",
+            f"after {law_frames('NonsmoothContact-1-wood')} or {law_frames('SlopeContact-wood')} frames",
+            f"Poisson ratio of {poisson['calibrated']:g} is not admissible; {poisson['used']:g} is used",
+            f"modulus, {rope['young_modulus_pa']:g} Pa, cannot",
             jitter("The jitter of {position} is that of real starts where it was measured; the {angle} are"),
         ],
         "docs/leaderboard.md": [
             f"{mb('runs.result_file.MOST_RESULT_BYTES')} for a result and "
             f"{mb('tools.leaderboard.submission.MOST_TOTAL_BYTES')} for a submission",
             f"within {start['mm']:g} mm, {start['mm^2']:g} mm^2 or {start['rad']:.0e} rad".replace("e-06", "e-6"),
-            f"{100 * of('tools.leaderboard.trajectory.COPY_OF_BASELINE'):g} % of the distance of real trials from their "
-            f"mean or {100 * of('tools.leaderboard.trajectory.COPY_OF_MOTION'):g} % of the motion",
+            f"{100 * baseline:g} % of the distance of real trials from their mean or {100 * motion:g} % of the motion",
             f"at most {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the distance",
             f"published, {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the motion",
         ],
         "docs/dataset.md": [
-            "10 GB",
+            f"{download_size}) is not in the package",
             f"more than {of('tools.dataset.trial.LARGEST_MM') / 1e3:g} m from the origin",
             f"by more than {of('tools.dataset.trial.NORM_TOLERANCE'):g}",
             f"more than {of('tools.dataset.observation.START_RANGE_MM'):g} mm from its calibrated start",
@@ -356,7 +384,7 @@ def readers() -> dict[str, list[str]]:
         "docs/sanity_stacks.md": [
             f"at most {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, "
             f"{of('tools.sanity.stacks.documents.MOST_DEPTH')} levels",
-            "taken as 0.04 m and 0.025 m",
+            quoted("tools.sanity.stacks.isaac_gym", "taken as 0.04 m and 0.025 m"),
             "material of the robot; 1.0 otherwise",
             f"damps links at {presets('physx')['out_of_box'].link_linear_damping_per_s:g}/s",
             f"below {presets('physx')['out_of_box'].bounce_threshold_m_per_s:g} m/s does not bounce",
@@ -387,14 +415,13 @@ def sanity() -> dict[str, list[str]]:
             f"*visible* up to {visible:g} half-widths",
             f"outside {9.80665 - tolerance_of_gravity():.2f} to {9.80665 + tolerance_of_gravity():.2f} m/s²",
             f"more than {math.degrees(tolerance_of_gravity() / 9.80665):.1f} degrees",
-            "depth of 1 cm",
             f"at a step of {1e3 * good_step_s():g} ms",
             f"1 / (1 + {presets('mujoco')['cloth_loaded'].cloth_softness_m2_per_kg:g} rho)",
             f"foot creeps at {found['HalfCheetah-v5']['foot-creep']:.0f} mm/s on 10 degrees",
         ],
         popular: [
-            f"{', '.join(slides[:3])} and {slides[3]} instead of {real_value('slide-wood'):.2f} m/s² there, and creep at "
-            f"{min(creeps):.0f} to {max(creeps):.0f} mm/s on 10 degrees",
+            f"{', '.join(slides[:3])} and {slides[3]} instead of {real_value('slide-wood'):.2f} m/s² there, "
+            f"and creep at {min(creeps):.0f} to {max(creeps):.0f} mm/s on 10 degrees",
             "A cube on 30 degrees does not slide",
             f"G1's own foot accelerates by {found['G1JoystickFlatTerrain']['foot-slide']:.2f} m/s², "
             f"T1's by {found['T1JoystickFlatTerrain']['foot-slide']:.2f} m/s²",
@@ -409,7 +436,7 @@ def sanity() -> dict[str, list[str]]:
             f"turned by {of('tools.sanity.phenomena.friction.TURN_DEG'):g} degrees about the vertical | 100 % |",
             f"rest on 10 degrees | 0 +- {tolerance('creep-wood'):.1f} mm/s |",
             f"sinks in | 0 +- {tolerance('rest-height'):g} mm |",
-            f"foot](../studies/foot/README.md) on {of('tools.sanity.phenomena.foot.HOLD_DEG'):.0f} degrees, with its load | "
+            f"on {of('tools.sanity.phenomena.foot.HOLD_DEG'):.0f} degrees, with its load | "
             f"0 +- {tolerance('creep-wood'):.1f} mm/s |",
             f"on {of('tools.sanity.phenomena.foot.SLIDE_DEG'):.0f} degrees, over its stated friction | 100 % |",
         ],
@@ -421,7 +448,7 @@ def tolerance_of_gravity() -> float:
 
 
 def good_step_s() -> float:
-    return float(tomllib.loads((ROOT / "examples/sanity/good.toml").read_text(encoding="utf-8"))["settings"]["timestep_s"])
+    return float(toml("examples/sanity/good.toml")["settings"]["timestep_s"])
 
 
 def withheld_count() -> int:
@@ -434,6 +461,7 @@ def scores() -> dict[str, list[str]]:
     cube, ball = score("SlopeSlider-2-wood"), score("BouncingBall-rubber")
     restitution, recorded = (score("BouncingBall-rubber", parameters) for parameters in ("effective", "recorded"))
     aligned = [found.rmse_aligned_normalized for found in (ball, restitution, recorded)]
+    release = ball.rmse_normalized - ball.rmse_aligned_normalized
     later = of("envs.episode.LATER_FRAMES")
     shares = [100 * score(f"SlopeSlider-2-{material}").extrapolated_share for material in ("wood", "plastic", "metal")]
     friction, summary = cube.implied[0], configurations()
@@ -442,7 +470,7 @@ def scores() -> dict[str, list[str]]:
             f"MuJoCo's ball is {ball.rmse_normalized:.1f} times further",
             f"released at frame 0 | {ball.rmse_normalized:.2f} |",
             f"{ball.rmse_aligned_normalized:.2f} | real hands let go {ball.release_offset_s:.3f} s later: "
-            f"{ball.rmse_normalized - ball.rmse_aligned_normalized:.1f} of the error",
+            f"{release:.1f} of the error",
             f"{ball.implied[0].real:.3f} instead of {ball.implied[0].value:.3f} | {aligned[1]:.2f} | "
             f"restitution: {aligned[0] - aligned[1]:.1f}",
             f"| {aligned[2]:.2f} | height: {aligned[1] - aligned[2]:.1f}",
@@ -463,7 +491,7 @@ def scores() -> dict[str, list[str]]:
         "docs/scores.md": [
             f"one more real trial has {math.sqrt(2 / math.pi):.2f} |",
             f"a real trial has {math.erf(1 / math.sqrt(2)):.2f} and {math.erf(2 / math.sqrt(2)):.2f} |",
-            f"{ball.rmse_normalized - ball.rmse_aligned_normalized:.2f} of the bouncing ball's {ball.rmse_normalized:.2f}",
+            f"{release:.2f} of the bouncing ball's {ball.rmse_normalized:.2f}",
             f"at most {later} frames, and the RMSE",
             f"simulate {later} frames past",
             ", ".join(f"{friction_gap(material):.3f}" for material in ("wood", "plastic"))
@@ -471,7 +499,7 @@ def scores() -> dict[str, list[str]]:
             f"{shares[0]:.0f} %, {shares[1]:.0f} % and {shares[2]:.0f} % for wood, plastic and metal",
             f"friction of MuJoCo's motion is {friction.value:.4f}, that of the trials {friction.real:.4f} +- "
             f"{friction.real_uncertainty:.4f}",
-            "end after 4 and 5 frames",
+            f"end after {law_frames('NonsmoothContact-1-wood')} and {law_frames('SlopeContact-wood')} frames",
             f"{withheld_count()} ids have a recording",
         ],
         "docs/tutorial.md": [
@@ -506,10 +534,11 @@ RANGES = (("MASS", "_KG"), ("TIMESTEP", "_S"), ("FRICTION", ""))
 
 def others() -> dict[str, list[str]]:
     """Pages with few numbers."""
-    crate = tomllib.loads((ROOT / "examples" / "usd_experiment" / "crate.toml").read_text(encoding="utf-8"))
+    crate = toml("examples/usd_experiment/crate.toml")
     table = (ROOT / "scoring" / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
     real = {tuple(line.split(",")[:2]): line.split(",")[3] for line in table}
     slopes = ", ".join(real[f"SlopeSlider-2-{material}", "a"] for material in ("wood", "plastic", "metal"))
+    ranges = signature(of("tools.transfer.randomization.ranges_of"))
     width, height = of("tools.video.tasks.REFERENCE_SIZE_PX")
     return {
         "docs/assets.md": [
@@ -521,7 +550,7 @@ def others() -> dict[str, list[str]]:
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
-            "uniform ranges of 2 sigma",
+            f"uniform ranges of {ranges.parameters['width'].default:g} sigma",
         ],
         "docs/world_models.md": [
             f"| {slopes} m/s²; 0 |",
@@ -529,14 +558,21 @@ def others() -> dict[str, list[str]]:
             f"| 1; {real['Pendulum-metal', 'pd']} s |",
             "a ball fall with 9.81 m/s²",
             f"{width} x {height}",
-            "| 0 N |",
+            f"| {float(real['Turntable-2-wood', 'de']):g} N |",
         ],
     }
 
 
 def stated() -> dict[str, list[str]]:
     """Phrases of each page."""
-    tables = (engines(), readers(), sanity(), scores(), others(), {"docs/control.md": control(), "docs/recipes.md": recipes()})
+    tables = (
+        engines(),
+        readers(),
+        sanity(),
+        scores(),
+        others(),
+        {"docs/control.md": control(), "docs/recipes.md": recipes()},
+    )
     merged: dict[str, list[str]] = {}
     for page, phrases in (item for table in tables for item in table.items()):
         merged.setdefault(page, []).extend(phrases)
@@ -545,6 +581,7 @@ def stated() -> dict[str, list[str]]:
 
 VIDEO = "tests/tools/video/test_video"
 TESTED = {
+    "docs/adding_a_phenomenon.md": [("*wrong*, 85.9 mm", "tests/docs/test_adding_guides.py")],
     "docs/control.md": [("it is 1 within 0.006", "tests/envs/control/test_control.py")],
     "docs/scores.md": [("hold the true score in 93 to 97 %", "tests/evaluation/test_coverage.py")],
     "docs/world_models.md": [
@@ -552,4 +589,4 @@ TESTED = {
         ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
     ],
 }
-"""Phrases of each page with the file of the test that measures their numbers."""
+"""Phrases of each page with the file of the test that measures their numbers: it holds them, or reads the page."""
