@@ -563,6 +563,7 @@ def others() -> dict[str, list[str]]:
     }
 
 
+@cache
 def stated() -> dict[str, list[str]]:
     """Phrases of each page."""
     tables = (
