@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
+import fork_server
 import gymnasium
 import numpy as np
 import pytest
@@ -16,10 +20,12 @@ from hostile import install
 from places import ROOT
 
 import gauge_envs
+from gauge_envs import files
 from gauge_envs.backends import Support, backend, registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
+from gauge_envs.runs import isolation
 from gauge_envs.scene import Scene
 from gauge_envs.tools.catalog import listing
 
@@ -36,6 +42,33 @@ def pytest_configure() -> None:
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what the imports have made out of the search for garbage: it stays to the end, and is millions of objects."""
+    gc.collect()
+    gc.freeze()
+
+
+FORKS = {**vars(subprocess), "Popen": fork_server.popen, "run": fork_server.run}
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_children() -> Iterator[None]:
+    """Children of the package fork from a process that has its imports behind it, where the system has forks."""
+    with pytest.MonkeyPatch.context() as patch:
+        if sys.platform == "linux":
+            for module in (isolation, files):
+                patch.setattr(module, "subprocess", SimpleNamespace(**FORKS))
+        yield
+    fork_server.stop()
+
+
+@pytest.fixture
+def real_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Children of the package start from nothing, as they do for a user."""
+    for module in (isolation, files):
+        monkeypatch.setattr(module, "subprocess", subprocess)
 
 
 @pytest.fixture(scope="session")

@@ -20,7 +20,7 @@ MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""
 
 GENERATED = {"api", "environments", "studies", "_build"}
-STRING_OR_COMMENT = re.compile(r'''#.*|("{3}|'{3}|["'])(?:\\[\s\S]|(?!\1)[^\\])*\1''')
+STRING_OR_COMMENT = re.compile(r"""#.*|("{3}|'{3}|["'])(?:\\[\s\S]|(?!\1)[^\\])*\1""")
 
 
 def statements(node: ast.AST) -> Iterator[ast.AST]:

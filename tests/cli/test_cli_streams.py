@@ -90,7 +90,7 @@ def outcomes(tmp_path_factory: pytest.TempPathFactory) -> Outcomes:
     engines = ["--backend", "crash", "--backend", "talking"]
     cases = {
         "full: fabrics": Case(["recipe", "fabrics", "--json"], streams=full),
-        "full: list": Case(["list"], streams=full),
+        "full: list": Case(["list", NAME], streams=full),
         "full: run": Case(["run", NAME, "--json"], streams=full),
         "pipe": Case(["list", "--json"], streams={"stdout": "broken pipe"}),
         **{
