@@ -45,9 +45,10 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave what the imports have made out of the search for garbage: it stays to the end, and is millions of objects."""
+    """Leave what the imports have made out of the search for garbage: millions of objects that stay to the end."""
     gc.collect()
     gc.freeze()
+    gc.set_threshold(20_000)
 
 
 FORKS = {**vars(subprocess), "Popen": fork_server.popen, "run": fork_server.run}

@@ -1,7 +1,7 @@
 """Children of the package as forks of a process that has their imports behind it: an import takes a second for each.
 
-`popen` and `run` stand in for those of `subprocess` where the command is Python with `-c`. A fork has streams, variables,
-limits and an exit code of its own, as a process that starts from nothing; only the imports are shared.
+`popen` and `run` stand in for those of `subprocess` where the command is Python with `-c`. A fork has streams,
+variables, limits and an exit code of its own, as a process that starts from nothing; only the imports are shared.
 """
 
 from __future__ import annotations

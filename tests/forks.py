@@ -10,12 +10,15 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 DRIVER = """
-import json, os, sys
+import gc, json, os, sys
 import gauge_envs.cli.app, gauge_envs.runs.batch, gauge_envs.tools.catalog.listing
-from gauge_envs.experiments.variants import variants
+from gauge_envs.experiments.variants import find_variant
 
-# What a list loads is then there for every fork.
-gauge_envs.tools.catalog.listing.list_rows(variants())
+# What the list of an experiment loads is then there for every fork.
+gauge_envs.tools.catalog.listing.list_rows([find_variant("SlopeSlider-2-wood")])
+# The end of a fork would otherwise copy all that the imports have made.
+gc.collect()
+gc.freeze()
 cases, folder = json.loads(sys.argv[1]), sys.argv[2]
 codes = []
 for number, case in enumerate(cases):
