@@ -10,7 +10,6 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from types import SimpleNamespace
 
 import fork_server
 import gymnasium
@@ -51,16 +50,13 @@ def pytest_collection_finish() -> None:
     gc.set_threshold(20_000)
 
 
-FORKS = {**vars(subprocess), "Popen": fork_server.popen, "run": fork_server.run}
-
-
 @pytest.fixture(scope="session", autouse=True)
 def forked_children() -> Iterator[None]:
     """Children of the package fork from a process that has its imports behind it, where the system has forks."""
     with pytest.MonkeyPatch.context() as patch:
         if sys.platform == "linux":
             for module in (isolation, files):
-                patch.setattr(module, "subprocess", SimpleNamespace(**FORKS))
+                patch.setattr(module, "subprocess", fork_server.STAND_IN)
         yield
     fork_server.stop()
 

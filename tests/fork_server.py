@@ -18,6 +18,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from places import ROOT
@@ -121,7 +122,7 @@ class Fork:
 
 
 @cache
-def _server() -> tuple[subprocess.Popen[bytes], str]:
+def start() -> tuple[subprocess.Popen[bytes], str]:
     """Start the server of this process, and return it and where it listens."""
     address = str(Path(tempfile.mkdtemp(prefix="gauge-forks-")) / "socket")
     listener = socket.socket(socket.AF_UNIX)
@@ -140,8 +141,8 @@ def _server() -> tuple[subprocess.Popen[bytes], str]:
 
 def stop() -> None:
     """End the server, if it runs."""
-    if _server.cache_info().currsize:
-        server, address = _server()
+    if start.cache_info().currsize:
+        server, address = start()
         server.communicate()
         shutil.rmtree(Path(address).parent)
 
@@ -157,7 +158,7 @@ def _forked(command: Sequence[str], streams: Sequence[int], env: Mapping[str, st
         "folder": str(Path.cwd()),
     }
     client = socket.socket(socket.AF_UNIX)
-    client.connect(_server()[1])
+    client.connect(start()[1])
     message = json.dumps(task).encode() + b"\n"
     sent = socket.send_fds(client, [message], list(streams))
     client.sendall(message[sent:])
@@ -200,3 +201,7 @@ def run(
         output.seek(0)
         errors.seek(0)
         return subprocess.CompletedProcess(command, code, output.read(), errors.read())
+
+
+STAND_IN = SimpleNamespace(**{**vars(subprocess), "Popen": popen, "run": run})
+"""What takes the place of the module `subprocess` in a module that starts children."""

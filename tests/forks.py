@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -11,11 +12,16 @@ from pathlib import Path
 
 DRIVER = """
 import gc, json, os, sys
+import fork_server
+from gauge_envs.runs import isolation
 import gauge_envs.cli.app, gauge_envs.runs.batch, gauge_envs.tools.catalog.listing
 from gauge_envs.experiments.variants import find_variant
 
 # What the list of an experiment loads is then there for every fork.
 gauge_envs.tools.catalog.listing.list_rows([find_variant("SlopeSlider-2-wood")])
+# Engines of other packages answer in forks too.
+isolation.subprocess = fork_server.STAND_IN
+fork_server.start()
 # The end of a fork would otherwise copy all that the imports have made.
 gc.collect()
 gc.freeze()
@@ -76,7 +82,7 @@ def run_forks(
     done = subprocess.run(
         [sys.executable, "-c", DRIVER, json.dumps([asdict(case) for case in cases.values()]), str(outputs)],
         cwd=folder,
-        env=dict(environment),
+        env={**environment, "PYTHONPATH": os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parent)])},
         capture_output=True,
         text=True,
         check=True,
