@@ -35,7 +35,9 @@ def pytest_configure() -> None:
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
     the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
     kept, also where the environment forbids to write it beside the sources: hundreds of processes import the package.
+    There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
+    gc.disable()
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(ROOT / ".pytest_cache" / "bytecode")
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -45,9 +47,9 @@ def pytest_configure() -> None:
 
 def pytest_collection_finish() -> None:
     """Leave what the imports have made out of the search for garbage: millions of objects that stay to the end."""
-    gc.collect()
     gc.freeze()
     gc.set_threshold(20_000)
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -26,6 +26,8 @@ from places import ROOT
 SERVER = """
 import gc, json, os, select, signal, socket, sys, traceback
 
+gc.disable()
+
 import mujoco, numpy
 import gauge_envs.runs.batch, gauge_envs.tools.conformance, gauge_envs.tools.catalog.listing
 try:
@@ -39,8 +41,8 @@ os.set_blocking(woken, False)
 signal.signal(signal.SIGCHLD, lambda *_: None)
 signal.set_wakeup_fd(woken)
 waiting, task = {}, None
-gc.collect()
 gc.freeze()
+gc.enable()
 while task is None:
     ready = select.select([0, listener, alive], [], [])[0]
     if 0 in ready:
