@@ -28,6 +28,8 @@ import gc, json, os, select, signal, socket, sys, traceback
 
 gc.disable()
 
+from contextlib import suppress
+
 import mujoco, numpy
 import gauge_envs.runs.batch, gauge_envs.tools.conformance, gauge_envs.tools.catalog.listing
 try:
@@ -52,7 +54,8 @@ while task is None:
     for pid in list(waiting):
         ended, status = os.waitpid(pid, os.WNOHANG)
         if ended:
-            with waiting.pop(pid) as client:
+            # Who asked may be gone.
+            with waiting.pop(pid) as client, suppress(BrokenPipeError):
                 client.sendall(b"%d\\n" % os.waitstatus_to_exitcode(status))
     if listener not in ready:
         continue

@@ -167,7 +167,7 @@ class Scene:
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
         moving = {body.name for body in self.dynamic_bodies} | {body.name for body in self.deformables}
-        seen = set()
+        seen: set[tuple[str, str]] = set()
         for pair in product(contact.first, contact.second):
             first, second = pair
             if first != second and (first in moving or second in moving) and pair not in seen:
