@@ -584,6 +584,10 @@ VIDEO = "tests/tools/video/test_video"
 TESTED = {
     "docs/adding_a_phenomenon.md": [("*wrong*, 85.9 mm", "tests/docs/test_adding_guides.py")],
     "docs/control.md": [("it is 1 within 0.006", "tests/envs/control/test_control.py")],
+    "docs/engines/physx.md": [
+        ("1.8 times the torque", "tests/backends/physx/test_physx_laws.py"),
+        ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
+    ],
     "docs/scores.md": [("hold the true score in 93 to 97 %", "tests/evaluation/test_coverage.py")],
     "docs/world_models.md": [
         ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
