@@ -503,6 +503,7 @@ def scores() -> dict[str, list[str]]:
             f"The ball is {ball.rmse:.1f} mm (root mean square)",
             f"is released {ball.release_offset_s:.3f} s later",
             f"after this shift {aligned[0]:.1f} mm is left",
+            f"all {ball.trial_count} trials are closer",
             f"they are {real:.1f} mm away on average, so the ball is {ball.rmse_aligned_normalized:.1f} times as far",
             f"error falls to {aligned[1]:.1f} mm",
             f"gives {9.80665 * 0.2**2 / 2:.4f} m",
