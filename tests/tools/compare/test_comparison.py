@@ -422,12 +422,6 @@ def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are
     assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
 
 
-def test_discretization_is_drawn_for_each_configuration(real):
-    (pair,) = grade(compare([real[SLIDER], as_newton(real[SLIDER])]), "trials").pairs
-    low, high = pair.experiments[0].difference_95
-    assert low < 0.0 < high
-
-
 def test_a_score_of_another_reference_is_not_compared_in_pairs(real):
     stale = replace(real[SLIDER], score=replace(real[SLIDER].score, rmse_normalized=0.3))
     comparison = compare([stale, as_newton(real[SLIDER])])
