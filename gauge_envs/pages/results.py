@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.text import quantity_text, short_id, value_text
+from gauge_envs.pages.text import number_text, quantity_text, short_id, value_text, with_unit
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
@@ -128,6 +128,31 @@ def percentile_text(score: Score, metric: str) -> str | None:
         return None
     ends = getattr(score, f"{field}_95")
     return f"{percentile:.0f} %" + ("" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]")
+
+
+MOST_CAUSES = 3
+"""Number of inputs that are named as possible causes of an error."""
+
+
+def reality_lines(name: str, score: Score) -> Iterator[str]:
+    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it."""
+    if score.primary is None:
+        return
+    percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
+    if percentile is not None and count is not None:
+        farther = count - round(0.01 * percentile * count)
+        answer = f"{farther} of {count} are as far from the mean of the others, or farther"
+        if not farther:
+            answer = f"none of the {count} is as far from the mean of the others"
+        yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
+    error = getattr(score, score.primary)
+    causes = [
+        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {number_text(error - one.left)}"
+        for one in (score.explained or ())[:MOST_CAUSES]
+    ]
+    if causes:
+        whole = with_unit(number_text(error), score.unit)
+        yield f"{name}: of {whole}, each alone can explain: {', '.join(causes)}."
 
 
 # --- convergence ---

@@ -23,8 +23,8 @@ class RunRequest(EnvArguments):
         seed: Seed of the first episode, 0 or more; each next repeat has one more.
         repeats: Number of episodes, 1 or more.
         jitter: Standard deviations of the start; None starts each episode as calibrated.
-        uncertainty: Measure the sensitivities of this very run for the score's intervals, by about 20 further runs. By
-            default the intervals use stored sensitivities of the engine.
+        uncertainty: Measure by about 20 further runs what uncertain inputs can explain of the error of this very run.
+            By default stored sensitivities of the engine with its default settings say so.
 
     Example:
         >>> from gauge_envs.runs.episodes import run_episode

@@ -10,12 +10,12 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.pages.document import Document, Paragraph, Tone
 from gauge_envs.pages.results import (
     ALIGNED,
-    PERCENTILES,
     SCORE_METRICS,
     discretization_text,
     normalized_score,
     percentile_text,
     raw_score,
+    reality_lines,
     result_label,
     score_interval,
 )
@@ -44,9 +44,6 @@ BUDGET_NOTE = (
     "u: standard uncertainty of the score that is shown first, normalized. Type A is from observations, B from other "
     "knowledge (GUM). Share: of the variance. --format wide shows the sources."
 )
-
-MOST_CAUSES = 3
-"""Number of inputs that are named as possible causes of an error."""
 
 TONES = {Outcome.DIVERGED: Tone.ERROR, Outcome.FAILED: Tone.ERROR, Outcome.DECLINED: Tone.WARNING}
 """Outcomes whose reasons are reported."""
@@ -196,27 +193,6 @@ def _remarks(result: Result) -> Iterator[str]:
     yield from estimator_lines(name, result.score)
     if result.is_edited:
         yield f"{name}, {result.asset['file']}: {shortened(result.asset['changes'])}."
-
-
-def reality_lines(name: str, score: Score) -> Iterator[str]:
-    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it."""
-    if score.primary is None:
-        return
-    percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
-    if percentile is not None and count is not None:
-        farther = count - round(0.01 * percentile * count)
-        answer = f"{farther} of {count} are as far from the mean of the others, or farther"
-        if not farther:
-            answer = f"none of the {count} is as far from the mean of the others"
-        yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
-    error = getattr(score, score.primary)
-    causes = [
-        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {number_text(error - one.left)}"
-        for one in (score.explained or ())[:MOST_CAUSES]
-    ]
-    if causes:
-        whole = with_unit(number_text(error), score.unit)
-        yield f"{name}: of {whole}, each alone can explain: {', '.join(causes)}."
 
 
 def _implied_line(name: str, score: Score) -> str:

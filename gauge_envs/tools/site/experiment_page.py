@@ -12,7 +12,7 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, element, folded, join, listed
-from gauge_envs.pages.results import SCORE_METRICS, discretization_text
+from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
@@ -86,6 +86,7 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
     ]
     parts = [
         *_head(one, experiment, band),
+        *_causes(site, results),
         *_forest(site, one),
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
@@ -170,6 +171,15 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
         if any(value is not None for value in values):
             rows.append([f"{title}, paper", *map(score_text, values), *([""] if has_trials else [])])
     return section("Scores", grid(titles, rows), note)
+
+
+def _causes(site: Site, results: Results) -> Parts:
+    lines = [
+        join([site.swatch(index), line])
+        for index, result in results.items()
+        for line in reality_lines(site.labels[index], result.score)
+    ]
+    return [listed(lines)] if lines else []
 
 
 def _pairs(site: Site, one: ExperimentComparison) -> Parts:
