@@ -328,10 +328,10 @@ def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result],
     if any(settings != in_force[0] for settings in in_force):
         notes.append(f"{short_id(name)}: repeats of {mine[0].backend} differ in the settings in force")
     kept = tuple(sorted(latest.values(), key=lambda result: result.seed or 0))
-    return Cell(results=kept, draws=_cell_draws(kept, configuration, notes)) if kept else None
+    return Cell(results=kept, draws=_cell_draws(kept, notes)) if kept else None
 
 
-def _cell_draws(results: Sequence[Result], configuration: RunConfiguration, notes: list[str]) -> ScoreDraws | None:
+def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | None:
     """Return the draws of repeats; None without them, with a note if they should have some."""
     if any(result.score.rmse_normalized is None for result in results):
         return None
@@ -339,7 +339,7 @@ def _cell_draws(results: Sequence[Result], configuration: RunConfiguration, note
     try:
         experiment = recorded_experiment(results[0])
         band = reference_band(experiment, use_withheld=results[0].score.withheld is not None)
-        draws = None if band is None else score_draws(results, experiment, band, configuration)
+        draws = None if band is None else score_draws(results, experiment, band)
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None

@@ -19,7 +19,6 @@ from gauge_envs.evaluation.deviation import band_deviations
 from gauge_envs.evaluation.uncertainty import LEVEL, SEED, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
-from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 
 FloatArray = NDArray[np.float64]
@@ -101,9 +100,7 @@ class ScoreDraws:
         return _mean(self, every, raw=raw, wider=widening(_influence(self, every, raw=raw)))
 
 
-def score_draws(
-    results: Sequence[Result], experiment: Experiment, band: Band, configuration: RunConfiguration
-) -> ScoreDraws | None:
+def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -> ScoreDraws | None:
     """Return the draws of the repeats of one configuration in one experiment.
 
     Returns:
