@@ -52,8 +52,8 @@ def test_with_the_constants_of_the_trials_only_the_ball_tells_apart(data: dict[s
         {one["configuration"]: one["ranks"][BALL] for one in grade(data, constants)["ranked"]}
         for constants in ("calibrated", "effective")
     ]
-    assert ranks[1]["genesis"] == [1, 1]
-    assert ranks[0]["genesis"] == [5, 5]
+    assert ranks[1]["genesis"] == pytest.approx([1, 1], abs=0.01)
+    assert ranks[0]["genesis"] == pytest.approx([5, 5], abs=0.01)
 
 
 def test_constants_change_the_score_of_the_ball_by_more_than_engines_differ(data: dict[str, Any]) -> None:
