@@ -101,8 +101,8 @@ def test_no_default_preset_fails_a_check() -> None:
 
 
 def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) -> None:
-    with pytest.raises(SystemExit, match=r"no ranks: rapier lacks BouncingBall-rubber, .*Turntable-3-metal"):
-        build_engine_table.ranked(tmp_path, [("rapier", "")])
+    with pytest.raises(SystemExit, match=r"no ranks: rapier lacks BouncingBall-rubber calibrated, .*Turntable-3-metal"):
+        build_engine_table.graded_results("rapier", "", tmp_path)
 
 
 # From pictures to frames
