@@ -1,7 +1,7 @@
 """Four scenes in which a contact is measured on any engine: drop, slide, creep and rest.
 
-A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. The scenes go
-through the contract of backends alone.
+A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. One plate slides
+without turning, others may tip, hop and spin. The scenes go through the contract of backends alone.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -62,6 +63,21 @@ TURN_DEG = 30.0
 """Turn of the edges of a plate against the slope [degrees]: then one corner carries most, and engines that choose the
 tangents of contacts by the axes of the world have no axis along the slope."""
 
+HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
+"""Turns of the edges of plates that can hop [degrees]."""
+
+HOP_TIPS_RAD = (-1e-3, 1e-3)
+"""Tips at the start of plates that can hop [rad]. From an exactly level start, rounding decides whether they hop."""
+
+TIP_AXIS = (1.0, 2.0, 0.0)
+"""Axis of the tip in the slope, along none of the edges and diagonals of a plate."""
+
+PLATE_DISTANCE_M = 0.3
+"""Distance of neighbouring plates [m]."""
+
+GYRATION_M = 10.0
+"""Radius of gyration of a plate that cannot turn [m]. A friction of 2 turns it by 0.02 degrees in a slide."""
+
 SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
 """Simulated times [s]."""
 
@@ -103,22 +119,37 @@ class Rebound:
 
 @dataclass(frozen=True, kw_only=True)
 class Slide:
-    """A plate that slides down a slope.
+    """A plate that slides down a slope and cannot turn.
 
     Attributes:
         along: Coefficient with which Coulomb's law gives the acceleration of a plate whose edges lie along the slope.
         turned: The same for a plate that is turned by `TURN_DEG`, so that a corner leads.
-        lift_m: Largest distance by which a centre leaves the slope [m].
     """
 
     along: float
     turned: float
-    lift_m: float
 
     @property
     def friction(self) -> float:
         """Mean of both coefficients."""
         return 0.5 * (self.along + self.turned)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hops:
+    """Plates that slide down a slope and can tip, hop and spin, started with each turn and tip.
+
+    Attributes:
+        mean: Mean of the coefficients with which Coulomb's law gives their accelerations.
+        low: Smallest one.
+        high: Largest one.
+        lift_m: Largest distance by which a centre leaves the slope [m].
+    """
+
+    mean: float
+    low: float
+    high: float
+    lift_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -142,6 +173,18 @@ def creep_slope_rad(friction: float) -> float:
 
 
 LEVEL = Rotation.identity()
+UP = (0.0, 0.0, 1.0)
+
+
+def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
+    """Return the rotation of a plane that falls along x, and whose axes are turned about its normal."""
+    return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
+
+
+def _downhill(rollout: Rollout, name: str, lean: Rotation) -> NDArray[np.float64]:
+    """Return the displacement of a body down the slope and off it [m], shape [2, sample_count]."""
+    sine, _, cosine = lean.apply(UP)
+    return np.array([[cosine, 0.0, -sine], [sine, 0.0, cosine]]) @ rollout.displacement(name).T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -159,36 +202,53 @@ class Probe:
     timestep_s: float
 
     def slide(self, build: Build, friction: float) -> Slide:
-        """Return the friction of a plate that slides, from its accelerations by Coulomb's law, and how far it hops.
+        """Return the friction of a plate that slides and cannot turn, from its acceleration by Coulomb's law.
 
-        A plate whose hops turn it about the normal has a smaller value than its contacts: parts of their friction point
-        sideways.
+        All its contacts slide in one direction, so its friction is theirs.
 
         Args:
             build: The contact.
             friction: Friction that is expected, for the slope.
         """
         slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
-        found, lifts_m = [], []
-        for turn_deg in (0.0, TURN_DEG):
-            times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
-            seen = times_s >= SLIDE_FROM_S
-            # One fit for both, so that both accelerations are means with the same weights.
-            fit = np.polyfit(times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
-            found.append(friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1])))
-            lifts_m.append(float(lift_m.max()))
-        return Slide(along=found[0], turned=found[1], lift_m=max(lifts_m))
+        leans = (_lean(slope, turn_deg) for turn_deg in (0.0, TURN_DEG))
+        (along,), (turned,) = (
+            self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean) for lean in leans
+        )
+        return Slide(along=along[0], turned=turned[0])
+
+    def hop(self, build: Build, friction: float) -> Hops:
+        """Return the friction of plates that slide and can tip, hop and spin.
+
+        It is smaller than that of their contacts, as parts of these point sideways.
+
+        Args:
+            build: The contact.
+            friction: Friction that is expected, for the slope.
+        """
+        lean = _lean(math.atan(friction) + math.radians(SLIDE_BEYOND_DEG))
+        starts = list(product(HOP_TURNS_DEG, HOP_TIPS_RAD))
+        plates = [
+            self._plate(lean, index=index - 0.5 * len(starts), turn_deg=turn_deg, tip_rad=tip_rad)
+            for index, (turn_deg, tip_rad) in enumerate(starts)
+        ]
+        found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
+        return Hops(mean=float(np.mean(found)), low=min(found), high=max(found), lift_m=max(lifts_m))
 
     def creep(self, build: Build, friction: float) -> float:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
-        times_s, path_m, _ = self._downhill(build, creep_slope_rad(friction), CREEP_S, TURN_DEG)
+        lean = _lean(creep_slope_rad(friction), TURN_DEG)
+        plate = self._plate(lean)
+        rollout = self._rollout([plate], lean, build, CREEP_S)
+        times_s, (path_m, _) = rollout.times_s, _downhill(rollout, plate.name, lean)
         seen = times_s >= CREEP_FROM_S
         return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
-        rollout = self._rollout([self._plate(LEVEL)], LEVEL, build, REST_S)
-        depth_m = 0.5 * PLATE_M[2] - rollout.position("plate")[:, 2]
+        plate = self._plate(LEVEL)
+        rollout = self._rollout([plate], LEVEL, build, REST_S)
+        depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
         seen = rollout.times_s >= REST_FROM_S
         drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
         return Rest(
@@ -218,21 +278,48 @@ class Probe:
         found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
         return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
 
-    def _downhill(
-        self, build: Build, slope_rad: float, seconds: float, turn_deg: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] of a plate on a slope, and its displacements down the slope and off it [m]."""
-        # The plane falls along x; its own axes and those of the plate are turned about its normal.
-        lean = Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
-        rollout = self._rollout([self._plate(lean)], lean, build, seconds)
-        sine, cosine = math.sin(slope_rad), math.cos(slope_rad)
-        moved = rollout.displacement("plate")
-        return rollout.times_s, moved @ np.array([cosine, 0.0, -sine]), moved @ np.array([sine, 0.0, cosine])
+    def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
+        """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
+        rollout = self._rollout(plates, lean, build, SLIDE_S)
+        seen = rollout.times_s >= SLIDE_FROM_S
+        slope = math.acos(lean.apply(UP)[2])
+        found = []
+        for plate in plates:
+            path_m, lift_m = _downhill(rollout, plate.name, lean)
+            # One fit for both, so that both accelerations are means with the same weights.
+            fit = np.polyfit(rollout.times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
+            friction = friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1]))
+            found.append((friction, float(lift_m.max())))
+        return found
 
-    def _plate(self, lean: Rotation) -> RigidBody:
-        pose = Pose.from_rotation(vector(lean.apply([0.0, 0.0, 0.5 * PLATE_M[2]])), lean)
+    def _plate(
+        self,
+        lean: Rotation,
+        *,
+        index: float = 0.0,
+        turn_deg: float = 0.0,
+        tip_rad: float = 0.0,
+        gyration_m: float | None = None,
+    ) -> RigidBody:
+        """Return a plate on a leaning plane, with the inertia of its mass unless a radius of gyration [m] is given.
+
+        Args:
+            lean: Rotation of the plane.
+            index: Place in a row across the slope.
+            turn_deg: Turn about the normal [degrees].
+            tip_rad: Tip about `TIP_AXIS`, with which one corner touches the plane [rad].
+            gyration_m: Radius of gyration [m].
+        """
+        tip = Rotation.from_rotvec(tip_rad * np.array(TIP_AXIS) / np.linalg.norm(TIP_AXIS))
+        turn = tip * Rotation.from_euler("z", turn_deg, degrees=True)
+        height_m = 0.5 * float(np.abs(turn.as_matrix()[2]) @ PLATE_M)
         return RigidBody(
-            name="plate", shape=Box(size_m=PLATE_M), motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg
+            name=f"plate{index:+g}",
+            shape=Box(size_m=PLATE_M),
+            motion=Motion.DYNAMIC,
+            pose=Pose.from_rotation(vector(lean.apply([0.0, index * PLATE_DISTANCE_M, height_m])), lean * turn),
+            mass_kg=self.mass_kg,
+            inertia_kg_m2=None if gyration_m is None else self.mass_kg * gyration_m**2,
         )
 
     def _rollout(self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float) -> Rollout:

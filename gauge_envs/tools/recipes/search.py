@@ -18,8 +18,8 @@ from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text,
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
 
-FRICTION_SHARE = 0.01
-"""Relative error of a friction that counts as none, as in the conformance checks of slides."""
+FRICTION_SHARE = 0.005
+"""Relative error of a friction that counts as none."""
 
 DEPTH_SHARE = 0.05
 """Relative error of a depth at rest that counts as none, where a stiffness states it."""
@@ -62,7 +62,7 @@ class Recipe:
     @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
-        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:4]}
+        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:-1]}
 
     @property
     def error(self) -> dict[str, float | None]:
@@ -77,18 +77,30 @@ class Recipe:
 
     @property
     def detail(self) -> dict[str, float | None]:
-        """What the reached values leave out, by name: both plates, the hop, and the range of single drops."""
-        names = ("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high")
+        """What the reached values leave out, by name: the ranges of their means, and the height of hops."""
+        frictions = ("friction_along", "friction_turned", "friction_hopping_low", "friction_hopping_high")
+        names = (*frictions, "hop_m", "restitution_low", "restitution_high")
         if self.found is None:
             return dict.fromkeys(names)
-        slide, rebound = self.found.slide, self.found.rebound
-        return dict(zip(names, (slide.along, slide.turned, slide.lift_m, rebound.low, rebound.high), strict=True))
+        slide, hops, rebound = self.found.slide, self.found.hops, self.found.rebound
+        values = (slide.along, slide.turned, hops.low, hops.high, hops.lift_m, rebound.low, rebound.high)
+        return dict(zip(names, values, strict=True))
 
     @property
     def misses(self) -> tuple[str, ...]:
         """Names of the asked values that are not reached; empty after a divergence."""
         names = ("friction", "restitution", "penetration_m")
         return tuple(name for name in names if self.found and _is_missed(self.aim, name, self.found.values[name]))
+
+    @property
+    def snippet(self) -> str:
+        """The settings in the engine's own language, below a comment with the friction of bodies that hold and hop."""
+        text = self.settings.snippet(self.aim.mass_kg)
+        if self.found is None:
+            return text
+        holds, hops = self.found.slide.friction, self.found.hops.mean
+        line = f"Friction: {holds:.3g} of bodies that hold contact, {hops:.3g} of plates that can hop."
+        return f"{self.settings.comment.format(line)}\n{text}"
 
     def json(self) -> dict[str, Any]:
         """Return the recipe as one JSON-ready object."""
@@ -97,7 +109,7 @@ class Recipe:
             "engine": self.engine,
             "asked": self.aim.asked(),
             "settings": settings,
-            "snippet": self.settings.snippet(self.aim.mass_kg),
+            "snippet": self.snippet,
             "reached": self.reached,
             "error": self.error,
             "misses": self.misses,

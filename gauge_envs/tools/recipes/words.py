@@ -17,6 +17,7 @@ from gauge_envs.tools.recipes.fabrics import FabricRecipe
 from gauge_envs.tools.recipes.materials import MaterialPair
 
 TITLES = {
+    "friction_hopping": "friction, hopping",
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",
     "time_constant_s": "time constant [s]",
@@ -33,7 +34,13 @@ def _number(key: str, title: str, *, unit: str = "") -> Column:
 
 
 NAME = Column("name", "", lambda name: TITLES.get(name, name))
-REACHED = (_number("reached", "reached"), Column("error", "error", lambda value: f"{value:+.2g}", is_number=True))
+ROUNDING = 1e-12
+"""Error that is rounding."""
+
+REACHED = (
+    _number("reached", "reached"),
+    Column("error", "error", lambda value: f"{value:+.2g}" if abs(value) > ROUNDING else "0", is_number=True),
+)
 
 
 def recipe_document(recipe: Recipe, pair: MaterialPair | None = None) -> Document:
