@@ -145,7 +145,7 @@ def table(kind: str) -> list[dict[str, str]]:
 def with_rows(kind: str, engine: str) -> str:
     """Return the text of a table of the study in which the measured rows of an engine take the place of older ones."""
     found = rows_of(kind, engine)
-    kept = [list(row.values()) for row in table(kind) if row["engine"] != engine or not found]
+    kept = [[row.get(name, "") for name in COLUMNS[kind]] for row in table(kind) if row["engine"] != engine or not found]
     stream = io.StringIO()
     rows = sorted([*kept, *found], key=lambda row: list(engine_names()).index(row[0]))
     csv.writer(stream, lineterminator="\n").writerows([COLUMNS[kind], *rows])
@@ -161,6 +161,11 @@ def summary() -> str:
         for rows in (contacts, cloth):
             own = [row for row in rows if row["engine"] == engine]
             cells.append(f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else "")
+        rows = [row for row in contacts if row["engine"] == engine]
+        for name in ("friction reached", "friction hopping", "single plates"):
+            # A range begins with its smallest value.
+            shares = [float(row[name].split()[0]) / float(row["friction"]) - 1.0 for row in rows]
+            cells.append(f"{100.0 * max(shares, key=abs):+.2f} %" if name == "friction reached" else f"{100.0 * min(shares):+.1f} %")
         walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
         lines.append([*cells, f"{min(walls):.2g} to {max(walls):.2g}"])
     misses = [
@@ -169,7 +174,9 @@ def summary() -> str:
         for row in contacts
         if row["missed"]
     ]
-    head = ("engine", "contacts within the tolerance", "fabrics within the tolerance", "wall time of a contact [s]")
+    head = ("engine", "contacts within the tolerance", "fabrics within the tolerance")
+    head += ("friction of bodies that hold, largest error", "of plates that hop, lowest mean", "lowest plate")
+    head += ("wall time of a contact [s]",)
     return "\n".join([*markdown_table(head, lines), "", "Contacts outside the tolerance:", "", *misses])
 
 
