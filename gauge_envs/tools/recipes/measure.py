@@ -60,7 +60,7 @@ def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
 
 
 def measured(settings: ContactSettings, mass_kg: float, *, friction: float | None = None) -> Measured:
-    """Simulate all four scenes.
+    """Simulate all scenes.
 
     Args:
         settings: The settings.

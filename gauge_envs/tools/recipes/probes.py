@@ -1,4 +1,4 @@
-"""Four scenes in which a contact is measured on any engine: drop, slide, creep and rest.
+"""Scenes in which a contact is measured on any engine: drop, slide, hop, creep and rest.
 
 A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. One plate slides
 without turning, others may tip, hop and spin. The scenes go through the contract of backends alone.
