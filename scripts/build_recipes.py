@@ -145,7 +145,8 @@ def table(kind: str) -> list[dict[str, str]]:
 def with_rows(kind: str, engine: str) -> str:
     """Return the text of a table of the study in which the measured rows of an engine take the place of older ones."""
     found = rows_of(kind, engine)
-    kept = [[row.get(name, "") for name in COLUMNS[kind]] for row in table(kind) if row["engine"] != engine or not found]
+    others = (row for row in table(kind) if row["engine"] != engine or not found)
+    kept = [[row.get(name, "") for name in COLUMNS[kind]] for row in others]
     stream = io.StringIO()
     rows = sorted([*kept, *found], key=lambda row: list(engine_names()).index(row[0]))
     csv.writer(stream, lineterminator="\n").writerows([COLUMNS[kind], *rows])
@@ -162,10 +163,10 @@ def summary() -> str:
             own = [row for row in rows if row["engine"] == engine]
             cells.append(f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else "")
         rows = [row for row in contacts if row["engine"] == engine]
-        for name in ("friction reached", "friction hopping", "single plates"):
+        for name, digits in (("friction reached", 2), ("friction hopping", 1), ("single plates", 1)):
             # A range begins with its smallest value.
-            shares = [float(row[name].split()[0]) / float(row["friction"]) - 1.0 for row in rows]
-            cells.append(f"{100.0 * max(shares, key=abs):+.2f} %" if name == "friction reached" else f"{100.0 * min(shares):+.1f} %")
+            errors = [100.0 * (float(row[name].split()[0]) / float(row["friction"]) - 1.0) for row in rows]
+            cells.append(f"{max(errors, key=abs) if digits == 2 else min(errors):+.{digits}f} %")
         walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
         lines.append([*cells, f"{min(walls):.2g} to {max(walls):.2g}"])
     misses = [

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import itertools
 import os
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import fork_server
 import gymnasium
 import numpy as np
 import pytest
@@ -16,10 +19,12 @@ from hostile import install
 from places import ROOT
 
 import gauge_envs
+from gauge_envs import files
 from gauge_envs.backends import Support, backend, registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
+from gauge_envs.runs import isolation
 from gauge_envs.scene import Scene
 from gauge_envs.tools.catalog import listing
 
@@ -30,12 +35,39 @@ def pytest_configure() -> None:
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
     the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
     kept, also where the environment forbids to write it beside the sources: hundreds of processes import the package.
+    There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
+    gc.disable()
     sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(ROOT / ".pytest_cache" / "bytecode")
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
+
+
+def pytest_collection_finish() -> None:
+    """Leave what the imports have made out of the search for garbage: millions of objects that stay to the end."""
+    gc.freeze()
+    gc.set_threshold(20_000)
+    gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def forked_children() -> Iterator[None]:
+    """Children of the package fork from a process that has its imports behind it, where the system has forks."""
+    with pytest.MonkeyPatch.context() as patch:
+        if sys.platform == "linux":
+            for module in (isolation, files):
+                patch.setattr(module, "subprocess", fork_server.STAND_IN)
+        yield
+    fork_server.stop()
+
+
+@pytest.fixture
+def real_children(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Children of the package start from nothing, as they do for a user."""
+    for module in (isolation, files):
+        monkeypatch.setattr(module, "subprocess", subprocess)
 
 
 @pytest.fixture(scope="session")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -10,12 +11,20 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 DRIVER = """
-import json, os, sys
+import gc, json, os, sys
+import fork_server
+from gauge_envs.runs import isolation
 import gauge_envs.cli.app, gauge_envs.runs.batch, gauge_envs.tools.catalog.listing
-from gauge_envs.experiments.variants import variants
+from gauge_envs.experiments.variants import find_variant
 
-# What a list loads is then there for every fork.
-gauge_envs.tools.catalog.listing.list_rows(variants())
+# What the list of an experiment loads is then there for every fork.
+gauge_envs.tools.catalog.listing.list_rows([find_variant("SlopeSlider-2-wood")])
+# Engines of other packages answer in forks too.
+isolation.subprocess = fork_server.STAND_IN
+fork_server.start()
+# The end of a fork would otherwise copy all that the imports have made.
+gc.collect()
+gc.freeze()
 cases, folder = json.loads(sys.argv[1]), sys.argv[2]
 codes = []
 for number, case in enumerate(cases):
@@ -73,7 +82,7 @@ def run_forks(
     done = subprocess.run(
         [sys.executable, "-c", DRIVER, json.dumps([asdict(case) for case in cases.values()]), str(outputs)],
         cwd=folder,
-        env=dict(environment),
+        env={**environment, "PYTHONPATH": os.pathsep.join([environment["PYTHONPATH"], str(Path(__file__).parent)])},
         capture_output=True,
         text=True,
         check=True,

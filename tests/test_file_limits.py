@@ -336,6 +336,7 @@ def test_a_file_that_the_child_cannot_read_is_not_opened(tmp_path: Path, monkeyp
         from_usd(file)
 
 
+@pytest.mark.usefixtures("real_children")
 @pytest.mark.parametrize(
     ("body", "reason"),
     [

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import ast
-import io
-import tokenize
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from places import ROOT
@@ -21,27 +20,28 @@ MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""
 
 GENERATED = {"api", "environments", "studies", "_build"}
-NO_CODE = {
-    tokenize.COMMENT,
-    tokenize.NL,
-    tokenize.NEWLINE,
-    tokenize.INDENT,
-    tokenize.DEDENT,
-    tokenize.ENDMARKER,
-}
+STRING_OR_COMMENT = re.compile(r"""#.*|("{3}|'{3}|["'])(?:\\[\s\S]|(?!\1)[^\\])*\1""")
+
+
+def statements(node: ast.AST) -> Iterator[ast.AST]:
+    """A node and the statements in it, at any depth."""
+    yield node
+    for inner in ast.iter_child_nodes(node):
+        if isinstance(inner, ast.stmt | ast.ExceptHandler | ast.match_case):
+            yield from statements(inner)
 
 
 def code_lines(text: str) -> int:
-    """Lines that hold a token outside comments and docstrings."""
+    """Lines on which a token outside comments and docstrings starts."""
     documented: set[int] = set()
-    for node in ast.walk(ast.parse(text)):
+    for node in statements(ast.parse(text)):
         if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef | ast.If):
             for inner in node.body:
                 match inner:
                     case ast.Expr(value=ast.Constant(value=str())):
                         documented.update(range(inner.lineno, (inner.end_lineno or inner.lineno) + 1))
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return len({token.start[0] for token in tokens if token.type not in NO_CODE} - documented)
+    code = STRING_OR_COMMENT.sub(lambda found: "" if found[0][0] == "#" else "s" + "\n" * found[0].count("\n"), text)
+    return len({number for number, line in enumerate(code.split("\n"), 1) if line.strip()} - documented)
 
 
 def words(pages: Iterable[Path]) -> int:

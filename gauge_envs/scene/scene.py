@@ -167,12 +167,12 @@ class Scene:
     def colliding_pairs(self, contact: Contact) -> Iterator[tuple[str, str]]:
         """Yield the distinct pairs of a contact of which at least one body is dynamic or deformable."""
         moving = {body.name for body in self.dynamic_bodies} | {body.name for body in self.deformables}
-        seen = set()
-        for first, second in product(contact.first, contact.second):
-            pair = frozenset((first, second))
-            if first != second and pair & moving and pair not in seen:
-                seen.add(pair)
-                yield first, second
+        seen: set[tuple[str, str]] = set()
+        for pair in product(contact.first, contact.second):
+            first, second = pair
+            if first != second and (first in moving or second in moving) and pair not in seen:
+                seen.update((pair, (second, first)))
+                yield pair
 
     @cached_property
     def contact_faces(self) -> ContactFaces:

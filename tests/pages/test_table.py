@@ -138,7 +138,7 @@ def test_long_titles_are_wrapped_at_blanks() -> None:
 WORDS = st.lists(st.text("abc123.-", min_size=1, max_size=14), min_size=1, max_size=8).map(" ".join)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=80, deadline=None)
 @example(titles=["1", "1", "1" * 13], cells=[["1", "1 1 1 1 1", "-", *["1"] * 5]], places=[Place.CELL] * 8, width=30)
 @given(
     titles=st.lists(WORDS, min_size=1, max_size=8),

@@ -152,6 +152,7 @@ def test_settings_are_checked_in_the_other_process(installed: Callable[..., None
         check_requests([RunRequest(WOOD, backend="well", settings={"nope": 1})], isolate=None)
 
 
+@pytest.mark.usefixtures("real_children")
 def test_a_worker_goes_on_after_an_error_and_after_a_crash() -> None:
     with Worker(20.0) as worker:
         with pytest.raises(GaugeError, match="unknown experiment"):

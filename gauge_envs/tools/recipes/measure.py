@@ -6,19 +6,13 @@ from dataclasses import dataclass
 
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.probes import Hops, Probe, Rebound, Rest, Slide
+from gauge_envs.tools.recipes.probes import Probe, Rest, Spread
 
 SCATTER = 0.02
-"""Range of restitutions between phases that is worth a sentence: twice the error that counts as none."""
+"""Range of restitutions, and relative one of frictions, that is worth a sentence."""
 
 MOST_DRIFT_PER_S = 0.05
 """Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
-
-FRICTION_SCATTER = 0.02
-"""Relative difference between two plates that is worth a sentence."""
-
-LIFT_M = 1e-3
-"""Hop of a sliding plate that is worth a sentence [m]: a thirtieth of its thickness."""
 
 LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
@@ -33,23 +27,25 @@ class Measured:
     """What settings give.
 
     Attributes:
-        slide: Friction of a plate that cannot turn, as that of bodies that hold contact.
-        hops: Friction of plates that can tip, hop and spin, and how far they hop.
+        slide: Friction of plates that cannot turn, as that of bodies that hold contact.
+        hopping: Friction of plates that can tip, hop and spin.
+        hop_m: How far these leave the slope [m].
         rebound: Restitution of drops.
         rest: Plate at rest.
         creep_m_s: Creep on a slope that friction holds [m/s].
     """
 
-    slide: Slide
-    hops: Hops
-    rebound: Rebound
+    slide: Spread
+    hopping: Spread
+    hop_m: float
+    rebound: Spread
     rest: Rest
     creep_m_s: float
 
     @property
     def values(self) -> dict[str, float | None]:
         """Values by their names in `REACHED`; None for a time constant that is not resolved."""
-        frictions, rest = (self.slide.friction, self.hops.mean), self.rest
+        frictions, rest = (self.slide.mean, self.hopping.mean), self.rest
         values = (*frictions, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
         return dict(zip(REACHED, values, strict=True))
 
@@ -72,9 +68,11 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
     """
     probe, build = probe_of(settings, mass_kg), settings.build(mass_kg)
     slope = settings.sliding_friction if friction is None else friction
+    hopping, hop_m = probe.hop(build, slope)
     return Measured(
         slide=probe.slide(build, slope),
-        hops=probe.hop(build, slope),
+        hopping=hopping,
+        hop_m=hop_m,
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
@@ -89,16 +87,16 @@ def divergence_text(error: DivergedError) -> str:
 def scatter_texts(found: Measured) -> list[str]:
     """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
     texts = []
-    slide, hops, rebound, rest = found.slide, found.hops, found.rebound, found.rest
-    if abs(slide.along - slide.turned) > FRICTION_SCATTER * abs(slide.friction):
+    slide, hopping, rebound, rest = found.slide, found.hopping, found.rebound, found.rest
+    if slide.high - slide.low > SCATTER * abs(slide.mean):
         texts.append(
-            f"Friction depends on the direction: a plate with its edges along the slope has {slide.along:.3g}, one "
-            f"that is turned by 30 degrees {slide.turned:.3g}; the friction is their mean."
+            f"Friction depends on the direction: it is {slide.low:.3g} to {slide.high:.3g} for a plate with its edges "
+            "along the slope and one that is turned by 30 degrees; the friction is their mean."
         )
-    if hops.lift_m > LIFT_M or hops.high - hops.low > FRICTION_SCATTER * abs(slide.friction):
+    if slide.mean - hopping.low > SCATTER * abs(slide.mean):
         texts.append(
-            f"Plates that can tip hop by up to {1e3 * hops.lift_m:.2g} mm while they slide, and have friction "
-            f"{hops.low:.3g} to {hops.high:.3g} (mean {hops.mean:.3g}); higher bodies can lose more."
+            f"Plates that can tip hop by up to {1e3 * found.hop_m:.2g} mm while they slide, and have friction "
+            f"{hopping.low:.3g} to {hopping.high:.3g} (mean {hopping.mean:.3g}); higher bodies can lose more."
         )
     if rebound.high - rebound.low > SCATTER:
         texts.append(

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,18 +66,14 @@ tangents of contacts by the axes of the world have no axis along the slope."""
 HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 """Turns of the edges of plates that can hop [degrees]."""
 
-HOP_TIPS_RAD = (-1e-3, 1e-3)
-"""Tips at the start of plates that can hop [rad]. From an exactly level start, rounding decides whether they hop."""
-
-TIP_AXIS = (1.0, 2.0, 0.0)
-"""Axis of the tip in the slope, along none of the edges and diagonals of a plate."""
+HOP_TIPS_RAD = ((-6e-4, -8e-4, 0.0), (6e-4, 8e-4, 0.0))
+"""Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
 
 PLATE_DISTANCE_M = 0.3
 """Distance of neighbouring plates [m]."""
 
 GYRATION_M = 100.0
-"""Radius of gyration of a plate that cannot turn [m]. A friction of 2 turns it by 0.0002 degrees in a slide.
-With 10 m, PyBullet has up to 1.7 % too much."""
+"""Radius of gyration of a plate that cannot turn [m]: a friction of 2 turns it by 0.0002 degrees in a slide."""
 
 SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
 """Simulated times [s]."""
@@ -110,47 +106,17 @@ class Build:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rebound:
-    """Restitution of drops: the mean, the smallest and the largest of the phases of a step."""
+class Spread:
+    """Mean, smallest and largest of the values that one quantity has in different starts."""
 
     mean: float
     low: float
     high: float
 
-
-@dataclass(frozen=True, kw_only=True)
-class Slide:
-    """A plate that slides down a slope and cannot turn.
-
-    Attributes:
-        along: Coefficient with which Coulomb's law gives the acceleration of a plate whose edges lie along the slope.
-        turned: The same for a plate that is turned by `TURN_DEG`, so that a corner leads.
-    """
-
-    along: float
-    turned: float
-
-    @property
-    def friction(self) -> float:
-        """Mean of both coefficients."""
-        return 0.5 * (self.along + self.turned)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Hops:
-    """Plates that slide down a slope and can tip, hop and spin, started with each turn and tip.
-
-    Attributes:
-        mean: Mean of the coefficients with which Coulomb's law gives their accelerations.
-        low: Smallest one.
-        high: Largest one.
-        lift_m: Largest distance by which a centre leaves the slope [m].
-    """
-
-    mean: float
-    low: float
-    high: float
-    lift_m: float
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Self:
+        """Return the spread of some values."""
+        return cls(mean=float(np.mean(values)), low=min(values), high=max(values))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,7 +140,6 @@ def creep_slope_rad(friction: float) -> float:
 
 
 LEVEL = Rotation.identity()
-UP = (0.0, 0.0, 1.0)
 
 
 def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
@@ -184,7 +149,7 @@ def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
 
 def _downhill(rollout: Rollout, name: str, lean: Rotation) -> NDArray[np.float64]:
     """Return the displacement of a body down the slope and off it [m], shape [2, sample_count]."""
-    sine, _, cosine = lean.apply(UP)
+    sine, _, cosine = lean.as_matrix()[:, 2]
     return np.array([[cosine, 0.0, -sine], [sine, 0.0, cosine]]) @ rollout.displacement(name).T
 
 
@@ -202,39 +167,28 @@ class Probe:
     mass_kg: float
     timestep_s: float
 
-    def slide(self, build: Build, friction: float) -> Slide:
-        """Return the friction of a plate that slides and cannot turn, from its acceleration by Coulomb's law.
+    def slide(self, build: Build, friction: float) -> Spread:
+        """Return the friction of plates that slide and cannot turn, by Coulomb's law: straight, and turned.
 
-        All its contacts slide in one direction, so its friction is theirs.
-
-        Args:
-            build: The contact.
-            friction: Friction that is expected, for the slope.
+        All contacts of such a plate slide in one direction, so its friction is theirs. The expected one gives the slope.
         """
         slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
         leans = (_lean(slope, turn_deg) for turn_deg in (0.0, TURN_DEG))
-        (along,), (turned,) = (
-            self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean) for lean in leans
-        )
-        return Slide(along=along[0], turned=turned[0])
+        found = [self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean)[0] for lean in leans]
+        return Spread.of([one for one, _ in found])
 
-    def hop(self, build: Build, friction: float) -> Hops:
-        """Return the friction of plates that slide and can tip, hop and spin.
+    def hop(self, build: Build, friction: float) -> tuple[Spread, float]:
+        """Return the same of plates that can tip, hop and spin, and how far they hop [m].
 
-        It is smaller than that of their contacts, as parts of these point sideways.
-
-        Args:
-            build: The contact.
-            friction: Friction that is expected, for the slope.
+        Their contacts slide in different directions, and parts of the friction cancel.
         """
         lean = _lean(math.atan(friction) + math.radians(SLIDE_BEYOND_DEG))
-        starts = list(product(HOP_TURNS_DEG, HOP_TIPS_RAD))
         plates = [
-            self._plate(lean, index=index - 0.5 * len(starts), turn_deg=turn_deg, tip_rad=tip_rad)
-            for index, (turn_deg, tip_rad) in enumerate(starts)
+            self._plate(lean, turn=Rotation.from_rotvec(tip_rad) * _lean(0.0, turn_deg), place=place)
+            for place, (turn_deg, tip_rad) in enumerate(product(HOP_TURNS_DEG, HOP_TIPS_RAD), start=-4)
         ]
         found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
-        return Hops(mean=float(np.mean(found)), low=min(found), high=max(found), lift_m=max(lifts_m))
+        return Spread.of(found), max(lifts_m)
 
     def creep(self, build: Build, friction: float) -> float:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
@@ -258,7 +212,7 @@ class Probe:
             time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
         )
 
-    def drop(self, build: Build) -> Rebound:
+    def drop(self, build: Build) -> Spread:
         """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
         speed = math.sqrt(2.0 * G * DROP_M)
         later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
@@ -277,13 +231,13 @@ class Probe:
         rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
         heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
         found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
-        return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
+        return Spread.of(found)
 
     def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
         rollout = self._rollout(plates, lean, build, SLIDE_S)
         seen = rollout.times_s >= SLIDE_FROM_S
-        slope = math.acos(lean.apply(UP)[2])
+        slope = math.acos(lean.as_matrix()[2, 2])
         found = []
         for plate in plates:
             path_m, lift_m = _downhill(rollout, plate.name, lean)
@@ -293,34 +247,16 @@ class Probe:
             found.append((friction, float(lift_m.max())))
         return found
 
-    def _plate(
-        self,
-        lean: Rotation,
-        *,
-        index: float = 0.0,
-        turn_deg: float = 0.0,
-        tip_rad: float = 0.0,
-        gyration_m: float | None = None,
-    ) -> RigidBody:
-        """Return a plate on a leaning plane, with the inertia of its mass unless a radius of gyration [m] is given.
-
-        Args:
-            lean: Rotation of the plane.
-            index: Place in a row across the slope.
-            turn_deg: Turn about the normal [degrees].
-            tip_rad: Tip about `TIP_AXIS`, with which one corner touches the plane [rad].
-            gyration_m: Radius of gyration [m].
-        """
-        tip = Rotation.from_rotvec(tip_rad * np.array(TIP_AXIS) / np.linalg.norm(TIP_AXIS))
-        turn = tip * Rotation.from_euler("z", turn_deg, degrees=True)
+    def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
+        """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""
         height_m = 0.5 * float(np.abs(turn.as_matrix()[2]) @ PLATE_M)
         return RigidBody(
-            name=f"plate{index:+g}",
+            name=f"plate{place:+d}",
             shape=Box(size_m=PLATE_M),
             motion=Motion.DYNAMIC,
-            pose=Pose.from_rotation(vector(lean.apply([0.0, index * PLATE_DISTANCE_M, height_m])), lean * turn),
+            pose=Pose.from_rotation(vector(lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])), lean * turn),
             mass_kg=self.mass_kg,
-            inertia_kg_m2=None if gyration_m is None else self.mass_kg * gyration_m**2,
+            inertia_kg_m2=self.mass_kg * gyration_m**2 or None,
         )
 
     def _rollout(self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float) -> Rollout:

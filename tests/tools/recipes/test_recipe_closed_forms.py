@@ -99,11 +99,11 @@ def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> N
         solimp=(0.99, 0.99, 0.001, 0.5, 2.0),
     )
     probe, build = probe_of(settings, 0.2), settings.build(0.2)
-    slide, hops = probe.slide(build, 0.3), probe.hop(build, 0.3)
+    slide, (hopping, hop_m) = probe.slide(build, 0.3), probe.hop(build, 0.3)
     # Without the acceleration off the slope, 0.3010.
-    assert (slide.along, slide.turned) == pytest.approx((0.3, 0.3), abs=1e-4)
-    assert hops.lift_m > 2e-3
-    assert hops.low <= hops.mean <= hops.high < 0.3
+    assert (slide.low, slide.high) == pytest.approx((0.3, 0.3), abs=1e-4)
+    assert hop_m > 2e-3
+    assert hopping.low <= hopping.mean <= hopping.high < 0.3
 
 
 def test_the_impedance_runs_from_d0_to_dwidth() -> None:

@@ -1,0 +1,127 @@
+"""Finds the numbers that a page states, and where each comes from."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+
+from places import ROOT
+
+UNITS = r"""
+    % ° degrees? deg rad rad/s rad/s\^2 Hz kHz
+    s ms us µs microseconds? seconds? minutes? hours?
+    m mm um km cm mm\^2 px m/s mm/s cm/s m/s\^2 m/s² m/J
+    g kg kg/m\^2 g/m\^2 N kN J Pa kPa MPa kB MB GB
+    words times x sigma cores? checks ids frames trials episodes worlds iterations steps samples nodes prims faults
+    videos films clips
+""".split()  # noqa: SIM905  one to a line would be long
+UNIT = "|".join(sorted(UNITS, key=len, reverse=True))
+NUMBER = r"[+-]?(?:\d{1,3}(?: \d{3})+|\d[\d,]*)(?:\.\d+)?(?:e-?\d+)?"
+STATED = re.compile(
+    rf"(?<![\w./^-])(?:1/)?{NUMBER}(?:(?:,| to| and| or| of| x|,? once| ±| \+-) ?(?:1/)?{NUMBER})*"
+    rf"(?:[ -]?(?:{UNIT})(?![\w^]))"
+    r"|(?<![\w./^-])[+-]?\d+\.\d+(?![\w.]*\w)"
+)
+"""A number with a unit, with the numbers that share it; or a decimal fraction, which may be a score or a ratio."""
+
+VERSION = re.compile(
+    r"(?:Apache|Python|MuJoCo|Newton|PhysX|SAPIEN(?: \d with PhysX)?|PyBullet|Rapier|Drake|Genesis|genesis-world"
+    r"|PyTorch|Rerun|three\.js|arXiv|version)(?:\]\([^)]*\))? v?\d[\d.]*(?:(?:,| to| and| on Python| or) \d[\d.]*)*"
+    rf"(?![\w.]|[ -]?(?:{UNIT})(?!\w))"
+)
+"""A version after the name of what has it: no measurement."""
+
+STUDY = re.compile(r"\]\([^)\s]*\bstudies/(\w+)/README\.md")
+
+
+def visible(text: str) -> str:
+    """Text of a page without code blocks and generated parts, which other tests compare with what makes them."""
+    text = re.sub(r"^ *```.*?^ *```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    text = re.sub(r"(?<=\n\n)(?: {4}.*\n)+", "", text)
+    return re.sub(r"<!-- (.+?), written by .+? -->.*?<!-- end of \1 -->", "", text, flags=re.DOTALL)
+
+
+def blocks(text: str) -> Iterator[tuple[str, str]]:
+    """Yield each paragraph, list item, row and heading of a page in one line, with the text that introduces it.
+
+    A list or a table is introduced by the paragraph right before it if that ends with a colon, a row by the head of its
+    table too.
+    """
+    introduction, head, current = "", "", ""
+    for line in [*text.splitlines(), ""]:
+        if current and (re.match(r" *([-*]|\d+\.) |\||#", line) or not line.strip()):
+            is_row = current.startswith("|")
+            is_item = bool(re.match(r"([-*]|\d+\.) ", current))
+            head = (head or current) if is_row else ""
+            yield current, f"{introduction} {head}" if is_row or is_item else ""
+            if not (is_row or is_item):
+                introduction = current if current.endswith(":") else ""
+            current = ""
+        current = f"{current} {line.strip()}".strip()
+
+
+def shown(text: str) -> str:
+    """What a page shows as written by a script, or as the output of its code and commands."""
+    parts = re.findall(r"<!-- (.+?), written by .+? -->(.*?)<!-- end of \1 -->", text, flags=re.DOTALL)
+    outputs = re.findall(r"^```text\n(.*?)^```$", text, flags=re.MULTILINE | re.DOTALL)
+    return "\n".join(
+        [*(part for _, part in parts), *outputs, *re.findall(r"^ *print\(.*\)  # (.*)$", text, re.MULTILINE)]
+    )
+
+
+@cache
+def numbers_of_study(name: str) -> tuple[float, ...]:
+    """Every number in the note and in the tables of a study, without its sign."""
+    folder = ROOT / "studies" / name
+    text = "\n".join(file.read_text(encoding="utf-8") for file in (folder / "README.md", *sorted(folder.glob("*.csv"))))
+    return values(text)
+
+
+def values(text: str) -> tuple[float, ...]:
+    """Numbers of a text, without their signs."""
+    plain = re.sub(r"(?<=\d)[, ](?=\d{3}\b)", "", text)
+    return tuple(float(found) for found in re.findall(r"\d+(?:\.\d+)?(?:e-?\d+)?", plain))
+
+
+def is_among(number: str, known: Iterable[float]) -> bool:
+    """Whether a known number, rounded as this one is, equals it."""
+    (value,) = values(number)
+    places = len(number.partition(".")[2]) if "e" not in number else None
+    return any(one == value if places is None else abs(round(one, places) - value) < 1e-9 for one in known)
+
+
+def sourceless(page: Path, phrases: Sequence[str]) -> list[str]:
+    """Blocks of a page with numbers that no source is known of.
+
+    Args:
+        page: Page in Markdown.
+        phrases: Parts of the page, computed by `stated`, whose numbers are checked in this way.
+
+    Returns:
+        For each such block its numbers and its text.
+    """
+    whole = page.read_text(encoding="utf-8")
+    text, own, found = visible(whole), values(shown(whole)), []
+    for block, introduction in blocks(text):
+        left = block
+        for phrase in phrases:
+            left = left.replace(phrase, " · ")
+        left = VERSION.sub(" · ", re.sub(r"`[^`]*`", "`", left))
+        studies = STUDY.findall(block) or STUDY.findall(introduction)
+        left = re.sub(r"\]\([^)]*\)", "]", left)
+        stated = [match[0] for match in STATED.finditer(left)]
+        known = [*own, *(number for study in studies for number in numbers_of_study(study))]
+        known += [100.0 * number for number in known if number < 1.0]  # 0.45 as 45 %
+        bare = [
+            one for one in stated if not all(is_among(number, known) for number in re.findall(r"\d[\d.,]*\d|\d", one))
+        ]
+        if bare:
+            found.append(f"{', '.join(bare)}   in: {block[:200]}")
+    return found
+
+
+def one_line(text: str) -> str:
+    """Text with each paragraph, item and row in one line."""
+    return "\n".join(block for block, _ in blocks(text))

@@ -1,0 +1,107 @@
+"""No page states a number that nothing regenerates.
+
+A number with a unit, or a decimal fraction, on the README and the guides is one of these:
+
+- part of a phrase of `stated.stated`, which code and data of the product give,
+- part of a phrase of `stated.TESTED`, which a named test measures,
+- shown by the page's own code, commands or generated parts,
+- in the note or the tables of a study that its paragraph, row or item links, or the head or introduction of a table.
+
+Anything else has to get such a source, or to go.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import stated
+from numbers_of_pages import is_among, numbers_of_study, one_line, sourceless, values
+from places import ROOT
+
+DOCS = ROOT / "docs"
+PAGES = [
+    ROOT / "README.md",
+    *(
+        page
+        for page in sorted(DOCS.rglob("*.md"))
+        if not {"api", "environments", "studies", "_build"} & set(page.relative_to(DOCS).parts)
+    ),
+]
+
+WHAT_TO_DO = """Numbers without a source. For each, choose one:
+- delete it, if no reader decides by it;
+- link the study whose note or tables have it, in the same paragraph, row or item;
+- compute its phrase from code or data in tests/docs/stated.py;
+- name the test that measures it in stated.TESTED.
+"""
+
+
+def name_of(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_every_number_of_a_page_has_a_source(page: Path) -> None:
+    tested = [phrase for phrase, _ in stated.TESTED.get(name_of(page), ())]
+    bare = sourceless(page, [*stated.stated().get(name_of(page), ()), *tested, *stated.EVERYWHERE])
+    assert not bare, "\n".join([WHAT_TO_DO, *bare])
+
+
+def test_pages_state_what_code_and_data_give() -> None:
+    absent = []
+    for page, phrases in stated.stated().items():
+        text = one_line((ROOT / page).read_text(encoding="utf-8"))
+        absent += [f"{page}: {phrase}" for phrase in phrases if phrase not in text]
+    assert not absent, "\n".join(["These pages must say this, or tests/docs/stated.py must not:", *absent])
+
+
+@pytest.mark.parametrize(("page", "phrase", "file"), [(page, *one) for page, of in stated.TESTED.items() for one in of])
+def test_a_test_has_the_numbers_that_a_page_takes_from_it(page: str, phrase: str, file: str) -> None:
+    assert phrase in one_line((ROOT / page).read_text(encoding="utf-8"))
+    source = (ROOT / file).read_text(encoding="utf-8")
+    known = (*values(source), *(100.0 * number for number in values(source)))
+    absent = [number for number in values(phrase) if not is_among(f"{number:g}", known)]
+    assert Path(page).name in source or absent == []
+
+
+PAGE = """# A page
+
+A cube slides with 3.94 m/s^2, at 1/540 s, 0.19 as far, 16 384 episodes, version 2 on Python 3.11; `0.5 mm` is code.
+
+| engine | cost |
+|---|---|
+| one | 12 to 14 % |
+| two | 7 mm ([transfer](../studies/transfer/README.md)) |
+
+From [transfer](../studies/transfer/README.md):
+
+- held in 0.96, and 45 %
+- held in 0.1234
+
+<!-- table, written by scripts/x.py -->
+| 0.77 |
+<!-- end of table -->
+
+The table has 0.77.
+
+```python
+print(1)  # 0.31
+wait(2.5)
+```
+
+It prints 0.31 and not 2.5 s.
+"""
+
+
+def test_a_planted_number_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(PAGE, encoding="utf-8")
+    found = [one.partition("   in: ")[0] for one in sourceless(page, ["at 1/540 s"])]
+    assert found == ["3.94 m/s^2, 0.19, 16 384 episodes", "12 to 14 %", "7 mm", "0.1234", "2.5 s"]
+
+
+def test_a_number_is_known_if_it_is_rounded() -> None:
+    assert is_among("0.45", [0.4512]) and not is_among("0.46", [0.4512])
+    assert 0.96 in numbers_of_study("transfer")
+    assert values("1,000,000 of 60 000, -3.5e-2") == (1e6, 6e4, 0.035)
