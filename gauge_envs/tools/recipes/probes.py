@@ -66,7 +66,7 @@ tangents of contacts by the axes of the world have no axis along the slope."""
 HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
 """Turns of the edges of plates that can hop [degrees]."""
 
-HOP_TIPS_RAD = ((-6e-4, -8e-4, 0.0), (6e-4, 8e-4, 0.0))
+HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
 """Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
 
 PLATE_DISTANCE_M = 0.3
@@ -168,10 +168,7 @@ class Probe:
     timestep_s: float
 
     def slide(self, build: Build, friction: float) -> Spread:
-        """Return the friction of plates that slide and cannot turn, by Coulomb's law: straight, and turned.
-
-        All contacts of such a plate slide in one direction, so its friction is theirs. The expected one gives the slope.
-        """
+        """Return the friction of plates that cannot turn, that of their contacts; the expected one gives the slope."""
         slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
         leans = (_lean(slope, turn_deg) for turn_deg in (0.0, TURN_DEG))
         found = [self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean)[0] for lean in leans]
@@ -184,8 +181,8 @@ class Probe:
         """
         lean = _lean(math.atan(friction) + math.radians(SLIDE_BEYOND_DEG))
         plates = [
-            self._plate(lean, turn=Rotation.from_rotvec(tip_rad) * _lean(0.0, turn_deg), place=place)
-            for place, (turn_deg, tip_rad) in enumerate(product(HOP_TURNS_DEG, HOP_TIPS_RAD), start=-4)
+            self._plate(lean, turn=Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn), place=place)
+            for place, (turn, tip) in enumerate(product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD), start=-4)
         ]
         found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
         return Spread.of(found), max(lifts_m)

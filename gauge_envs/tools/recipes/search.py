@@ -142,8 +142,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     """Return the settings of an engine that come nearest to a behaviour, with what they give.
 
     The rule of the engine's backend is the first proposal. What it misses is sought along one number of it, first the
-    depth of a soft contact, then restitution. The coefficient of friction is the asked one: it is that of every contact
-    that slides, and another one would make up for hops of one body.
+    depth of a soft contact, then restitution. The coefficient of friction is the asked one, that of sliding contacts.
 
     Args:
         engine: Class of the engine's settings.
