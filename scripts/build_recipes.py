@@ -168,7 +168,7 @@ def summary() -> str:
             errors = [100.0 * (float(row[name].split()[0]) / float(row["friction"]) - 1.0) for row in rows]
             cells.append(f"{max(errors, key=abs) if digits == 2 else min(errors):+.{digits}f} %")
         walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
-        lines.append([*cells, f"{min(walls):.2g} to {max(walls):.2g}"])
+        lines.append([*cells, f"{min(walls):.2g} to {max(walls):.3g}"])
     misses = [
         f"- {row['engine']}, friction {row['friction']}, restitution {row['restitution']}, {row['mass [kg]']} kg, step "
         f"{row['step [s]']} s: friction {row['friction reached']}, restitution {row['restitution reached']}"
