@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import shutil
 import signal
 import socket
 import subprocess
@@ -20,6 +19,7 @@ from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from uuid import uuid4
 
 from places import ROOT
 
@@ -129,7 +129,7 @@ class Fork:
 @cache
 def start() -> tuple[subprocess.Popen[bytes], str]:
     """Start the server of this process, and return it and where it listens."""
-    address = str(Path(tempfile.mkdtemp(prefix="gauge-forks-")) / "socket")
+    address = f"\0gauge-forks-{os.getpid()}-{uuid4()}"  # Linux names such a socket without a file.
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(address)
     listener.listen()
@@ -147,9 +147,7 @@ def start() -> tuple[subprocess.Popen[bytes], str]:
 def stop() -> None:
     """End the server, if it runs."""
     if start.cache_info().currsize:
-        server, address = start()
-        server.communicate()
-        shutil.rmtree(Path(address).parent)
+        start()[0].communicate()
 
 
 def _forked(command: Sequence[str], streams: Sequence[int], env: Mapping[str, str] | None) -> Fork:

@@ -19,9 +19,10 @@ from gauge_envs.experiments.variants import find_variant
 
 # What the list of an experiment loads is then there for every fork.
 gauge_envs.tools.catalog.listing.list_rows([find_variant("SlopeSlider-2-wood")])
-# Engines of other packages answer in forks too.
-isolation.subprocess = fork_server.STAND_IN
-fork_server.start()
+if sys.platform == "linux":
+    # Engines of other packages answer in forks too.
+    isolation.subprocess = fork_server.STAND_IN
+    fork_server.start()
 # The end of a fork would otherwise copy all that the imports have made.
 gc.collect()
 gc.freeze()
