@@ -2,7 +2,8 @@
 
     python scripts/build_engine_table.py --results DIR                  measures what DIR lacks, then writes both files
     python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
-    python scripts/build_engine_table.py --results DIR --grades         runs what the ranks need; writes the ranks only
+    python scripts/build_engine_table.py --results DIR --grades         runs what ranks need; writes scores and ranks
+    python scripts/build_engine_table.py --results DIR --scores         scores what DIR holds again; writes the same
     python scripts/build_engine_table.py --again CHECK                  runs a check again in all configurations
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
     python scripts/build_engine_table.py --tables                       prints all tables of the data
@@ -11,9 +12,12 @@
 DIR keeps the result files and the conformance checks, one folder for each configuration, so that the script can be
 stopped at any time. Wall times are ratios to MuJoCo's default preset, which runs right before each episode.
 
-Ranks compare all configurations, whose result files must be in DIR together. `--grades` measures no cost and no checks,
-so that a new engine joins the ranks without a second measurement of the others. An engine of another environment runs
-there, with `--engine` and the same DIR; ranks are written where all configurations are complete.
+Ranks compare the configurations that fail no conformance check, neither in the data file nor in
+`scoring/conformance.json`; the others stand apart with their scores. They run with the published constants, and where
+the reference is the mean of real trials with the parameter set `effective`. All result files must be in DIR together.
+`--grades` measures no cost and no checks, so that a new engine joins the ranks without a second measurement of the
+others. An engine of another environment runs there, with `--engine` and the same DIR; ranks are written where all
+configurations are complete. Trajectories are scored again by the present code each time.
 
 `--again` is for a conformance check that changed: it moves the check between the passed, failed and declined ones.
 """
@@ -37,12 +41,15 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, Result
-from gauge_envs.runs.result_file import load_result, result_file_name, write_result
-from gauge_envs.tools.compare.comparison import compare
-from gauge_envs.tools.compare.grades import GradeComparison
+from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
+from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import run_checks
+from gauge_envs.tools.conformance.matrix import read_columns
+from gauge_envs.tools.leaderboard.trajectory import rescored
 
 DATA = SCORING / "engines.json"
+CONFORMANCE = SCORING / "conformance.json"
 PAGE = ROOT / "docs" / "engines" / "comparison.md"
 SCRIPT = Path(__file__).name
 
@@ -64,8 +71,14 @@ LAWS += ("Turntable-1-wood", "Turntable-1-plastic", "Turntable-1-metal")
 RECORDINGS = ("SlopeSlider-3-metal", "Turntable-3-metal")
 BALL, CRADLE, PENDULUM, WALL = "BouncingBall-rubber", "NewtonsCradle-metal", "Pendulum-metal", "WallBreaking-wood"
 VARIANTS = (*SLIDES, BALL, *LAWS, *RECORDINGS, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
-GRADED = (*SLIDES, BALL, *LAWS, *RECORDINGS)
+TRIALS = (*SLIDES, BALL)
+"""Variants whose reference is the mean of real trials; they run with the constants of these trials too."""
+
+GRADED = (*TRIALS, *LAWS, *RECORDINGS)
 """Variants with a reference, which the ranks compare."""
+
+EFFECTIVE = "effective"
+"""Parameter set with the constants that the real trials show."""
 
 TIMED = ("SlopeSlider-2-wood", BALL, "Turntable-2-wood", CRADLE, PENDULUM, WALL)
 
@@ -168,7 +181,7 @@ def rebound_ratio(result: Result) -> float | None:
 
 def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
     """Return what the page states about one configuration, JSON-ready."""
-    results = {one.id.removeprefix("GAUGE/"): one for one in map(load_result, sorted(folder.glob("*-*.json")))}
+    results = {one.id.removeprefix("GAUGE/"): one for one in loaded(folder) if one.parameters == PUBLISHED}
     ratios = json.loads((folder / "ratios.json").read_text(encoding="utf-8"))
     checks = conformance(engine, preset, folder / "conformance.jsonl")
     by_status = {status: [one["check"] for one in checks if one["status"] == status] for status in STATUSES}
@@ -219,78 +232,122 @@ def episode_record(result: Result) -> dict[str, Any]:
     return {
         "outcome": result.outcome.value,
         "grade": result.score.grade,
+        "primary": result.score.primary,
         "reason": result.error or result.diverged_reason,
     } | {name: value for name, value in values.items() if value is not None}
 
 
-def grade_record(grade: GradeComparison, names: Sequence[str]) -> dict[str, Any]:
-    """Return the ranks of one grade and the pairs that are not distinguishable, JSON-ready."""
+def loaded(folder: Path) -> list[Result]:
+    """Return the results in the folder of a configuration."""
+    return [load_result(file) for file in sorted(folder.glob("*-*.json"))]
+
+
+def name_of_run(one: RunConfiguration) -> str:
+    """Return the name of the configuration of a run."""
+    return name_of(one.backend or "", one.settings_given.get("preset", ""))
+
+
+def grade_record(comparison: Comparison, grade: GradeComparison) -> dict[str, Any]:
+    """Return the ranks of one grade and what decides them, JSON-ready."""
+    names = [name_of_run(one) for one in comparison.configurations]
     return {
-        "grade": grade.name,
+        "grade": grade.grade,
+        "constants": grade.constants,
         "ids": list(grade.ids),
-        "scores": [
-            {"configuration": names[one.configuration], "rank": one.rank, "mean": one.mean.value}
-            | {"interval_95": list(one.mean.interval_95)}
-            for one in grade.scores
-            if one.mean is not None
+        "ranked": [
+            {
+                "configuration": names[one.configuration],
+                "rank": one.rank,
+                "mean_rank": one.mean_rank.value,
+                "mean_rank_95": list(one.mean_rank.interval_95),
+                "ranks": {of.id: list(of.ranks[one.configuration].interval_95) for of in grade.experiments},
+            }
+            for one in grade.ranked
+            if one.mean_rank is not None
         ],
-        "indistinguishable": [
-            [names[pair.first], names[pair.second]] for pair in grade.pairs if not pair.distinguishable
+        "pairs_apart": {one.id: [one.distinguishable_count, one.pair_count] for one in grade.experiments},
+        "apart": [
+            [names[pair.closer], names[pair.first + pair.second - pair.closer]]
+            for pair in grade.common_pairs
+            if pair.distinguishable
         ],
     }
 
 
 def gather(results: Path, configurations: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    """Return the content of the data file from the folders of all configurations."""
-    every = [load_result(file) for one in configurations for file in sorted(folder_of(results, *one).glob("*-*.json"))]
-    comparison = compare(every)
-    names = [name_of(one.backend or "", one.settings_given.get("preset", "")) for one in comparison.configurations]
-    return {
-        "configurations": [record(*one, folder_of(results, *one)) for one in configurations],
-        "grades": [grade_record(one, names) for one in comparison.grades],
-    }
+    """Return the measured configurations for the data file, from their folders."""
+    return {"configurations": [record(*one, folder_of(results, *one)) for one in configurations]}
 
 
 def run_graded(engine: str, preset: str, folder: Path) -> None:
     """Run the graded episodes of a configuration that its folder lacks."""
-    requests = [RunRequest(variant, backend=engine, settings=settings_of(engine, preset)) for variant in GRADED]
+    settings = settings_of(engine, preset)
+    requests = [RunRequest(variant, backend=engine, settings=settings) for variant in GRADED]
+    requests += [RunRequest(variant, backend=engine, settings=settings, parameters=EFFECTIVE) for variant in TRIALS]
     for result in run_many(requests, out=folder, resume=True):
-        print(
-            f"{name_of(engine, preset)}: {result.id} {result.outcome.value} {result.error or ''}".rstrip(), flush=True
-        )
+        of = f"{name_of(engine, preset)}: {result.id} {result.parameters}"
+        print(f"{of} {result.outcome.value} {result.error or ''}".rstrip(), flush=True)
 
 
-def ranked(results: Path, configurations: Sequence[tuple[str, str]]) -> list[dict[str, Any]]:
-    """Return the ranks of all configurations, JSON-ready.
+def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
+    """Return the graded episodes of a configuration, scored again.
 
     Raises:
-        SystemExit: A folder lacks an episode.
+        SystemExit: The folder lacks an episode.
     """
-    every: list[Result] = []
-    for engine, preset in configurations:
-        files = sorted(folder_of(results, engine, preset).glob("*-*.json"))
-        chosen = [one for one in map(load_result, files) if one.id.removeprefix("GAUGE/") in GRADED]
-        missing = set(GRADED) - {one.id.removeprefix("GAUGE/") for one in chosen}
-        if missing:
-            raise SystemExit(f"no ranks: {name_of(engine, preset)} lacks {', '.join(sorted(missing))}")
-        every += chosen
-    comparison = compare(every)
-    names = [name_of(one.backend or "", one.settings_given.get("preset", "")) for one in comparison.configurations]
-    return [grade_record(one, names) for one in comparison.grades]
+    wanted = {(variant, PUBLISHED) for variant in GRADED} | {(variant, EFFECTIVE) for variant in TRIALS}
+    found = {(one.id.removeprefix("GAUGE/"), str(one.parameters)): one for one in loaded(folder)}
+    if missing := wanted - set(found):
+        lacking = ", ".join(f"{variant} {parameters}" for variant, parameters in sorted(missing))
+        raise SystemExit(f"no ranks: {name_of(engine, preset)} lacks {lacking}")
+    return [rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)]
+
+
+def failed_checks(known: Mapping[str, Any]) -> int:
+    """Return how many conformance checks a configuration fails, by the data file or by that of conformance."""
+    name = known["preset"] or "default"
+    columns = [one for one in read_columns(CONFORMANCE) if (one.backend, one.name) == (known["engine"], name)]
+    bad = [sum(finding.is_bad for finding in one.findings.values()) for one in columns]
+    return max([len(known["conformance"]["failed"]), *bad])
+
+
+def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
+    """Return the data with the present scores of all graded episodes, and the ranks of what fails no check."""
+    configurations, ranked = [], []
+    for one in known["configurations"]:
+        name = name_of(one["engine"], one["preset"])
+        every = graded_results(one["engine"], one["preset"], folder_of(results, one["engine"], one["preset"]))
+        print(f"{name}: scored", flush=True)
+        episodes = {
+            parameters: {
+                result.id.removeprefix("GAUGE/"): episode_record(result)
+                for result in every
+                if result.parameters == parameters
+            }
+            for parameters in (PUBLISHED, EFFECTIVE)
+        }
+        fails = failed_checks(one)
+        configurations.append(
+            {
+                **one,
+                "episodes": {**one["episodes"], **episodes[PUBLISHED]},
+                EFFECTIVE: episodes[EFFECTIVE],
+                "fails": fails,
+            }
+        )
+        ranked += [] if fails else every
+    comparison = compare(ranked)
+    return {"configurations": configurations, "grades": [grade_record(comparison, one) for one in comparison.grades]}
 
 
 def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the known data with the measured configurations in place of older ones.
-
-    Ranks compare all configurations, so they are kept where the measured ones lack any.
-    """
+    """Return the known data with the measured configurations in place of older ones; ranks stay."""
     order = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
-    rows = {(one["engine"], one["preset"]): one for one in (*known["configurations"], *measured["configurations"])}
-    is_complete = len(measured["configurations"]) == len(rows)
-    return {
-        "configurations": [rows[one] for one in order if one in rows],
-        "grades": measured["grades"] if is_complete else known["grades"],
-    }
+    rows = {(one["engine"], one["preset"]): one for one in known["configurations"]}
+    for one in measured["configurations"]:
+        place = (one["engine"], one["preset"])
+        rows[place] = {**rows.get(place, {}), **one}
+    return {"configurations": [rows[one] for one in order if one in rows], "grades": known["grades"]}
 
 
 def checked_again(configuration: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -340,8 +397,6 @@ def number(value: float | None, digits: int) -> str:
 def page(data: Mapping[str, Any]) -> str:
     """Return the generated part of the page: the main numbers of each configuration."""
     rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
-    ranks = {grade["grade"]: {one["configuration"]: one for one in grade["scores"]} for grade in data["grades"]}
-    counts = [f"{len(grade['ids'])} ids of grade `{grade['grade']}`" for grade in data["grades"]]
     lines = [
         f"Measured with {versions(data)}.",
         "",
@@ -356,16 +411,7 @@ def page(data: Mapping[str, Any]) -> str:
             ((name, *main_cells(one)) for name, one in rows),
         ),
         "",
-        "### Ranks",
-        "",
-        "Rank, and mean of the primary score with its 95 % interval, over "
-        f"{', '.join(counts)}. A rank is one more than "
-        "the number of configurations with a distinguishably lower mean.",
-        "",
-        *markdown_table(
-            ("configuration", *ranks),
-            ((name, *(ranked_text(scores.get(name)) for scores in ranks.values())) for name, _ in rows),
-        ),
+        *rank_lines(data, rows),
     ]
     return "\n".join(lines)
 
@@ -385,13 +431,75 @@ def main_cells(one: Mapping[str, Any]) -> list[str]:
     return [counts, *(percent(laws[name]) for name in MAIN_RATIOS), number(laws["energy loss"], 3), cost]
 
 
-def ranked_text(score: Mapping[str, Any] | None) -> str:
-    """Return the rank of a configuration in a grade with its mean score."""
-    return (
-        ""
-        if score is None
-        else "{}: {:.2f} [{:.2f}, {:.2f}]".format(score["rank"], score["mean"], *score["interval_95"])
+def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Iterator[str]:
+    """Yield the ranks of each grade, and the scores of configurations that fail a check."""
+    titles = {
+        ("trials", PUBLISHED): "Real trials, published constants",
+        ("trials", EFFECTIVE): "Real trials, constants of these trials",
+        ("recording", PUBLISHED): "One recording, published constants",
+        ("law", PUBLISHED): "Laws, published constants",
+    }
+    passing = sum(not one["fails"] for _, one in rows)
+    yield from ("### Ranks", "")
+    yield (
+        f"Among the {passing} configurations that fail no check. A cell has the score, 1 being a typical trial, and "
+        "the best to worst rank in this experiment: behind those that are distinguishably closer, before those that "
+        "are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference of at most "
+        f"{NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
     )
+    by_name = dict(rows)
+    for grade in data["grades"]:
+        key = (grade["grade"], grade["constants"])
+        if key not in titles:
+            continue
+        yield from ("", f"#### {titles[key]}", "")
+        head = ("configuration", *(name.removeprefix("GAUGE/") for name in grade["ids"]), "mean rank")
+        yield from markdown_table(head, (ranked_cells(one, by_name, grade) for one in grade["ranked"]))
+        counts = [f"{count[0]} of {count[1]}" for count in (grade["pairs_apart"][name] for name in grade["ids"])]
+        further: dict[str, list[str]] = {}
+        for closer, other in grade["apart"]:
+            further.setdefault(closer, []).append(other)
+        pairs = [f"{closer} than {', '.join(others)}" for closer, others in further.items()]
+        yield ""
+        yield (
+            f"Distinguishable pairs in each, in this order: {', '.join(counts)}. Distinguishably closer in more than "
+            f"half: {'; '.join(pairs) or 'no configuration'}."
+        )
+    yield from ("", "#### Not ranked", "")
+    yield "These fail conformance checks, so a low score may be two errors that cancel. Primary scores against trials:"
+    yield ""
+    short = [*(name.rsplit("-", 1)[1] for name in SLIDES), "ball"]
+    head = ("configuration", "", *short, *(f"{name}, trials' constants" for name in short))
+    apart = (
+        (name, f"fails {one['fails']} checks; not ranked", *apart_cells(one)) for name, one in rows if one["fails"]
+    )
+    yield from markdown_table(head, apart)
+
+
+def ranked_cells(
+    score: Mapping[str, Any], rows: Mapping[str, Mapping[str, Any]], grade: Mapping[str, Any]
+) -> list[str]:
+    """Return the cells of a configuration in the table of a grade."""
+    known = rows[score["configuration"]]
+    episodes = known["episodes"] if grade["constants"] == PUBLISHED else known[EFFECTIVE]
+    cells = [score["configuration"]]
+    for name in grade["ids"]:
+        low, high = (round(end) for end in score["ranks"][name])
+        place = f"{low}" if low == high else f"{low}-{high}"
+        cells.append(f"{primary(episodes[name.removeprefix('GAUGE/')])}; {place}")
+    low, high = score["mean_rank_95"]
+    return [*cells, f"{score['mean_rank']:.1f} [{low:.1f}, {high:.1f}]"]
+
+
+def apart_cells(one: Mapping[str, Any]) -> list[str]:
+    """Return the scores against real trials, with the published constants and with those of the trials."""
+    return [primary(episodes[name]) for episodes in (one["episodes"], one[EFFECTIVE]) for name in TRIALS]
+
+
+def primary(episode: Mapping[str, Any]) -> str:
+    """Return the primary score of an episode, or its outcome."""
+    value = episode.get(f"{episode.get('primary') or 'rmse'}_normalized")
+    return episode["outcome"] if value is None else f"{value:.2f}"
 
 
 # --- all tables ------------------------------------------------------------------------------------------------------
@@ -468,6 +576,26 @@ def other_cells(one: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def measured(options: argparse.Namespace, known: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the known data with what the options ask to measure or to score."""
+    engines = options.engine or ENGINES
+    if options.again:
+        changed = [
+            checked_again(one, options.again) if one["engine"] in engines else one for one in known["configurations"]
+        ]
+        return {**known, "configurations": changed}
+    chosen = [(engine, preset) for engine in engines for preset in presets_of(engine)]
+    for engine, preset in chosen:
+        folder = folder_of(options.results, engine, preset)
+        if options.grades:
+            run_graded(engine, preset, folder)
+        elif not options.scores:
+            measure(engine, preset, folder, VARIANTS)
+    if options.grades or options.scores:
+        return scored_again(known, options.results)
+    return merged(known, gather(options.results, chosen))
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script; return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -478,31 +606,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     mode.add_argument("--tables", action="store_true", help="print all tables of the data file")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="measure this engine only; repeatable")
-    parser.add_argument("--grades", action="store_true", help="run what the ranks need, and write the ranks alone")
+    parser.add_argument("--grades", action="store_true", help="run what the ranks need, and write scores and ranks")
+    parser.add_argument("--scores", action="store_true", help="write scores and ranks of what the folder holds")
     options = parser.parse_args(arguments)
-    every = [(engine, preset) for engine in ENGINES for preset in presets_of(engine)]
-    if options.results and options.grades:
-        for engine, preset in every:
-            if engine in (options.engine or ENGINES):
-                run_graded(engine, preset, folder_of(options.results, engine, preset))
+    if (options.grades or options.scores) and options.results is None:
+        parser.error("--grades and --scores need --results DIR")
+    if options.results or options.again:
         known = json.loads(DATA.read_text(encoding="utf-8"))
-        data = json_ready({**known, "grades": ranked(options.results, every)})
-        write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
-    elif options.results:
-        for engine in options.engine or ENGINES:
-            for preset in presets_of(engine):
-                measure(engine, preset, folder_of(options.results, engine, preset), VARIANTS)
-        present = [one for one in every if (folder_of(options.results, *one) / "conformance.jsonl").is_file()]
-        known = json.loads(DATA.read_text(encoding="utf-8"))
-        data = json_ready(merged(known, gather(options.results, present)))
-        write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
-    elif options.again:
-        data = json.loads(DATA.read_text(encoding="utf-8"))
-        data["configurations"] = [
-            checked_again(one, options.again) if one["engine"] in (options.engine or ENGINES) else one
-            for one in data["configurations"]
-        ]
-        write_whole(DATA, (json.dumps(data, indent=1) + "\n").encode())
+        write_whole(DATA, (json.dumps(json_ready(measured(options, known)), indent=1) + "\n").encode())
     data = json.loads(DATA.read_text(encoding="utf-8"))
     if options.tables:
         print("\n".join(tables(data)))

@@ -22,7 +22,7 @@ from trial_worlds import CHOSEN_ON, HELD_OUT, WORLDS, FloatArray, World, align, 
 from gauge_envs.evaluation.deviation import percentile_interval
 from gauge_envs.evaluation.uncertainty import BandErrors, band_errors
 from gauge_envs.tools.compare.draws import ScoreDraws
-from gauge_envs.tools.compare.grades import GradedExperiment, compare_pair
+from gauge_envs.tools.compare.grades import GradedExperiment, compare_pairs
 
 TABLE = Path(__file__).with_name("coverage.csv")
 NOTE = Path(__file__).with_name("README.md")
@@ -143,10 +143,9 @@ def _measure_kind(
                 primary_influences=influences,
             )
         )
-    experiment = GradedExperiment(id="one", draws=tuple(scores), published={})
+    experiment = GradedExperiment(id="one", draws=tuple(scores))
     for pair in PAIRS:
-        found = compare_pair([experiment], pair)
-        assert found is not None
+        (found,) = compare_pairs([experiment], [pair])[0].experiments
         difference = truth.ratio(kind, pair[0]) - truth.ratio(kind, pair[1])
         tally[f"{kind} pair", "".join("ABC"[one] for one in pair)][verdict(found.difference_95, difference)] += 1
 

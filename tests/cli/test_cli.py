@@ -132,7 +132,7 @@ def test_declined_experiments_are_reported_and_count_only_when_named(gauge):
 
 
 def test_a_parameter_set_that_some_lack(gauge):
-    result = gauge("run", "BouncingBall-*", "SlopeSlider-2-*", "--parameters", "effective")
+    result = gauge("run", "BouncingBall-*", "Turntable-1-*", "--parameters", "effective")
     assert result.exit_code == 0
     assert "has no parameter set 'effective'" in result.stdout
     assert "1 finished, 3 declined" in result.stderr

@@ -548,6 +548,11 @@ def others() -> dict[str, list[str]]:
             f"more than {1e3 * of('observables.observer.MARKER_REACH_M'):g} mm from its node",
         ],
         "docs/architecture.md": [f"at most {NOTE_WORDS} words"],
+        "docs/commands.md": [
+            f"have the same resampled real mean in {of('evaluation.uncertainty.DRAW_COUNT')} draws",
+            f"at {100 * of('tools.compare.grades.ERROR_RATE'):.0f} % the two are *distinguishable*",
+            f"A difference of at most {of('tools.compare.significance.NEGLIGIBLE')}, which tables do not show",
+        ],
         "docs/report_site.md": [f"after {of('tools.site.experiment_page.MOST_SECONDS'):g} s"],
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",

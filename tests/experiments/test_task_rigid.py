@@ -251,6 +251,14 @@ def test_ball_parameter_sets_are_the_recorded_means() -> None:
         assert contact.restitution == facts["rebound_ratio"]["mean"]
 
 
+@pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
+def test_the_effective_friction_is_that_of_the_recorded_slides(material: str) -> None:
+    file = data_folder("scoring") / "facts" / "slope_slider_30deg_summary.toml"
+    facts = tomllib.loads(file.read_text(encoding="utf-8"))
+    contact, _ = experiment(f"SlopeSlider-2-{material}", "effective").scene.contacts
+    assert contact.friction == facts[material]["friction"]["mean"]
+
+
 def test_cradle_starts_level_and_its_effective_restitution_transfers_the_recorded_share() -> None:
     scene = experiment("NewtonsCradle-metal", "effective").scene
     assert ((1.0 + scene.contacts[0].restitution) / 2.0) ** 4 == pytest.approx(0.9302, abs=1e-12)

@@ -140,7 +140,7 @@ def test_one_that_cannot_run_does_not_stop_the_others(tmp_path, monkeypatch):
 
 def test_a_missing_parameter_set_declines():
     declined, finished = run_many(
-        [RunRequest(name, parameters="effective") for name in ("SlopeSlider-2-wood", "BouncingBall-rubber")]
+        [RunRequest(name, parameters="effective") for name in ("Turntable-1-wood", "BouncingBall-rubber")]
     )
     assert (declined.outcome, finished.outcome) == (Outcome.DECLINED, Outcome.FINISHED)
     assert "effective" in declined.error

@@ -6,10 +6,12 @@ from gauge_envs.tools import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.compare.comparison import Cell, Comparison, ExperimentComparison, compare
-    from gauge_envs.tools.compare.grades import GradeComparison, GradeScore, PairComparison, compare_grade
-    from gauge_envs.tools.compare.words import comparison_document, verdict_text
+    from gauge_envs.tools.compare.grades import DIFFERENT, PUBLISHED, GradeComparison, GradeScore, PairComparison
+    from gauge_envs.tools.compare.words import comparison_document, deciding_text, mean_rank_text, p_text, verdict_text
 
 __all__ = [
+    "DIFFERENT",
+    "PUBLISHED",
     "Cell",
     "Comparison",
     "ExperimentComparison",
@@ -17,8 +19,10 @@ __all__ = [
     "GradeScore",
     "PairComparison",
     "compare",
-    "compare_grade",
     "comparison_document",
+    "deciding_text",
+    "mean_rank_text",
+    "p_text",
     "verdict_text",
 ]
 

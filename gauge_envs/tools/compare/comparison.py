@@ -17,6 +17,7 @@ from gauge_envs.pages.results import (
     PERCENTILES,
     SCORE_METRICS,
     configuration_labels,
+    configuration_parts,
     normalized_score,
     raw_score,
     score_interval,
@@ -156,12 +157,12 @@ class ExperimentComparison:
 
     def graded(self) -> GradedExperiment:
         """Return the scores of this experiment for a comparison within its grade."""
+        counts = [result.score.trial_count for cell in self.cells if cell is not None for result in cell.results]
         return GradedExperiment(
             id=self.id,
             draws=tuple(None if cell is None else cell.draws for cell in self.cells),
-            published=self.published("rmse") or {},
             intervals=tuple(None if cell is None else cell.interval_95(self.primary) for cell in self.cells),
-            raw_intervals=tuple(None if cell is None else cell.interval_95("rmse") for cell in self.cells),
+            trial_count=next(filter(None, counts), None),
         )
 
 
@@ -217,9 +218,28 @@ class Comparison:
             groups.setdefault((BandGrade(one.grade), one.withheld), []).append(one)
         order = list(BandGrade)
         return tuple(
-            compare_grade(grade.value, withheld=withheld, experiments=[one.graded() for one in groups[grade, withheld]])
-            for grade, withheld in sorted(groups, key=lambda group: (order.index(group[0]), group[1]))
-            if any(cell is not None and cell.draws for one in groups[grade, withheld] for cell in one.cells)
+            found
+            for group in sorted(groups, key=lambda group: (order.index(group[0]), group[1]))
+            for found in self.compare_within(groups[group])
+        )
+
+    def compare_within(self, experiments: Sequence[ExperimentComparison]) -> tuple[GradeComparison, ...]:
+        """Return ranks and pairs in experiments of one grade: configurations with the same constants, then the others.
+
+        Args:
+            experiments: Experiments of the same grade, at least one.
+        """
+        first = experiments[0]
+        graded = [one.graded() for one in experiments]
+        return compare_grade(first.grade, withheld=first.withheld, experiments=graded, constants=self._constants)
+
+    @cached_property
+    def _constants(self) -> tuple[str, ...]:
+        """Name of the constants of each configuration: its parameters, and the scene that it edits."""
+        kinds = ("parameters", "asset")
+        return tuple(
+            ", ".join(text for kind, text in configuration_parts(one, digits=17) if kind in kinds)
+            for one in self.configurations
         )
 
     @property

@@ -1,35 +1,35 @@
-"""Configurations compared within one grade of reference: means over experiments, pairs, and ranks.
+"""Configurations compared in each experiment, and over the experiments of one grade of reference: pairs and ranks.
 
-Nothing is averaged across grades, because they answer different questions: `trials` compares with the mean of real
-trials, `recording` with one of them, and `law` with a closed form. Withheld bands are a group of their own.
+Nothing is compared across grades, because they answer different questions: `trials` compares with the mean of real
+trials, `recording` with one of them, and `law` with a closed form. Withheld bands are a group of their own, and so are
+configurations with the same constants: a rank among engines of which some have better constants ranks the constants.
 
-Draws are paired between configurations (`analysis.draws`). The interval of a difference in one experiment is between
-percentiles of its draws. A distance plus an error is longer on average, which adds up in a mean over experiments. The
-interval of a mean over several experiments therefore holds both the percentiles and the bias-corrected percentiles
-(Efron 1981). Over one experiment the mean is the score and has its interval, which also holds the truth of a score that
-is below its errors: in 98 % of simulated realities, where that of the draws does so in 88 %. Two configurations are
-distinguishable if the 95 % interval of their difference excludes zero. Each pair has its own 95 %: nothing is corrected
-for the number of pairs.
+Draws are paired between configurations (`draws`). A pair has a p-value in each experiment (`significance`), corrected
+for the number of pairs in that experiment by Holm. Below 0.05 the two are distinguishable.
+A difference of at most `NEGLIGIBLE` counts as none.
 
-Over the experiments of a grade, the difference is the mean difference of the normalized scores, with the experiments
-taken as given. A mean difference of logarithms would weight them equally. But the logarithm of a score that is below
-its errors is not determined, and its interval misses the truth in simulated realities. That of the difference holds it
-in at least 91 % (`tests/tools/compare/test_pairs.py`). The same limits the interval of the geometric mean.
+Over the experiments of a grade, each experiment counts the same, because in a mean of scores the one with the largest
+decides. A configuration is distinguishably closer than another if it is so in more than half of the experiments, again
+corrected by Holm. The mean rank puts configurations in order. Its interval is not resampled: a resampled rank is too
+certain where configurations are nearly equal, and 2 to 6 experiments are too few to resample. It follows from the pairs
+instead: a configuration ranks behind those that are distinguishably closer, and before those that are distinguishably
+further (Mogstad, Romano, Shaikh and Wilhelm 2024). For a mean over n experiments, the pairs count at 0.05 / n.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.stats import norm
 
 from gauge_envs.evaluation.uncertainty import LEVEL
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
+from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
 FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
@@ -37,18 +37,19 @@ Interval = tuple[float, float]
 TAILS: Interval = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
 """Percentiles at the ends of an interval."""
 
-ROUNDING = 1e-5
-"""Difference of normalized scores that counts as zero: rounding to single precision at 1 m is 0.1 um, of 10 mm."""
+ERROR_RATE = 1.0 - LEVEL
+"""Probability of a wrong verdict among all pairs of a family."""
+
+PUBLISHED = "calibrated"
+"""Constants of configurations with the parameters that the benchmark publishes."""
+
+DIFFERENT = "different constants"
+"""Constants of pairs that do not share them."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Mean:
-    """A mean over experiments.
-
-    Attributes:
-        value: The mean.
-        interval_95: Its 95 % interval.
-    """
+    """A mean with its 95 % interval."""
 
     value: float
     interval_95: Interval
@@ -60,20 +61,35 @@ class GradeScore:
 
     Attributes:
         configuration: Index of the configuration.
-        rank: 1 + number of configurations with a distinguishably lower mean; None without common experiments. Equal
+        rank: 1 + number of configurations that are distinguishably closer; None without common experiments. Equal
             configurations share a rank.
-        mean: Mean of the primary score; None without common experiments.
-        interquartile_mean: Interquartile mean of the primary score.
-        geometric_mean: Geometric mean of the primary score. Its interval is too high if a score is below its errors.
-        geometric_mean_raw: Geometric mean of the raw normalized RMSE, as the paper defines it.
+        mean_rank: Mean over the experiments of the rank in each; None without common experiments.
+        mean: Mean of the primary score. The experiment with the largest scores decides it, so it is no order.
     """
 
     configuration: int
     rank: int | None = None
+    mean_rank: Mean | None = None
     mean: Mean | None = None
-    interquartile_mean: Mean | None = None
-    geometric_mean: Mean | None = None
-    geometric_mean_raw: Mean | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExperimentRanks:
+    """Ranks of configurations in one experiment.
+
+    Attributes:
+        id: Gymnasium id.
+        ranks: Rank of each configuration with a score: 1 + sum of the probabilities that another is closer. The
+            interval reaches from 1 + number of configurations that are distinguishably closer to the number of all
+            minus those that are distinguishably further.
+        pair_count: Number of pairs.
+        distinguishable_count: Number of those that are distinguishable.
+    """
+
+    id: str
+    ranks: Mapping[int, Mean]
+    pair_count: int
+    distinguishable_count: int
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,14 +99,23 @@ class ExperimentDifference:
     Attributes:
         id: Gymnasium id.
         difference: Primary normalized score of the first minus that of the second; negative if the first is closer.
-        difference_95: Its 95 % interval.
-        distinguishable: Whether the interval excludes zero.
+        difference_95: Its 95 % interval, of this pair alone.
+        probability_of_improvement: Probability that the first is closer; a tie counts half.
+        p: Two-sided p-value of this pair alone.
+        p_holm: The same, corrected for all pairs of the experiment.
     """
 
     id: str
     difference: float
     difference_95: Interval
-    distinguishable: bool
+    probability_of_improvement: float
+    p: float
+    p_holm: float
+
+    @property
+    def distinguishable(self) -> bool:
+        """Whether the corrected p-value is below 0.05."""
+        return self.p_holm < ERROR_RATE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,20 +125,18 @@ class PairComparison:
     Attributes:
         first: Index of the first configuration.
         second: Index of the second configuration.
-        difference: Mean over experiments of the primary score of the first minus that of the second.
-        difference_95: Its 95 % interval.
-        distinguishable: Whether the interval excludes zero.
         probability_of_improvement: Probability that the first is closer to reality, mean over experiments and draws; a
             tie counts half.
+        p: Two-sided p-value of one being closer in more than half of the experiments, of this pair alone.
+        p_holm: The same, corrected for all pairs of the grade.
         experiments: Difference in each experiment.
     """
 
     first: int
     second: int
-    difference: float
-    difference_95: Interval
-    distinguishable: bool
     probability_of_improvement: float
+    p: float
+    p_holm: float
     experiments: tuple[ExperimentDifference, ...]
 
     @property
@@ -121,37 +144,57 @@ class PairComparison:
         """Ids of the experiments."""
         return tuple(one.id for one in self.experiments)
 
+    @property
+    def distinguishable(self) -> bool:
+        """Whether the corrected p-value is below 0.05."""
+        return self.p_holm < ERROR_RATE
+
+    @property
+    def closer(self) -> int:
+        """The configuration that is closer in more experiments; the first if both are in as many."""
+        return self.first if sum(np.sign(one.difference) for one in self.experiments) <= 0.0 else self.second
+
+    @property
+    def counts(self) -> tuple[int, int]:
+        """Numbers of experiments in which the first, and in which the second is distinguishably closer."""
+        signs = [one.difference < 0.0 for one in self.experiments if one.distinguishable]
+        return sum(signs), len(signs) - sum(signs)
+
 
 @dataclass(frozen=True, kw_only=True)
 class GradeComparison:
-    """All configurations over the experiments of one grade.
+    """Configurations with the same constants over the experiments of one grade.
 
     Attributes:
         grade: Grade of the references.
         withheld: Whether their bands are withheld by default.
+        constants: Name of the constants; `DIFFERENT` for pairs that do not share them, which have no ranks.
         ids: Experiments that all configurations have scored.
         scores: One entry for each configuration with a score of this grade.
-        published: Geometric mean over `ids` of the published raw scores, by engine; empty for other grades than
-            `trials`, because the paper scored against the mean of real trials.
+        experiments: Ranks in each experiment with a score.
         pairs: Each two configurations with a common scored experiment.
+        common_pairs: The same over `ids` alone, on which ranks depend.
     """
 
     grade: str
     withheld: bool
+    constants: str
     ids: tuple[str, ...]
     scores: tuple[GradeScore, ...]
-    published: Mapping[str, float]
+    experiments: tuple[ExperimentRanks, ...]
     pairs: tuple[PairComparison, ...]
+    common_pairs: tuple[PairComparison, ...]
 
     @property
     def ranked(self) -> list[GradeScore]:
-        """The scores, lowest rank first."""
-        return sorted(self.scores, key=lambda one: (one.rank or 0, one.mean.value if one.mean else 0.0))
+        """The scores, lowest mean rank first."""
+        return sorted(self.scores, key=lambda one: one.mean_rank.value if one.mean_rank else 0.0)
 
     @property
     def name(self) -> str:
-        """Grade, and whether its bands are withheld."""
-        return grade_name(self.grade, withheld=self.withheld)
+        """Grade, whether its bands are withheld, and constants that are not the published ones."""
+        name = grade_name(self.grade, withheld=self.withheld)
+        return name if self.constants == PUBLISHED else f"{name}, {self.constants}"
 
 
 def grade_name(grade: str, *, withheld: bool) -> str:
@@ -166,84 +209,166 @@ class GradedExperiment:
     Attributes:
         id: Gymnasium id.
         draws: Scores of each configuration; None for one that has none.
-        published: Published raw score over the baseline, by engine.
         intervals: 95 % interval of the primary score of each configuration, or None; empty where none is known.
-        raw_intervals: The same for the raw normalized RMSE.
+        trial_count: Number of real trials that the reference is the mean of; None takes the number that the benchmark
+            states.
     """
 
     id: str
     draws: tuple[ScoreDraws | None, ...]
-    published: Mapping[str, float | None]
     intervals: tuple[Interval | None, ...] = ()
-    raw_intervals: tuple[Interval | None, ...] = ()
+    trial_count: int | None = None
 
-    def own_intervals(self, configuration: int) -> tuple[Interval | None, Interval | None]:
-        """Return the intervals of the primary and of the raw score of a configuration."""
-        known = (self.intervals, self.raw_intervals)
-        primary, raw = (one[configuration] if one else None for one in known)
-        return primary, raw
+    def among(self, configurations: Sequence[int]) -> GradedExperiment:
+        """Return the experiment with the scores of these configurations alone."""
+        kept = tuple(one if index in configurations else None for index, one in enumerate(self.draws))
+        return replace(self, draws=kept)
 
 
-def compare_grade(grade: str, *, withheld: bool, experiments: Sequence[GradedExperiment]) -> GradeComparison:
-    """Return the comparison of configurations over experiments of one grade.
+def compare_grade(
+    grade: str,
+    *,
+    withheld: bool,
+    experiments: Sequence[GradedExperiment],
+    constants: Sequence[str] | None = None,
+) -> tuple[GradeComparison, ...]:
+    """Return a comparison for each set of constants, and one of the pairs that do not share them.
 
     Args:
         grade: The grade.
         withheld: Whether the bands are withheld by default.
         experiments: Experiments of that grade, with the same configurations in the same order.
+        constants: Name of the constants of each configuration; None if all have the published ones.
     """
-    configurations = range(max((len(one.draws) for one in experiments), default=0))
-    present = [index for index in configurations if any(one.draws[index] is not None for one in experiments)]
-    common = [one for one in experiments if present and all(one.draws[index] is not None for index in present)]
-    pairs = [compare_pair(experiments, pair) for pair in combinations(present, 2)]
+    count = max((len(one.draws) for one in experiments), default=0)
+    names = list(constants or [PUBLISHED] * count)
+    present = [index for index in range(count) if any(one.draws[index] is not None for one in experiments)]
+    groups = {name: [index for index in present if names[index] == name] for name in sorted(set(names), key=_order)}
+    found = [
+        _compared(grade, withheld, name, [one.among(members) for one in experiments], members)
+        for name, members in groups.items()
+        if members
+    ]
+    across = [pair for pair in combinations(present, 2) if names[pair[0]] != names[pair[1]]]
+    if pairs := compare_pairs(experiments, across):
+        found.append(
+            GradeComparison(
+                grade=grade,
+                withheld=withheld,
+                constants=DIFFERENT,
+                ids=(),
+                scores=(),
+                experiments=(),
+                pairs=pairs,
+                common_pairs=(),
+            )
+        )
+    return tuple(found)
+
+
+def _order(constants: str) -> tuple[bool, str]:
+    return constants != PUBLISHED, constants
+
+
+def _compared(
+    grade: str, withheld: bool, constants: str, experiments: Sequence[GradedExperiment], members: Sequence[int]
+) -> GradeComparison:
+    common = [one for one in experiments if all(one.draws[index] is not None for index in members)]
     ids = tuple(one.id for one in common)
-    # A rank needs the same experiments for all; a pair may have more in common.
-    ranked = [
-        pair if pair is None or pair.ids == ids else compare_pair(common, (pair.first, pair.second)) for pair in pairs
-    ]
-    worse = [
-        (pair.second if pair.difference < 0.0 else pair.first)
-        for pair in ranked
-        if pair is not None and pair.distinguishable
-    ]
+    pairs = compare_pairs(experiments, list(combinations(members, 2)))
+    # A rank over a grade needs the same experiments for all; a pair may have more in common.
+    is_same = all(pair.ids == ids for pair in pairs)
+    common_pairs = pairs if is_same else compare_pairs(common, list(combinations(members, 2)))
+    ranks = [_experiment_ranks(one, pairs) for one in experiments if any(draws is not None for draws in one.draws)]
+    further = [pair.first + pair.second - pair.closer for pair in common_pairs if pair.distinguishable]
+    strict = ERROR_RATE / max(len(ids), 1)
+    over_common = [_experiment_ranks(one, common_pairs, strict).ranks for one in common]
     return GradeComparison(
         grade=grade,
         withheld=withheld,
+        constants=constants,
         ids=ids,
-        scores=tuple(_grade_score(index, common, 1 + worse.count(index)) for index in present),
-        published=_published(common) if grade == BandGrade.TRIALS.value and not withheld else {},
-        pairs=tuple(pair for pair in pairs if pair is not None),
+        scores=tuple(
+            GradeScore(
+                configuration=index,
+                rank=1 + further.count(index),
+                mean_rank=_mean_rank([ranks[index] for ranks in over_common]),
+                mean=_mean_score(common, index),
+            )
+            if common
+            else GradeScore(configuration=index)
+            for index in members
+        ),
+        experiments=tuple(ranks),
+        pairs=pairs,
+        common_pairs=common_pairs,
     )
 
 
-def _grade_score(index: int, common: Sequence[GradedExperiment], rank: int) -> GradeScore:
-    scores = [known for one in common if (known := one.draws[index]) is not None]
-    if not scores:
-        return GradeScore(configuration=index)
-    values, draws = _stacked(scores, raw=False)
-    raw, raw_draws = _stacked(scores, raw=True)
-    own, raw_own = common[0].own_intervals(index) if len(common) == 1 else (None, None)
-    return GradeScore(
-        configuration=index,
-        rank=rank,
-        mean=_mean(values.mean(axis=0), draws.mean(axis=0), own),
-        interquartile_mean=_mean(interquartile_mean(values), interquartile_mean(draws), own),
-        geometric_mean=_mean(geometric_mean(values), geometric_mean(draws), own),
-        geometric_mean_raw=_mean(geometric_mean(raw), geometric_mean(raw_draws), raw_own),
+# --- pairs -----------------------------------------------------------------------------------------------------------
+
+
+def compare_pairs(
+    experiments: Sequence[GradedExperiment], pairs: Sequence[tuple[int, int]]
+) -> tuple[PairComparison, ...]:
+    """Return the pairs with a common scored experiment; all pairs given are one family for the correction."""
+    known = [found for pair in pairs if (found := _compare_pair(experiments, pair)) is not None]
+    corrected: dict[tuple[int, str], float] = {}
+    for name in {one.id for one in experiments}:
+        of_experiment = [
+            (place, one.p) for place, pair in enumerate(known) for one in pair.experiments if one.id == name
+        ]
+        values = holm([p for _, p in of_experiment])
+        corrected |= {(place, name): p for (place, _), p in zip(of_experiment, values, strict=True)}
+    over_grade = holm([pair.p for pair in known])
+    return tuple(
+        replace(
+            pair,
+            p_holm=p_holm,
+            experiments=tuple(replace(one, p_holm=corrected[place, one.id]) for one in pair.experiments),
+        )
+        for place, (pair, p_holm) in enumerate(zip(known, over_grade, strict=True))
     )
 
 
-def _stacked(scores: Sequence[ScoreDraws], *, raw: bool) -> tuple[FloatArray, FloatArray]:
-    """Return scores of shape [experiment_count], and draws of shape [experiment_count, draw_count]."""
-    means = [one.mean(raw=raw) for one in scores]
-    # The scatter of few repeats may take a draw below zero, where no score is.
-    return np.array([value for value, _ in means]), np.maximum([draws for _, draws in means], 0.0)
+def _compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]) -> PairComparison | None:
+    """Return two configurations by paired bootstrap, not corrected; None without a common scored experiment."""
+    differences = []
+    for one in experiments:
+        first, second = one.draws[pair[0]], one.draws[pair[1]]
+        if first is None or second is None:
+            continue
+        (value, draws), (other, other_draws) = paired_scores(first, second)
+        p = p_value((value, draws), (other, other_draws), degrees=_degrees(one, first, second))
+        apart = draws - other_draws
+        differences.append(
+            ExperimentDifference(
+                id=one.id,
+                difference=value - other,
+                difference_95=_interval(value - other, apart),
+                probability_of_improvement=0.5 * float(np.mean(apart < -NEGLIGIBLE) + np.mean(apart <= NEGLIGIBLE)),
+                p=p,
+                p_holm=p,
+            )
+        )
+    if not differences:
+        return None
+    p = majority_p_value([one.difference for one in differences], [one.p for one in differences])
+    return PairComparison(
+        first=pair[0],
+        second=pair[1],
+        probability_of_improvement=float(np.mean([one.probability_of_improvement for one in differences])),
+        p=p,
+        p_holm=p,
+        experiments=tuple(differences),
+    )
 
 
-def _mean(value: ArrayLike, draws: ArrayLike, own: Interval | None) -> Mean:
-    """Return a mean with the interval of the one score that it is, or with that of its draws."""
-    observed = float(np.asarray(value))
-    return Mean(value=observed, interval_95=own or _mean_interval(observed, np.asarray(draws)))
+def _degrees(experiment: GradedExperiment, *draws: ScoreDraws) -> int:
+    """Return the degrees of freedom of a difference: the least of the trials and of repeats that scatter."""
+    trials = experiment.trial_count or input_uncertainties().trials.count
+    repeats = [len(one.seeds) for one in draws if np.ptp(one.primary) > 0.0]
+    return max(min([trials, *repeats]) - 1, 1)
 
 
 def _interval(value: float, draws: FloatArray) -> Interval:
@@ -252,91 +377,61 @@ def _interval(value: float, draws: FloatArray) -> Interval:
     return min(float(low), value), max(float(high), value)
 
 
+# --- ranks and means -------------------------------------------------------------------------------------------------
+
+
+def _experiment_ranks(
+    experiment: GradedExperiment, pairs: Sequence[PairComparison], error_rate: float = ERROR_RATE
+) -> ExperimentRanks:
+    members = [index for index, draws in enumerate(experiment.draws) if draws is not None]
+    known = [(pair, one) for pair in pairs for one in pair.experiments if one.id == experiment.id]
+    value, low = dict.fromkeys(members, 1.0), dict.fromkeys(members, 1)
+    high = dict.fromkeys(members, len(members))
+    for pair, one in known:
+        value[pair.first] += 1.0 - one.probability_of_improvement
+        value[pair.second] += one.probability_of_improvement
+        if one.p_holm < error_rate:
+            closer, further = (pair.first, pair.second) if one.difference < 0.0 else (pair.second, pair.first)
+            low[further] += 1
+            high[closer] -= 1
+    return ExperimentRanks(
+        id=experiment.id,
+        ranks={
+            index: Mean(value=value[index], interval_95=_holding(value[index], low[index], high[index]))
+            for index in members
+        },
+        pair_count=len(known),
+        distinguishable_count=sum(one.distinguishable for _, one in known),
+    )
+
+
+def _holding(value: float, low: float, high: float) -> Interval:
+    return min(low, value), max(high, value)
+
+
+def _mean_rank(ranks: Sequence[Mean]) -> Mean:
+    low, high = np.mean([one.interval_95 for one in ranks], axis=0)
+    return Mean(value=float(np.mean([one.value for one in ranks])), interval_95=(float(low), float(high)))
+
+
+def _mean_score(common: Sequence[GradedExperiment], index: int) -> Mean:
+    scores = [known.mean() for one in common if (known := one.draws[index]) is not None]
+    # The scatter of few repeats may take a draw below zero, where no score is.
+    draws = np.maximum([drawn for _, drawn in scores], 0.0).mean(axis=0)
+    value = float(np.mean([score for score, _ in scores]))
+    own = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
+    return Mean(value=value, interval_95=own or _mean_interval(value, draws))
+
+
 def _mean_interval(value: float, draws: FloatArray) -> Interval:
     """Return the smallest interval that holds the percentiles of draws, and their bias-corrected percentiles.
 
-    The correction moves the median of the draws to the observed value. It is too large where scores are far below their
-    errors, and the plain percentiles are then the better ones.
+    A distance plus an error is longer on average, which adds up in a mean. The correction (Efron 1981) moves the median
+    of the draws to the observed value. It is too large where scores are far below their errors, and the plain
+    percentiles are then the better ones.
     """
     below = float(np.mean(draws < value) + 0.5 * np.mean(draws == value))
     shift = 2.0 * norm.ppf(np.clip(below, 1.0 / len(draws), 1.0 - 1.0 / len(draws)))
     corrected = norm.cdf(shift + norm.ppf(TAILS))
     low, high = np.quantile(draws, [min(TAILS[0], corrected[0]), max(TAILS[1], corrected[1])])
     return min(float(low), value), max(float(high), value)
-
-
-def _published(common: Sequence[GradedExperiment]) -> dict[str, float]:
-    """Return the geometric mean of published scores, for engines that have all of them."""
-    engines = dict.fromkeys(engine for one in common for engine in one.published)
-    scores = {engine: [one.published.get(engine) for one in common] for engine in engines}
-    return {
-        engine: float(geometric_mean(np.array(values, dtype=np.float64)))
-        for engine, values in scores.items()
-        if None not in values
-    }
-
-
-def compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]) -> PairComparison | None:
-    """Return the comparison of two configurations by paired bootstrap; None without a common scored experiment."""
-    differences, difference_draws, improved = [], [], []
-    for one in experiments:
-        first, second = one.draws[pair[0]], one.draws[pair[1]]
-        if first is None or second is None:
-            continue
-        (value, draws), (other, other_draws) = paired_scores(first, second)
-        interval = _interval(value - other, draws - other_draws)
-        differences.append(
-            ExperimentDifference(
-                id=one.id,
-                difference=value - other,
-                difference_95=interval,
-                distinguishable=_excludes_zero(interval),
-            )
-        )
-        improved.append(np.mean(draws < other_draws) + 0.5 * np.mean(draws == other_draws))
-        difference_draws.append(draws - other_draws)
-    if not differences:
-        return None
-    mean = float(np.mean([one.difference for one in differences]))
-    # The sign of one difference has no bias to correct; a mean of several has.
-    only = differences[0].difference_95 if len(differences) == 1 else None
-    interval_95 = only or _mean_interval(mean, np.mean(difference_draws, axis=0))
-    return PairComparison(
-        first=pair[0],
-        second=pair[1],
-        difference=mean,
-        difference_95=interval_95,
-        distinguishable=_excludes_zero(interval_95),
-        probability_of_improvement=float(np.mean(improved)),
-        experiments=tuple(differences),
-    )
-
-
-def _excludes_zero(interval: Interval) -> bool:
-    return interval[0] > ROUNDING or interval[1] < -ROUNDING
-
-
-def geometric_mean(scores: ArrayLike) -> FloatArray:
-    """Return the geometric mean over the first axis; a score of 0 makes it 0.
-
-    Args:
-        scores: Scores of at least 0, shape [experiment_count, ...].
-    """
-    values = np.asarray(scores, dtype=np.float64)
-    with np.errstate(divide="ignore"):
-        return np.asarray(np.exp(np.log(values).mean(axis=0)))
-
-
-def interquartile_mean(scores: ArrayLike) -> FloatArray:
-    """Return the mean of the middle half of the scores, over the first axis.
-
-    Sorted score i of n stands for the quantiles from i / n to (i + 1) / n. The part of these between 0.25 and 0.75 is
-    its weight, so that the mean is defined for every n.
-
-    Args:
-        scores: Scores, shape [experiment_count, ...].
-    """
-    values = np.sort(np.asarray(scores, dtype=np.float64), axis=0)
-    count = len(values)
-    edges = np.clip(np.arange(count + 1) / count, 0.25, 0.75)
-    return np.asarray(np.tensordot(2.0 * np.diff(edges), values, axes=1))

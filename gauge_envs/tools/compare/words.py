@@ -30,12 +30,13 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.grades import ExperimentDifference, Mean, PairComparison, grade_name
+from gauge_envs.tools.compare.grades import ExperimentDifference, GradeComparison, Mean, PairComparison, grade_name
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
-MEANS = ("mean", "interquartile_mean", "geometric_mean", "geometric_mean_raw")
-"""Means of a `GradeScore`."""
+MOST_NAMED = 4
+"""Number of experiments up to which the rank in each is shown beside their mean."""
 
 PERCENTILE = "percentile"
 """Key of the row with the percentage of real trials that are closer to their mean than the primary score."""
@@ -72,7 +73,7 @@ def comparison_document(
 ) -> Document:
     """Return scores, ranks and pairs of each grade, costs, distances without a reference, and a summary.
 
-    Its rows are the scores of each experiment, the means of each grade, and all pairs; `record` states which.
+    Its rows are the scores of each experiment, the ranks of each grade, and all pairs; `record` states which.
 
     Args:
         comparison: The comparison.
@@ -83,7 +84,9 @@ def comparison_document(
     tables: list[Table] = []
     if rows:
         tables.append(_score_table(comparison, rows))
-    if any(grade.ids for grade in comparison.grades):
+    if any(len(one.ranks) > 1 for grade in comparison.grades for one in grade.experiments):
+        tables.append(_experiment_rank_table(comparison))
+    if any(grade.ids and len(grade.scores) > 1 for grade in comparison.grades):
         tables.append(_ranking_table(comparison))
     if any(grade.pairs for grade in comparison.grades):
         tables += _pair_tables(comparison)
@@ -155,21 +158,33 @@ def _cell_row(cell: Cell, metric: str | None) -> dict[str, Any]:
 
 
 def _grade_records(comparison: Comparison) -> Iterator[dict[str, Any]]:
-    """Yield the means of each grade, then all pairs."""
+    """Yield the ranks of each grade, then all pairs."""
     for grade in comparison.grades:
-        scores: list[dict[str, Any]] = []
-        for one in grade.scores:
-            scores.append({"label": comparison.labels[one.configuration], "rank": one.rank})
-            for key in MEANS:
-                mean: Mean | None = getattr(one, key)
-                scores[-1] |= {key: mean and mean.value, f"{key}_95": mean and mean.interval_95}
-        about = {"record": "grade", "grade": grade.grade, "withheld": grade.withheld, "ids": grade.ids}
-        yield about | {"configurations": scores, "published": grade.published}
+        about = {"grade": grade.grade, "withheld": grade.withheld, "constants": grade.constants}
+        scores = [
+            {
+                "label": comparison.labels[one.configuration],
+                "rank": one.rank,
+                "mean_rank": one.mean_rank and one.mean_rank.value,
+                "mean_rank_95": one.mean_rank and one.mean_rank.interval_95,
+                "ranks": {
+                    of.id: {"value": rank.value, "interval_95": rank.interval_95}
+                    for of in grade.experiments
+                    if (rank := of.ranks.get(one.configuration)) is not None
+                },
+            }
+            for one in grade.scores
+        ]
+        apart = {one.id: [one.distinguishable_count, one.pair_count] for one in grade.experiments}
+        if scores:
+            yield {"record": "grade"} | about | {"ids": grade.ids, "configurations": scores, "distinguishable": apart}
     for grade in comparison.grades:
+        about = {"grade": grade.grade, "withheld": grade.withheld, "constants": grade.constants}
         for pair in grade.pairs:
-            about = {"grade": grade.grade, "withheld": grade.withheld, "ids": pair.ids}
             values = {key: value for key, value in asdict(pair).items() if key not in ("first", "second")}
-            yield {"record": "pair"} | comparison.names(pair) | about | values
+            values["experiments"] = [asdict(one) | {"distinguishable": one.distinguishable} for one in pair.experiments]
+            found = {"ids": pair.ids, "closer_in": pair.counts, "distinguishable": pair.distinguishable}
+            yield {"record": "pair"} | comparison.names(pair) | about | values | found
 
 
 # --- scores ----------------------------------------------------------------------------------------------------------
@@ -281,44 +296,88 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
 # --- grades ----------------------------------------------------------------------------------------------------------
 
 
+def _experiment_rank_table(comparison: Comparison) -> Table:
+    """Return the rank of each configuration in each experiment, and how many pairs it tells apart."""
+    rows = [
+        {
+            "id": one.id,
+            "grade": grade.name,
+            "ranks": [rank_text(one.ranks.get(index)) for index in range(len(comparison.labels))],
+            "apart": f"{one.distinguishable_count} of {one.pair_count}",
+        }
+        for grade in comparison.grades
+        for one in grade.experiments
+        if len(one.ranks) > 1
+    ]
+    return Table(
+        title="Ranks in each experiment",
+        columns=(
+            EXPERIMENT,
+            Column("grade", "grade", place=Place.HEADING),
+            *(Column(f"ranks.{index}", label, is_number=True) for index, label in enumerate(comparison.labels)),
+            Column("apart", "pairs apart", is_number=True),
+        ),
+        rows=rows,
+        notes=(
+            "Best to worst rank: behind those that are distinguishably closer, before those that are distinguishably "
+            "further. Pairs apart: distinguishable pairs; at 5 %, corrected by Holm for all pairs of the experiment. A "
+            f"difference of at most {NEGLIGIBLE} counts as none. "
+            "Only configurations with the same constants are ranked against each other.",
+        ),
+    )
+
+
+def rank_text(rank: Mean | None) -> str:
+    """Return the best and the worst rank of a configuration in an experiment."""
+    if rank is None:
+        return "-"
+    low, high = (round(end) for end in rank.interval_95)
+    return f"{low}" if low == high else f"{low}-{high}"
+
+
 def _ranking_table(comparison: Comparison) -> Table:
-    rows: list[dict[str, Any]] = []
-    for grade in comparison.grades:
-        heading = {"grade": f"{grade.name}, {counted(len(grade.ids), 'experiment')}"}
-        rows += [
-            heading | {"label": comparison.labels[one.configuration]} | vars(one)
-            for one in grade.ranked
-            if one.mean is not None
-        ]
-        rows += [
-            heading | {"label": f"{ENGINE_TITLES[engine]}, paper", "geometric_mean_raw": mean}
-            for engine, mean in grade.published.items()
-        ]
-    means = {
-        "mean": "mean",
-        "geometric_mean_raw": "geometric mean, RMSE",
-        "interquartile_mean": "IQM",
-        "geometric_mean": "geometric mean",
-    }
-
-    def text(mean: Mean | float) -> str:
-        return score_text(mean) if isinstance(mean, float) else interval_text(mean.value, mean.interval_95, score_text)
-
+    rows = [
+        {
+            "grade": f"{grade.name}, {counted(len(grade.ids), 'experiment')}",
+            "label": comparison.labels[one.configuration],
+            "rank": one.rank,
+            "mean_rank": one.mean_rank,
+            "decides": deciding_text(grade, one.configuration),
+        }
+        for grade in comparison.grades
+        for one in grade.ranked
+        if len(grade.scores) > 1 and one.mean_rank is not None
+    ]
     return Table(
         title="Ranking within each grade",
         columns=(
             Column("grade", "grade", place=Place.HEADING),
             Column("label", "configuration"),
+            Column("mean_rank", "mean rank", mean_rank_text, is_number=True),
             Column("rank", "rank", is_number=True),
-            *(Column(key, title, text, is_number=True) for key, title in means.items()),
+            Column("decides", "rank in"),
         ),
         rows=rows,
         notes=(
-            "Rank: 1 + number of configurations with a distinguishably lower mean. Mean, IQM (interquartile mean) and "
-            "geometric mean are of the score that is first above; geometric mean, RMSE: of the raw RMSE, as published. "
-            "Nothing is averaged across grades.",
+            "Mean rank: over the experiments, which all count the same; a rank is 1 + sum of the probabilities that "
+            "another configuration is closer. [low, high]: 95 % interval, from the ranks in all experiments together. "
+            "Rank: 1 + number of configurations that are distinguishably closer in more than half of the experiments. "
+            "Ranks depend on which configurations are compared. Nothing is averaged across grades.",
         ),
     )
+
+
+def mean_rank_text(mean: Mean) -> str:
+    """Return a mean rank with its interval."""
+    return interval_text(mean.value, mean.interval_95, lambda rank: f"{rank:.1f}")
+
+
+def deciding_text(grade: GradeComparison, configuration: int) -> str:
+    """Return the experiments in which a configuration ranks best and worst, all if there are at most four."""
+    ranks = [(one.ranks[configuration].value, one) for one in grade.experiments if one.id in grade.ids]
+    ordered = sorted(ranks, key=lambda entry: entry[0])
+    shown = ordered if len(ordered) <= MOST_NAMED else [ordered[0], ordered[-1]]
+    return ", ".join(f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown)
 
 
 def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
@@ -330,39 +389,56 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
             between = {"between": " : ".join(comparison.names(pair).values())}
             heading = {"grade": f"{grade.name}, {counted(len(pair.ids), 'experiment')}"}
             over_grades.append(heading | between | {"of": pair})
-            about = {"grade": grade.grade, "withheld": grade.withheld}
-            over_experiments += [{"id": one.id} | about | between | {"of": one} for one in pair.experiments]
+            over_experiments += [
+                {"id": one.id, "grade": grade.name} | between | {"of": one} for one in pair.experiments
+            ]
 
-    def text(of: PairComparison | ExperimentDifference) -> str:
+    def counts(of: PairComparison) -> str:
+        return "{} : {}".format(*of.counts)
+
+    def text(of: ExperimentDifference) -> str:
         return interval_text(of.difference, of.difference_95, score_text)
 
     order = {one.id: place for place, one in enumerate(comparison.experiments)}
-    names, verdict = Column("between", "first : second"), Column("of.distinguishable", "at 95 %", verdict_text)
+    names, verdict = Column("between", "first : second"), Column("of.distinguishable", "at 5 %", verdict_text)
+    share = Column("of.probability_of_improvement", "first closer", lambda value: f"{value:.0%}", is_number=True)
+    p_value = Column("of.p_holm", "p", p_text, is_number=True)
+    grade_heading = Column("grade", "grade", place=Place.HEADING)
     return (
         Table(
             title="Pairs within each grade",
-            columns=(
-                Column("grade", "grade", place=Place.HEADING),
-                names,
-                Column("of", "mean difference", text, is_number=True),
-                Column("of.probability_of_improvement", "first closer", lambda share: f"{share:.0%}", is_number=True),
-                verdict,
-            ),
+            columns=(grade_heading, names, Column("of", "closer in", counts, is_number=True), share, p_value, verdict),
             rows=over_grades,
             notes=(
-                "Paired bootstrap: both have the same resampled real mean and the same drawn inputs. Difference: first "
-                "minus second, mean over the experiments; below 0, the first is closer. First closer: probability over "
-                "experiments and draws.",
+                "Closer in: number of experiments in which the first, and in which the second is distinguishably "
+                "closer. First closer: probability, mean over the experiments. p: of one being closer in more than "
+                "half of the experiments, corrected by Holm for all pairs of the grade.",
             ),
         ),
         Table(
             title="Pairs in each experiment",
-            columns=(EXPERIMENT, GRADE, names, Column("of", "difference", text, is_number=True), verdict),
+            columns=(
+                EXPERIMENT,
+                grade_heading,
+                names,
+                Column("of", "difference", text, is_number=True),
+                p_value,
+                verdict,
+            ),
             rows=sorted(over_experiments, key=lambda row: order[row["id"]]),
-            notes=("Difference of the score that is first above, first minus second.",),
+            notes=(
+                "Difference of the score that is first above, first minus second: below 0, the first is closer. Paired "
+                "bootstrap: both have the same resampled real mean. Its interval is of this pair alone; p is corrected "
+                "by Holm for all pairs of the experiment.",
+            ),
             wide_only=len(comparison.configurations) > 2,
         ),
     )
+
+
+def p_text(p: float) -> str:
+    """Return a p-value with two digits."""
+    return "< 0.0001" if p < 1e-4 else f"{p:.2g}" if p < 0.01 else f"{p:.2f}"
 
 
 def verdict_text(distinguishable: bool) -> str:

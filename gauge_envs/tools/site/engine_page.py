@@ -7,9 +7,9 @@ import json
 from gauge_envs.pages.document import Heading, Part
 from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import discretization_text
-from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import COST_TITLE, shortened
+from gauge_envs.tools.compare import mean_rank_text
 from gauge_envs.tools.site.model import Site, first_result, score_cell, site_page
 
 
@@ -31,20 +31,15 @@ def _means(site: Site, index: int) -> list[Html]:
     versions = ", ".join(f"{package} {text}" for package, text in one.engine_versions.items()) or "not stated"
     counts = f"{summary.ran} experiments ran, {summary.scored} have a score, {summary.diverged} diverged, "
     counts += f"{summary.not_run} did not run."
-    rows = [
-        ForestRow(
-            label=f"{grade.name}, {len(grade.ids)} exp.",
-            color=site.color(index),
-            value=score.mean.value,
-            interval=score.mean.interval_95,
-        )
+    heading = element("h2", site.swatch(index), site.labels[index])
+    ranks = [
+        f"{grade.name}: {mean_rank_text(score.mean_rank)} of {len(grade.scores)}"
         for grade in site.comparison.grades
         for score in grade.scores
-        if score.configuration == index and score.mean is not None
+        if score.configuration == index and score.mean_rank is not None and len(grade.scores) > 1
     ]
-    heading = element("h2", site.swatch(index), site.labels[index])
-    figure = [element("div", forest("Mean score of each grade", rows), class_="forest")] if rows else []
-    return [heading, element("p", f"Versions: {versions}. {counts}"), *figure]
+    places = [element("p", f"Mean rank: {'; '.join(ranks)}.")] if ranks else []
+    return [heading, element("p", f"Versions: {versions}. {counts}"), *places]
 
 
 def _scores(site: Site, index: int) -> Table:

@@ -20,7 +20,7 @@ from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.compare import ExperimentComparison, compare_grade, verdict_text
+from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
 from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
@@ -146,8 +146,12 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         if value is not None
     ]
     figure = forest(f"{SCORE_METRICS[one.primary].title} over that of real trials", rows)
-    grade = compare_grade(one.grade, withheld=one.withheld, experiments=[one.graded()])
-    ranks = [join([site.links[two.configuration], f": {place_text(grade, two.rank)}"]) for two in grade.ranked]
+    ranks = [
+        join([site.links[two.configuration], f": {place_text(grade, two.rank)}"])
+        for grade in site.comparison.compare_within([one])
+        for two in grade.ranked
+        if len(grade.scores) > 1
+    ]
     return [element("div", figure, listed(ranks) if len(ranks) > 1 else None, class_="forest")]
 
 
@@ -187,6 +191,7 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
         (
             *(join([site.swatch(index), site.labels[index]]) for index in (pair.first, pair.second)),
             interval_text(found.difference, found.difference_95, score_text),
+            p_text(found.p_holm),
             verdict_text(found.distinguishable),
         )
         for grade in site.comparison.grades
@@ -197,11 +202,14 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
     if not rows:
         return []
     apart = sum(row[-1] == verdict_text(True) for row in rows)
-    pairs = grid(("first", "second", "difference [95 %]", "at 95 %"), rows)
+    pairs = grid(("first", "second", "difference [95 %]", "p", "at 5 %"), rows)
     return [
         Heading("Pairs"),
-        Paragraph("Difference of the scores, first minus second, by paired bootstrap.", Tone.NOTE),
-        folded(f"{apart} of {len(rows)} pairs are distinguishable at 95 %", pairs.html()),
+        Paragraph(
+            "Difference of the scores, first minus second, by paired bootstrap; p is corrected for all pairs (Holm).",
+            Tone.NOTE,
+        ),
+        folded(f"{apart} of {len(rows)} pairs are distinguishable at 5 %", pairs.html()),
     ]
 
 

@@ -9,11 +9,18 @@ from functools import partial
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
-from gauge_envs.pages.svg import ForestRow, forest
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, interval_text, quantity_text, score_text, short_id
+from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, quantity_text
 from gauge_envs.references.bands import BandGrade
-from gauge_envs.tools.compare import ExperimentComparison, GradeComparison, PairComparison, compare_grade
+from gauge_envs.tools.compare import (
+    DIFFERENT,
+    PUBLISHED,
+    ExperimentComparison,
+    GradeComparison,
+    GradeScore,
+    deciding_text,
+    mean_rank_text,
+)
 from gauge_envs.tools.site.model import LOST, Site, Standing, score_cell, section, site_page, whisker_text
 
 SCALE_NOTE = (
@@ -27,10 +34,15 @@ ALIGNED_NOTE = (
 )
 
 RANK_NOTE = (
-    "Rank: 1 + number of engines with a distinguishably lower score. Two engines are distinguishable if the 95 % "
-    "interval of their paired difference excludes zero. The intervals in the cells overlap more: engines "
-    "share errors, which cancel in a difference. Not distinguishable: no engine of the row is distinguishably lower "
-    "than another."
+    "Rank: 1 + number of engines that are distinguishably closer in more than half of the experiments, at 5 % for all "
+    "pairs together (Holm). Only engines with the same constants are ranked against each other. The intervals in the "
+    "cells overlap more: engines share errors, which cancel in a difference. Not distinguishable: no engine of the row "
+    "is distinguishably closer than another."
+)
+
+MEAN_RANK_NOTE = (
+    "Mean rank: over the experiments, which all count the same, with its 95 % interval. Rank in: best to worst rank in "
+    "the experiments that move the mean most."
 )
 
 EVENTS_NOTE = (
@@ -61,11 +73,12 @@ def overview_page(site: Site) -> str:
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
+    answers += [line for grade in comparison.grades if grade.constants == DIFFERENT for line in _changes(site, grade)]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         element("div", *(element("p", answer) for answer in answers), class_="answer"),
-        element("div", *(_grade_forest(site, grade) for grade in graded), class_="forest"),
-        Paragraph(SCALE_NOTE, Tone.NOTE),
+        *(part for grade in graded if len(grade.scores) > 1 for part in _ranking(site, grade)),
+        Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
         *_matrix(site),
         *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
         *section("Events", _scores_table(site, "event", _events(site)), EVENTS_NOTE),
@@ -85,57 +98,65 @@ def _grade_title(grade: GradeComparison) -> str:
 
 
 def _answer(site: Site, grade: GradeComparison) -> Html:
-    """Return the lowest mean score of a grade, what is not distinguishable from it, and what is."""
-    (best, value, interval), *others = _means(grade)
+    """Return the lowest mean rank of a grade, what is not distinguishable from it, and what is."""
+    best, *others = grade.ranked
+    assert best.mean_rank is not None
     apart = {
-        pair.second if pair.first == best else pair.first: _away(pair, best)
-        for pair in _common_pairs(site, grade)
-        if best in (pair.first, pair.second) and pair.distinguishable
+        pair.second if pair.first == best.configuration else pair.first: pair
+        for pair in grade.common_pairs
+        if best.configuration in (pair.first, pair.second) and pair.distinguishable
     }
-    same = [site.labels[index] for index, _, _ in others if index not in apart]
-    further = [
-        f"{site.labels[index]} {score_text(mean)} ({apart[index]})" for index, mean, _ in others if index in apart
+    over = f"{_constants(grade)}{counted(len(grade.ids), 'experiment')}"
+    start = f"Against {_grade_title(grade)} ({over}): "
+    if not others:
+        return join([element("b", start), site.links[best.configuration], " alone, so without a rank."])
+    sentences: list[str | Html] = [
+        element("b", start + "lowest mean rank "),
+        site.links[best.configuration],
+        f" {mean_rank_text(best.mean_rank)} of {len(grade.scores)}.",
     ]
-    start = f"Against {_grade_title(grade)} ({counted(len(grade.ids), 'experiment')}): lowest mean score "
-    text = f" {interval_text(value, interval, score_text)} "
-    sentences: list[str | Html] = [element("b", start), site.links[best], text, Standing.of(interval).badge, "."]
+    same = [site.labels[one.configuration] for one in others if one.configuration not in apart]
+    closer = [index for index, pair in apart.items() if pair.closer == index]
+    further = [index for index in apart if index not in closer]
+    for indices, text in ((further, "Distinguishably further"), (closer, "Distinguishably closer")):
+        if indices:
+            sentences.append(f" {text}: {', '.join(site.labels[index] for index in indices)}.")
     if same:
         sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
-    if further:
-        sentences.append(f" Distinguishably further: {'; '.join(further)}.")
     return join(sentences)
 
 
-def _common_pairs(site: Site, grade: GradeComparison) -> Sequence[PairComparison]:
-    """Return the pairs of a grade over the experiments that all have scored; a pair may have more in common."""
-    if all(pair.ids == grade.ids for pair in grade.pairs):
-        return grade.pairs
-    common = [one.graded() for one in site.comparison.experiments if one.id in grade.ids]
-    return compare_grade(grade.grade, withheld=grade.withheld, experiments=common).pairs
+def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
+    """Yield what other constants change in the same engine, which no rank says."""
+    for pair in grade.pairs:
+        engines = {site.comparison.configurations[index].backend for index in (pair.first, pair.second)}
+        if len(engines) > 1:
+            continue
+        closer, further = pair.closer, pair.first + pair.second - pair.closer
+        start = element("b", f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ")
+        between = f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
+        if pair.distinguishable:
+            between = f"{site.labels[further]} is distinguishably further than {site.labels[closer]}."
+        yield join([start, between])
 
 
-def _away(pair: PairComparison, best: int) -> str:
-    """Return how much further the other configuration of a pair is, with the interval of the paired difference."""
-    sign = -1.0 if pair.first == best else 1.0
-    ends = sorted(sign * end for end in pair.difference_95)
-    return f"by {interval_text(sign * pair.difference, ends, score_text)}"
+def _constants(grade: GradeComparison) -> str:
+    return "" if grade.constants == PUBLISHED else f"parameters {grade.constants}, "
 
 
-def _means(grade: GradeComparison) -> list[tuple[int, float, tuple[float, float]]]:
-    """Return configuration, mean and interval of each score, lowest first."""
-    means = [(one.configuration, one.mean.value, one.mean.interval_95) for one in grade.scores if one.mean is not None]
-    return sorted(means, key=lambda entry: entry[1])
-
-
-def _grade_forest(site: Site, grade: GradeComparison) -> Html:
+def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
     rows = [
-        ForestRow(label=site.labels[index], color=site.color(index), value=value, interval=interval)
-        for index, value, interval in _means(grade)
+        (
+            join([site.swatch(one.configuration), site.labels[one.configuration]]),
+            mean_rank_text(one.mean_rank),
+            place_text(grade, one.rank),
+            deciding_text(grade, one.configuration),
+        )
+        for one in grade.ranked
+        if one.mean_rank is not None
     ]
-    names = ", ".join(map(short_id, grade.ids[:4])) + (f" and {len(grade.ids) - 4} more" if len(grade.ids) > 4 else "")
-    over = f"Mean score over {counted(len(grade.ids), 'experiment')}: {names}."
-    note = f"{over} {GRADE_NOTES[BandGrade(grade.grade)].capitalize()}."
-    return forest(f"Against {_grade_title(grade)}", rows, (note,))
+    table = grid(("configuration", "mean rank", "rank", "rank in"), rows)
+    return section(f"Against {_grade_title(grade)}", table, f"{GRADE_NOTES[BandGrade(grade.grade)].capitalize()}.")
 
 
 # --- engine x phenomenon ---
@@ -147,18 +168,21 @@ class _Phenomenon:
 
     title: str
     tests: str
-    grade: GradeComparison
+    grades: Sequence[GradeComparison]
     members: Sequence[ExperimentComparison]
+
+    def of(self, configuration: int) -> tuple[GradeComparison, GradeScore] | None:
+        """Return the comparison that ranks a configuration, and its score there; None without a mean."""
+        found = ((grade, one) for grade in self.grades for one in grade.scores if one.configuration == configuration)
+        return next((entry for entry in found if entry[1].mean is not None), None)
 
 
 def _phenomena(site: Site) -> Iterator[_Phenomenon]:
     groups: dict[tuple[str, str, str, bool], list[ExperimentComparison]] = {}
     for one in site.comparison.experiments:
         groups.setdefault((*site.family(one), one.grade, one.withheld), []).append(one)
-    for (title, tests, grade, withheld), members in groups.items():
-        experiments = [one.graded() for one in members]
-        if any(draws is not None for one in experiments for draws in one.draws):
-            compared = compare_grade(grade, withheld=withheld, experiments=experiments)
+    for (title, tests, _, _), members in groups.items():
+        if compared := site.comparison.compare_within(members):
             yield _Phenomenon(title, tests, compared, members)
 
 
@@ -169,12 +193,12 @@ def _matrix(site: Site) -> list[Part]:
             for member in one.members
         )
         metric = ", ".join(dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members))
-        about = below(f"{metric}, {_grade_title(one.grade)}: ", join(links, " \u00b7 "))
+        about = below(f"{metric}, {_grade_title(one.grades[0])}: ", join(links, " \u00b7 "))
         return join([element("b", one.title), below(one.tests), about])
 
     def standing(index: int, one: _Phenomenon) -> str:
-        score = next((score for score in one.grade.scores if score.configuration == index), None)
-        return "" if score is None or score.mean is None else Standing.of(score.mean.interval_95).value
+        found = one.of(index)
+        return "" if found is None or found[1].mean is None else Standing.of(found[1].mean.interval_95).value
 
     columns = (
         Column("", link, html=partial(_matrix_cell, index), style=partial(standing, index))
@@ -189,6 +213,7 @@ def _matrix(site: Site) -> list[Part]:
         Heading("Engine by phenomenon"),
         key,
         matrix,
+        Paragraph(SCALE_NOTE, Tone.NOTE),
         Paragraph(RANK_NOTE, Tone.NOTE),
         Paragraph(ALIGNED_NOTE, Tone.NOTE),
     ]
@@ -199,12 +224,13 @@ def _matrix_cell(index: int, one: _Phenomenon) -> Html:
     results = [result for member in one.members if (cell := member.cells[index]) for result in cell.results]
     counts = {outcome: sum(result.outcome is outcome for result in results) for outcome in LOST}
     lost = [below(f"{count} {outcome.value}") for outcome, count in counts.items() if count]
-    score = next((score for score in one.grade.scores if score.configuration == index), None)
-    if score is None or score.mean is None:
+    found = one.of(index)
+    if found is None or found[1].mean is None:
         return join([element("span", "no score" if results else "not run", class_="quiet"), *lost])
-    parts = [whisker_text(score.mean.value, score.mean.interval_95), below(place_text(one.grade, score.rank))]
-    if len(one.grade.ids) < len(one.members):
-        parts.append(below(f"over {len(one.grade.ids)} of {len(one.members)} experiments"))
+    grade, mean = found[0], found[1].mean
+    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, found[1].rank))]
+    if len(grade.ids) < len(one.members):
+        parts.append(below(f"over {len(grade.ids)} of {len(one.members)} experiments"))
     return join([*parts, *lost])
 
 

@@ -28,6 +28,7 @@ from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.distance import MOTION_SHARE
 from gauge_envs.tools.compare.draws import ScoreSpread
 from gauge_envs.tools.compare.experiment_figure import draw_experiment
+from gauge_envs.tools.compare.grades import compare_grade
 from gauge_envs.tools.compare.overview_figure import draw_overview, save_comparison
 from gauge_envs.tools.compare.words import check_metrics, comparison_document, comparison_rows
 
@@ -306,35 +307,45 @@ def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
     alone, together = compare(trials), compare([*others, *trials])
     assert [one.name for one in together.grades] == ["trials", "recording", "law"]
     assert grade(alone, "trials") == grade(together, "trials")
-    scores = [real[name].score for name in (SLIDER, PLASTIC)]
     ours = grade(together, "trials").scores[0]
-    aligned = [score.rmse_aligned_normalized for score in scores]
-    raw = [score.rmse_normalized for score in scores]
-    assert ours.geometric_mean.value == pytest.approx(np.sqrt(aligned[0] * aligned[1]))
-    assert ours.geometric_mean_raw.value == pytest.approx(np.sqrt(raw[0] * raw[1]))
-    assert grade(together, "law").scores[0].geometric_mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
+    aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
+    assert ours.mean.value == pytest.approx(np.mean(aligned))
+    assert ours.mean_rank.value == 1.5
+    assert grade(together, "law").scores[0].mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
 
 
 def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
     comparison = compare(list(real.values()))
-    assert {one.name: bool(one.published) for one in comparison.grades} == {
-        "trials": True,
-        "recording": False,
-        "law": False,
-    }
-    genesis = [published_baselines(name)["rmse"].engines["genesis"] for name in (SLIDER, PLASTIC)]
-    assert grade(comparison, "trials").published["genesis"] == pytest.approx(np.sqrt(genesis[0] * genesis[1]))
     rows = {(row["id"], row["metric"]): row["published"] for row in comparison_rows(comparison)}
     assert rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
     assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
     assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN)} == {None}
 
 
+def test_published_constants_are_not_ranked_against_other_ones(real):
+    changed = replace(real[SLIDER], parameters="effective")
+    other = as_newton(altered(changed, 1.5))
+    published, effective, across = compare([real[SLIDER], as_newton(real[SLIDER]), changed, other]).grades
+    assert [one.name for one in (published, effective, across)] == [
+        "trials",
+        "trials, effective",
+        "trials, different constants",
+    ]
+    assert [len(one.scores) for one in (published, effective, across)] == [2, 2, 0]
+    assert [len(one.pairs) for one in (published, effective, across)] == [1, 1, 4]
+    text = printed([real[SLIDER], as_newton(real[SLIDER]), changed, other])
+    assert "trials, effective, 1 experiment" in text
+    assert "trials, different constants, 1 experiment" in text
+
+
 def test_a_withheld_band_is_a_group_of_its_own(real):
     withheld = run_episode(RunRequest("SlopeContact-wood", use_withheld=True))
     comparison = compare([real[DRIVEN], withheld])
     names = {one.name: one.ids for one in comparison.grades}
-    assert names == {"recording": (f"GAUGE/{DRIVEN}",), f"{withheld.score.grade}, withheld": (withheld.id,)}
+    # The withheld band has no trials, so an aligned score has nothing to be divided by.
+    assert names == {"recording": (f"GAUGE/{DRIVEN}",)}
+    (grade,) = compare_grade("recording", withheld=True, experiments=[compare([real[DRIVEN]]).experiments[0].graded()])
+    assert grade.name == "recording, withheld"
 
 
 def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_own(real):
@@ -351,10 +362,12 @@ def test_identical_trajectories_are_never_distinguishable(real):
     assert len(comparison.grades) == 3
     for one in comparison.grades:
         (pair,) = one.pairs
-        assert (pair.difference, pair.distinguishable) == (0.0, False)
+        assert (pair.p, pair.distinguishable) == (1.0, False)
         assert pair.probability_of_improvement == pytest.approx(0.5, abs=0.03)
         assert not any(single.distinguishable for single in pair.experiments)
-        assert [single.difference for single in pair.experiments] == [0.0] * len(pair.ids)
+        assert [(single.difference, single.difference_95) for single in pair.experiments] == [(0.0, (0.0, 0.0))] * len(
+            pair.ids
+        )
         assert {score.rank for score in one.scores} == {1}
 
 
@@ -373,7 +386,8 @@ def test_a_large_difference_is_distinguishable_and_ranks(real):
     trials = grade(comparison, "trials")
     (pair,) = trials.pairs
     assert pair.distinguishable
-    assert pair.difference_95[1] < 0.0
+    assert (pair.closer, pair.counts) == (pair.first, (2, 0))
+    assert all(one.difference_95[1] < 0.0 for one in pair.experiments)
     assert pair.probability_of_improvement > 0.99
     assert [score.rank for score in trials.scores] == [1, 2]
     first = real[SLIDER].score.primary_normalized
@@ -390,10 +404,10 @@ def test_a_pair_turned_round_has_the_opposite_difference(real):
     results = [real[SLIDER], as_newton(other_motion)]
     swapped = [other_motion, as_newton(real[SLIDER])]
     (one,), (other,) = (grade(compare(some), "trials").pairs for some in (results, swapped))
+    (one,), (other,) = one.experiments, other.experiments
     assert other.difference == pytest.approx(-one.difference)
-    # Discretization is drawn for each configuration, so the ends agree up to these draws.
-    width = one.difference_95[1] - one.difference_95[0]
-    assert other.difference_95 == pytest.approx([-one.difference_95[1], -one.difference_95[0]], abs=0.1 * width)
+    assert other.difference_95 == pytest.approx([-one.difference_95[1], -one.difference_95[0]])
+    assert other.p == pytest.approx(one.p)
 
 
 def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
@@ -405,13 +419,13 @@ def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
     assert not pair.distinguishable
     (score, *_) = grade(compare(ours), "trials").scores
     mean = np.mean([result.score.primary_normalized for result in ours])
-    assert score.geometric_mean.value == pytest.approx(mean)
+    assert score.mean.value == pytest.approx(mean)
     # Over one experiment, a mean has the interval of the cell that shows the same score.
     (one,) = compare(ours).experiments
     assert score.mean.interval_95 == one.cells[0].interval_95(one.primary)
     # Repeats that differ widen the interval: their scatter is part of the uncertainty of the mean.
     (alone, *_) = grade(compare(ours[1:2]), "trials").scores
-    widths = [one.geometric_mean.interval_95[1] - one.geometric_mean.interval_95[0] for one in (score, alone)]
+    widths = [one.mean.interval_95[1] - one.mean.interval_95[0] for one in (score, alone)]
     assert widths[0] > widths[1]
 
 
@@ -467,19 +481,22 @@ def test_json_has_pairs_and_grades(real):
     trials, law = record["pair"]
     assert (trials["first"], trials["second"], trials["grade"]) == ("mujoco", "newton", "trials")
     assert trials["ids"] == [f"GAUGE/{SLIDER}", f"GAUGE/{PLASTIC}"]
-    assert (trials["difference"], trials["distinguishable"]) == (0.0, False)
-    assert trials["difference_95"][0] <= 0.0 <= trials["difference_95"][1]
+    assert (trials["closer_in"], trials["p_holm"], trials["distinguishable"]) == ([0, 0], 1.0, False)
+    assert all(one["difference_95"][0] <= 0.0 <= one["difference_95"][1] for one in trials["experiments"])
     assert law["ids"] == [f"GAUGE/{HOLD}"]
     assert {one["id"]: set(one) for one in trials["experiments"]} == {
-        name: {"id", "difference", "difference_95", "distinguishable"} for name in trials["ids"]
+        name: {"id", "difference", "difference_95", "probability_of_improvement", "p", "p_holm", "distinguishable"}
+        for name in trials["ids"]
     }
     assert [(one["grade"], one["withheld"]) for one in record["grade"]] == [("trials", False), ("law", False)]
-    means = record["grade"][0]["configurations"][0]
-    low, high = means["geometric_mean_95"]
-    assert (means["label"], means["rank"]) == ("mujoco", 1)
-    assert low <= means["geometric_mean"] <= high
-    assert set(record["grade"][0]["published"]) == {"isaacsim", "genesis", "newton"}
-    assert record["grade"][1]["published"] == {}
+    first = record["grade"][0]["configurations"][0]
+    assert (first["label"], first["rank"], first["mean_rank_95"]) == ("mujoco", 1, [1.0, 2.0])
+    assert first["mean_rank"] == 1.5
+    assert {name: one["interval_95"] for name, one in first["ranks"].items()} == {
+        name: [1, 2] for name in trials["ids"]
+    }
+    assert record["grade"][0]["distinguishable"] == {name: [0, 1] for name in trials["ids"]}
+    assert {one["constants"] for one in record["grade"]} == {"calibrated"}
     row = next(one for one in record["experiment"] if one["metric"] == "rmse_aligned")
     assert row["configurations"][0]["normalized_95"] == list(real[SLIDER].score.rmse_aligned_normalized_95)
     assert row["configurations"][0]["percentile"] == real[SLIDER].score.percentile_aligned
@@ -719,7 +736,7 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
     ]
     record = by_kind(map(json.loads, gauge("compare", "--json", "metric=rmse").stdout.splitlines()))
     rows = record["experiment"]
-    assert {"first", "second", "grade", "ids", "difference", "difference_95", "distinguishable"} <= set(
+    assert {"first", "second", "grade", "constants", "ids", "closer_in", "p_holm", "experiments"} <= set(
         record["pair"][0]
     )
     assert [row["metric"] for row in rows] == ["rmse", None]

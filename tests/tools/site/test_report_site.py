@@ -125,7 +125,7 @@ def test_the_first_page_says_whether_two_configurations_differ(is_same: bool, tm
     overview = Page(tmp_path / "site" / "index.html").text
     experiment = Page(tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").text
     assert ("Not distinguishable from it" in overview) == is_same
-    assert ("Distinguishably further" in overview) != is_same
+    assert ("is distinguishably further than" in overview) != is_same
     assert f"{0 if is_same else 1} of 1 pairs are distinguishable" in experiment
 
 
