@@ -36,8 +36,9 @@ SCRIPT = Path(__file__).name
 
 Record = dict[str, Any]
 
-CONTACT_COLUMNS = ("friction", "friction reached", "restitution", "restitution reached", "single drops", "mass [kg]")
-CONTACT_COLUMNS += ("step [s]", "hop [mm]", "depth [mm]", "creep [mm/s]", "wall [s]", "missed", "explanation")
+CONTACT_COLUMNS = ("friction", "friction set", "friction reached", "friction hopping", "single plates", "restitution")
+CONTACT_COLUMNS += ("restitution reached", "single drops", "mass [kg]", "step [s]", "hop [mm]", "depth [mm]")
+CONTACT_COLUMNS += ("creep [mm/s]", "wall [s]", "missed", "explanation")
 
 FABRIC_COLUMNS = ("fabric", "stretch [N/m]", "stretch reached", "bend [uN m]", "bend reached", "bending length [mm]")
 FABRIC_COLUMNS += ("bending length reached", "wall [s]", "missed", "explanation")
@@ -89,15 +90,19 @@ def measure(kind: str, key: str, asked: Any, versions: dict[str, str], recipe: C
 def contact_row(record: Record) -> list[str]:
     """Return the cells of a contact; values that were not found are `-`."""
     asked, reached, detail = record["asked"], record["reached"], record["detail"]
-    friction, restitution, drops, small = "-", "-", "-", ["-", "-", "-"]
+    friction, hopping, plates, restitution, drops, small = "-", "-", "-", "-", "-", ["-", "-", "-"]
     if reached["friction"] is not None:
-        friction, restitution = f"{reached['friction']:.3f}", f"{reached['restitution']:.3f}"
+        friction, restitution = f"{reached['friction']:.4f}", f"{reached['restitution']:.3f}"
+        hopping = f"{reached['friction_hopping']:.3f}"
+        plates = f"{detail['friction_hopping_low']:.3f} to {detail['friction_hopping_high']:.3f}"
         drops = f"{detail['restitution_low']:.2f} to {detail['restitution_high']:.2f}"
         # Rounding of single precision has either sign.
         values = (1e3 * value for value in (detail["hop_m"], reached["penetration_m"], reached["creep_m_s"]))
         small = [f"{value:.2g}" if abs(value) >= 5e-5 else "0" for value in values]
     missed = "all" if friction == "-" else ", ".join(record["misses"])
-    start = [f"{asked['friction']:g}", friction, f"{asked['restitution']:g}", restitution, drops]
+    stated = f"{record['settings'][engine_settings(record['engine']).friction_field]:g}"
+    start = [f"{asked['friction']:g}", stated, friction, hopping, plates]
+    start += [f"{asked['restitution']:g}", restitution, drops]
     start += [f"{asked['mass_kg']:g}", f"{asked['timestep_s']:.3g}", *small, f"{record['wall_s']:.1f}"]
     return [*start, missed, record["explanation"] if missed else ""]
 
@@ -140,7 +145,8 @@ def table(kind: str) -> list[dict[str, str]]:
 def with_rows(kind: str, engine: str) -> str:
     """Return the text of a table of the study in which the measured rows of an engine take the place of older ones."""
     found = rows_of(kind, engine)
-    kept = [list(row.values()) for row in table(kind) if row["engine"] != engine or not found]
+    others = (row for row in table(kind) if row["engine"] != engine or not found)
+    kept = [[row.get(name, "") for name in COLUMNS[kind]] for row in others]
     stream = io.StringIO()
     rows = sorted([*kept, *found], key=lambda row: list(engine_names()).index(row[0]))
     csv.writer(stream, lineterminator="\n").writerows([COLUMNS[kind], *rows])
@@ -156,15 +162,22 @@ def summary() -> str:
         for rows in (contacts, cloth):
             own = [row for row in rows if row["engine"] == engine]
             cells.append(f"{sum(not row['missed'] for row in own)} of {len(own)}" if own else "")
+        rows = [row for row in contacts if row["engine"] == engine]
+        for name, digits in (("friction reached", 2), ("friction hopping", 1), ("single plates", 1)):
+            # A range begins with its smallest value.
+            errors = [100.0 * (float(row[name].split()[0]) / float(row["friction"]) - 1.0) for row in rows]
+            cells.append(f"{max(errors, key=abs) if digits == 2 else min(errors):+.{digits}f} %")
         walls = [float(row["wall [s]"]) for row in contacts if row["engine"] == engine]
-        lines.append([*cells, f"{min(walls):.2g} to {max(walls):.2g}"])
+        lines.append([*cells, f"{min(walls):.2g} to {max(walls):.3g}"])
     misses = [
         f"- {row['engine']}, friction {row['friction']}, restitution {row['restitution']}, {row['mass [kg]']} kg, step "
         f"{row['step [s]']} s: friction {row['friction reached']}, restitution {row['restitution reached']}"
         for row in contacts
         if row["missed"]
     ]
-    head = ("engine", "contacts within the tolerance", "fabrics within the tolerance", "wall time of a contact [s]")
+    head = ("engine", "contacts within the tolerance", "fabrics within the tolerance")
+    head += ("friction of bodies that hold, largest error", "of plates that hop, lowest mean", "lowest plate")
+    head += ("wall time of a contact [s]",)
     return "\n".join([*markdown_table(head, lines), "", "Contacts outside the tolerance:", "", *misses])
 
 

@@ -516,11 +516,13 @@ def recipes() -> list[str]:
     mass, step_s, friction = (of(f"tools.recipes.aim.{name}_RANGE{unit}") for name, unit in RANGES)
     probes = "tools.recipes.probes"
     return [
-        f"coefficient, {friction[0]:g} to {friction[1]:g}; without it the contact has "
+        f"holds contact, {friction[0]:g} to {friction[1]:g}; without it the contact has "
         f"{of('tools.recipes.aim.FREE_FRICTION'):g}",
         f"{mass[0]:g} to {mass[1]:g} kg; step of the engine, {step_s[0]:.0e} to {step_s[1]:g} s".replace("e-05", "e-5"),
         f"{of(f'{probes}.SLIDE_BEYOND_DEG'):g} degrees steeper",
         f"turned by {of(f'{probes}.TURN_DEG'):g} degrees",
+        f"by up to {max(of(f'{probes}.HOP_TURNS_DEG')):g} degrees, from a start tipped by "
+        f"{math.degrees(math.hypot(*of(f'{probes}.HOP_TIPS_RAD')[0])):.1g} degrees",
         f"{of(f'{probes}.BALL_COUNT')} balls fall by {of(f'{probes}.DROP_M'):g} m",
         f"within {100 * of('tools.recipes.search.FRICTION_SHARE'):g} % of the friction, "
         f"{of('tools.recipes.search.RESTITUTION_TOLERANCE'):g} of the restitution and "

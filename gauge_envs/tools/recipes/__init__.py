@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.recipes.aim import FREE_FRICTION, Aim
     from gauge_envs.tools.recipes.engines import engine_names, engine_settings
     from gauge_envs.tools.recipes.measure import Measured, measured
-    from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
+    from gauge_envs.tools.recipes.probes import Probe, Rest, Spread
     from gauge_envs.tools.recipes.search import Recipe, find_recipe
 
 __all__ = [
@@ -16,10 +16,9 @@ __all__ = [
     "Aim",
     "Measured",
     "Probe",
-    "Rebound",
     "Recipe",
     "Rest",
-    "Slide",
+    "Spread",
     "engine_names",
     "engine_settings",
     "find_recipe",

@@ -31,7 +31,7 @@ class Aim:
     """Behaviour of a contact that settings are to give.
 
     Attributes:
-        friction: Coulomb coefficient, static and dynamic.
+        friction: Coulomb coefficient, static and dynamic, of a body that holds contact.
         restitution: Rebound over impact speed; None if it does not matter.
         penetration_m: Largest depth of the plate at rest on four corners [m]; None if it does not matter.
         stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]; None for a contact as hard as it gets.

@@ -97,7 +97,7 @@ def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], 
     _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")
     aim = Aim(**({"friction": FREE_FRICTION} | numbers), is_friction_asked="friction" in numbers)
     found = find_recipe(settings, aim)
-    _print(recipe_document(found, pair), found.settings.snippet(aim.mass_kg), form)
+    _print(recipe_document(found, pair), found.snippet, form)
     return found.found is None
 
 

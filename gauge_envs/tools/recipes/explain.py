@@ -20,9 +20,9 @@ from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text,
 
 MEASURED_IN = (
     "Drops from 0.2 m onto one contact; a plate of 0.12 m rests on four, creeps on a slope of half the friction, and "
-    "slides 10 degrees beyond the friction angle."
+    "slides 10 degrees beyond the friction angle, without turning and free to hop."
 )
-"""The four scenes in words."""
+"""The scenes in words."""
 
 ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)\s*=\s*(?:\"([^\"]*)\"|'([^']*)'|(.*?))(?=\s+[A-Za-z_]\w*\s*=|$)")
 """One setting: a name, an equals sign, and values up to the next name; quotes as in XML are allowed."""

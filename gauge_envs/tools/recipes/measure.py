@@ -6,26 +6,20 @@ from dataclasses import dataclass
 
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.tools.recipes.engines.base import ContactSettings
-from gauge_envs.tools.recipes.probes import Probe, Rebound, Rest, Slide
+from gauge_envs.tools.recipes.probes import Probe, Rest, Spread
 
 SCATTER = 0.02
-"""Range of restitutions between phases that is worth a sentence: twice the error that counts as none."""
+"""Range of restitutions, and relative one of frictions, that is worth a sentence."""
 
 MOST_DRIFT_PER_S = 0.05
 """Largest change of the depth within a second, over the depth, of a plate that counts as settled."""
-
-FRICTION_SCATTER = 0.02
-"""Relative difference between two plates that is worth a sentence: twice the error that counts as none."""
-
-LIFT_M = 1e-3
-"""Hop of a sliding plate that is worth a sentence [m]: a thirtieth of its thickness."""
 
 LEAST_DRIFT_M_PER_S = 1e-6
 """Change of the depth that is rounding [m/s]."""
 
 
-REACHED = ("friction", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
-"""Names of the measured values."""
+REACHED = ("friction", "friction_hopping", "restitution", "penetration_m", "creep_m_s", "time_constant_s")
+"""Names of the measured values; `friction` is that of bodies that hold contact."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,22 +27,26 @@ class Measured:
     """What settings give.
 
     Attributes:
-        slide: Friction of a slide, and how far the plate hops.
+        slide: Friction of plates that cannot turn, as that of bodies that hold contact.
+        hopping: Friction of plates that can tip, hop and spin.
+        hop_m: How far these leave the slope [m].
         rebound: Restitution of drops.
         rest: Plate at rest.
         creep_m_s: Creep on a slope that friction holds [m/s].
     """
 
-    slide: Slide
-    rebound: Rebound
+    slide: Spread
+    hopping: Spread
+    hop_m: float
+    rebound: Spread
     rest: Rest
     creep_m_s: float
 
     @property
     def values(self) -> dict[str, float | None]:
         """Values by their names in `REACHED`; None for a time constant that is not resolved."""
-        rest = self.rest
-        values = (self.slide.friction, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
+        frictions, rest = (self.slide.mean, self.hopping.mean), self.rest
+        values = (*frictions, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
         return dict(zip(REACHED, values, strict=True))
 
 
@@ -58,7 +56,7 @@ def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
 
 
 def measured(settings: ContactSettings, mass_kg: float, *, friction: float | None = None) -> Measured:
-    """Simulate all four scenes.
+    """Simulate all scenes.
 
     Args:
         settings: The settings.
@@ -70,8 +68,11 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
     """
     probe, build = probe_of(settings, mass_kg), settings.build(mass_kg)
     slope = settings.sliding_friction if friction is None else friction
+    hopping, hop_m = probe.hop(build, slope)
     return Measured(
         slide=probe.slide(build, slope),
+        hopping=hopping,
+        hop_m=hop_m,
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
@@ -86,14 +87,17 @@ def divergence_text(error: DivergedError) -> str:
 def scatter_texts(found: Measured) -> list[str]:
     """Return what one number for each quantity leaves out: hops, scatter between drops, a depth that still changes."""
     texts = []
-    slide, rebound, rest = found.slide, found.rebound, found.rest
-    if abs(slide.along - slide.turned) > FRICTION_SCATTER * abs(slide.friction):
+    slide, hopping, rebound, rest = found.slide, found.hopping, found.rebound, found.rest
+    if slide.high - slide.low > SCATTER * abs(slide.mean):
         texts.append(
-            f"A plate with its edges along the slope slides with friction {slide.along:.3g}, one that is turned by 30 "
-            f"degrees with {slide.turned:.3g}; the friction is their mean."
+            f"Friction depends on the direction: it is {slide.low:.3g} to {slide.high:.3g} for a plate with its edges "
+            "along the slope and one that is turned by 30 degrees; the friction is their mean."
         )
-    if slide.lift_m > LIFT_M:
-        texts.append(f"While it slides, the plate hops by up to {1e3 * slide.lift_m:.2g} mm.")
+    if slide.mean - hopping.low > SCATTER * abs(slide.mean):
+        texts.append(
+            f"Plates that can tip hop by up to {1e3 * found.hop_m:.2g} mm while they slide, and have friction "
+            f"{hopping.low:.3g} to {hopping.high:.3g} (mean {hopping.mean:.3g}); higher bodies can lose more."
+        )
     if rebound.high - rebound.low > SCATTER:
         texts.append(
             f"Single drops rebound with {rebound.low:.3f} to {rebound.high:.3f}, depending on where in a time step "

@@ -1,7 +1,7 @@
-"""Four scenes in which a contact is measured on any engine: drop, slide, creep and rest.
+"""Scenes in which a contact is measured on any engine: drop, slide, hop, creep and rest.
 
-A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. The scenes go
-through the contract of backends alone.
+A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all of the requested mass. One plate slides
+without turning, others may tip, hop and spin. The scenes go through the contract of backends alone.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
+from itertools import product
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,18 @@ TURN_DEG = 30.0
 """Turn of the edges of a plate against the slope [degrees]: then one corner carries most, and engines that choose the
 tangents of contacts by the axes of the world have no axis along the slope."""
 
+HOP_TURNS_DEG = (0.0, 15.0, 30.0, 45.0)
+"""Turns of the edges of plates that can hop [degrees]."""
+
+HOP_TIPS_RAD = np.outer((-1e-3, 1e-3), (1.0, 2.0, 0.0)) / math.sqrt(5.0)
+"""Their tips at the start, as rotation vectors along no edge or diagonal [rad]: if level, rounding decides on hops."""
+
+PLATE_DISTANCE_M = 0.3
+"""Distance of neighbouring plates [m]."""
+
+GYRATION_M = 100.0
+"""Radius of gyration of a plate that cannot turn [m]: a friction of 2 turns it by 0.0002 degrees in a slide."""
+
 SLIDE_S, CREEP_S, REST_S = 0.5, 1.0, 2.0
 """Simulated times [s]."""
 
@@ -93,32 +106,17 @@ class Build:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Rebound:
-    """Restitution of drops: the mean, the smallest and the largest of the phases of a step."""
+class Spread:
+    """Mean, smallest and largest of the values that one quantity has in different starts."""
 
     mean: float
     low: float
     high: float
 
-
-@dataclass(frozen=True, kw_only=True)
-class Slide:
-    """A plate that slides down a slope.
-
-    Attributes:
-        along: Coefficient with which Coulomb's law gives the acceleration of a plate whose edges lie along the slope.
-        turned: The same for a plate that is turned by `TURN_DEG`, so that a corner leads.
-        lift_m: Largest distance by which a centre leaves the slope [m].
-    """
-
-    along: float
-    turned: float
-    lift_m: float
-
-    @property
-    def friction(self) -> float:
-        """Mean of both coefficients."""
-        return 0.5 * (self.along + self.turned)
+    @classmethod
+    def of(cls, values: Sequence[float]) -> Self:
+        """Return the spread of some values."""
+        return cls(mean=float(np.mean(values)), low=min(values), high=max(values))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,6 +142,17 @@ def creep_slope_rad(friction: float) -> float:
 LEVEL = Rotation.identity()
 
 
+def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
+    """Return the rotation of a plane that falls along x, and whose axes are turned about its normal."""
+    return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
+
+
+def _downhill(rollout: Rollout, name: str, lean: Rotation) -> NDArray[np.float64]:
+    """Return the displacement of a body down the slope and off it [m], shape [2, sample_count]."""
+    sine, _, cosine = lean.as_matrix()[:, 2]
+    return np.array([[cosine, 0.0, -sine], [sine, 0.0, cosine]]) @ rollout.displacement(name).T
+
+
 @dataclass(frozen=True, kw_only=True)
 class Probe:
     """Measures contacts on one engine.
@@ -158,37 +167,40 @@ class Probe:
     mass_kg: float
     timestep_s: float
 
-    def slide(self, build: Build, friction: float) -> Slide:
-        """Return the friction of a plate that slides, from its accelerations by Coulomb's law, and how far it hops.
-
-        A plate whose hops turn it about the normal has a smaller value than its contacts: parts of their friction point
-        sideways.
-
-        Args:
-            build: The contact.
-            friction: Friction that is expected, for the slope.
-        """
+    def slide(self, build: Build, friction: float) -> Spread:
+        """Return the friction of plates that cannot turn, that of their contacts; the expected one gives the slope."""
         slope = math.atan(friction) + math.radians(SLIDE_BEYOND_DEG)
-        found, lifts_m = [], []
-        for turn_deg in (0.0, TURN_DEG):
-            times_s, path_m, lift_m = self._downhill(build, slope, SLIDE_S, turn_deg)
-            seen = times_s >= SLIDE_FROM_S
-            # One fit for both, so that both accelerations are means with the same weights.
-            fit = np.polyfit(times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
-            found.append(friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1])))
-            lifts_m.append(float(lift_m.max()))
-        return Slide(along=found[0], turned=found[1], lift_m=max(lifts_m))
+        leans = (_lean(slope, turn_deg) for turn_deg in (0.0, TURN_DEG))
+        found = [self._frictions(build, [self._plate(lean, gyration_m=GYRATION_M)], lean)[0] for lean in leans]
+        return Spread.of([one for one, _ in found])
+
+    def hop(self, build: Build, friction: float) -> tuple[Spread, float]:
+        """Return the same of plates that can tip, hop and spin, and how far they hop [m].
+
+        Their contacts slide in different directions, and parts of the friction cancel.
+        """
+        lean = _lean(math.atan(friction) + math.radians(SLIDE_BEYOND_DEG))
+        plates = [
+            self._plate(lean, turn=Rotation.from_rotvec(tip) * Rotation.from_euler("z", turn), place=place)
+            for place, (turn, tip) in enumerate(product(np.radians(HOP_TURNS_DEG), HOP_TIPS_RAD), start=-4)
+        ]
+        found, lifts_m = zip(*self._frictions(build, plates, lean), strict=True)
+        return Spread.of(found), max(lifts_m)
 
     def creep(self, build: Build, friction: float) -> float:
         """Return the speed [m/s] of a plate on a slope that friction holds."""
-        times_s, path_m, _ = self._downhill(build, creep_slope_rad(friction), CREEP_S, TURN_DEG)
+        lean = _lean(creep_slope_rad(friction), TURN_DEG)
+        plate = self._plate(lean)
+        rollout = self._rollout([plate], lean, build, CREEP_S)
+        times_s, (path_m, _) = rollout.times_s, _downhill(rollout, plate.name, lean)
         seen = times_s >= CREEP_FROM_S
         return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
-        rollout = self._rollout([self._plate(LEVEL)], LEVEL, build, REST_S)
-        depth_m = 0.5 * PLATE_M[2] - rollout.position("plate")[:, 2]
+        plate = self._plate(LEVEL)
+        rollout = self._rollout([plate], LEVEL, build, REST_S)
+        depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
         seen = rollout.times_s >= REST_FROM_S
         drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
         return Rest(
@@ -197,7 +209,7 @@ class Probe:
             time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
         )
 
-    def drop(self, build: Build) -> Rebound:
+    def drop(self, build: Build) -> Spread:
         """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
         speed = math.sqrt(2.0 * G * DROP_M)
         later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
@@ -216,23 +228,32 @@ class Probe:
         rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
         heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
         found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
-        return Rebound(mean=float(np.mean(found)), low=min(found), high=max(found))
+        return Spread.of(found)
 
-    def _downhill(
-        self, build: Build, slope_rad: float, seconds: float, turn_deg: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-        """Return times [s] of a plate on a slope, and its displacements down the slope and off it [m]."""
-        # The plane falls along x; its own axes and those of the plate are turned about its normal.
-        lean = Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
-        rollout = self._rollout([self._plate(lean)], lean, build, seconds)
-        sine, cosine = math.sin(slope_rad), math.cos(slope_rad)
-        moved = rollout.displacement("plate")
-        return rollout.times_s, moved @ np.array([cosine, 0.0, -sine]), moved @ np.array([sine, 0.0, cosine])
+    def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
+        """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
+        rollout = self._rollout(plates, lean, build, SLIDE_S)
+        seen = rollout.times_s >= SLIDE_FROM_S
+        slope = math.acos(lean.as_matrix()[2, 2])
+        found = []
+        for plate in plates:
+            path_m, lift_m = _downhill(rollout, plate.name, lean)
+            # One fit for both, so that both accelerations are means with the same weights.
+            fit = np.polyfit(rollout.times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
+            friction = friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1]))
+            found.append((friction, float(lift_m.max())))
+        return found
 
-    def _plate(self, lean: Rotation) -> RigidBody:
-        pose = Pose.from_rotation(vector(lean.apply([0.0, 0.0, 0.5 * PLATE_M[2]])), lean)
+    def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
+        """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""
+        height_m = 0.5 * float(np.abs(turn.as_matrix()[2]) @ PLATE_M)
         return RigidBody(
-            name="plate", shape=Box(size_m=PLATE_M), motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg
+            name=f"plate{place:+d}",
+            shape=Box(size_m=PLATE_M),
+            motion=Motion.DYNAMIC,
+            pose=Pose.from_rotation(vector(lean.apply([0.0, place * PLATE_DISTANCE_M, height_m])), lean * turn),
+            mass_kg=self.mass_kg,
+            inertia_kg_m2=self.mass_kg * gyration_m**2 or None,
         )
 
     def _rollout(self, bodies: Sequence[RigidBody], lean: Rotation, build: Build, seconds: float) -> Rollout:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 from scipy.optimize import brentq
@@ -18,8 +19,8 @@ from gauge_envs.tools.recipes.measure import REACHED, Measured, divergence_text,
 RESTITUTION_TOLERANCE = 0.01
 """Error of a restitution that counts as none, as in the conformance checks of rebounds."""
 
-FRICTION_SHARE = 0.01
-"""Relative error of a friction that counts as none, as in the conformance checks of slides."""
+FRICTION_SHARE = 0.005
+"""Relative error of a friction that counts as none."""
 
 DEPTH_SHARE = 0.05
 """Relative error of a depth at rest that counts as none, where a stiffness states it."""
@@ -60,35 +61,49 @@ class Recipe:
     wall_s: float
 
     @property
+    def asked(self) -> dict[str, float | None]:
+        """Asked values by name; None for what was not asked."""
+        friction = self.aim.friction if self.aim.is_friction_asked else None
+        return {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+
+    @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
-        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:4]}
+        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:-1]}
 
     @property
     def error(self) -> dict[str, float | None]:
         """Reached less asked values by name; None for what was not asked or not measured."""
-        friction = self.aim.friction if self.aim.is_friction_asked else None
-        asked = {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
-        errors: dict[str, float | None] = {}
-        for name, target in asked.items():
-            value = self.reached[name]
-            errors[name] = None if target is None or value is None else value - target
-        return errors
+        reached = self.reached
+        return {
+            name: None if target is None or (value := reached[name]) is None else value - target
+            for name, target in self.asked.items()
+        }
 
     @property
     def detail(self) -> dict[str, float | None]:
-        """What the reached values leave out, by name: both plates, the hop, and the range of single drops."""
-        names = ("friction_along", "friction_turned", "hop_m", "restitution_low", "restitution_high")
-        if self.found is None:
-            return dict.fromkeys(names)
-        slide, rebound = self.found.slide, self.found.rebound
-        return dict(zip(names, (slide.along, slide.turned, slide.lift_m, rebound.low, rebound.high), strict=True))
+        """What the reached values leave out, by name: the ranges of their means, and the height of hops."""
+        found = self.found
+        spreads = {"friction": "slide", "friction_hopping": "hopping", "restitution": "rebound"}
+        values: dict[str, float | None] = {"hop_m": None if found is None else found.hop_m}
+        for (name, attribute), end in product(spreads.items(), ("low", "high")):
+            values[f"{name}_{end}"] = None if found is None else getattr(getattr(found, attribute), end)
+        return values
 
     @property
     def misses(self) -> tuple[str, ...]:
         """Names of the asked values that are not reached; empty after a divergence."""
-        names = ("friction", "restitution", "penetration_m")
-        return tuple(name for name in names if self.found and _is_missed(self.aim, name, self.found.values[name]))
+        return tuple(name for name in self.asked if self.found and _is_missed(self.aim, name, self.found.values[name]))
+
+    @property
+    def snippet(self) -> str:
+        """The settings in the engine's own language, below a comment with the friction of bodies that hold and hop."""
+        text = self.settings.snippet(self.aim.mass_kg)
+        if self.found is None:
+            return text
+        holds, hops = self.found.slide.mean, self.found.hopping.mean
+        line = f"Friction: {holds:.3g} of bodies that hold contact, {hops:.3g} of plates that can hop."
+        return f"{self.settings.comment.format(line)}\n{text}"
 
     def json(self) -> dict[str, Any]:
         """Return the recipe as one JSON-ready object."""
@@ -97,7 +112,7 @@ class Recipe:
             "engine": self.engine,
             "asked": self.aim.asked(),
             "settings": settings,
-            "snippet": self.settings.snippet(self.aim.mass_kg),
+            "snippet": self.snippet,
             "reached": self.reached,
             "error": self.error,
             "misses": self.misses,
@@ -127,7 +142,7 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     """Return the settings of an engine that come nearest to a behaviour, with what they give.
 
     The rule of the engine's backend is the first proposal. What it misses is sought along one number of it, first the
-    depth of a soft contact, then restitution, then friction.
+    depth of a soft contact, then restitution. The coefficient of friction is the asked one, that of sliding contacts.
 
     Args:
         engine: Class of the engine's settings.
@@ -155,40 +170,27 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
 
 def _searched(engine: type[ContactSettings], aim: Aim) -> ContactSettings:
     """Return settings after the searches for what the proposal misses, along one number of the aim each."""
-    target = aim
+    target, asked_m, stiffness, rebound = aim, aim.depth_m, aim.stiffness_n_per_m, aim.rebound
+
+    def reached(changed: Aim, name: str) -> float:
+        return _reached(engine.aimed(changed), aim, name)
 
     def stiffer(factor: float) -> Aim:
-        return target if factor == 1.0 else target.changed(stiffness_n_per_m=factor * (aim.stiffness_n_per_m or 0.0))
+        return aim if factor == 1.0 else aim.changed(stiffness_n_per_m=factor * (stiffness or 0.0))
 
     def rebounding(value: float) -> Aim:
-        return target if value == aim.rebound else target.changed(restitution=value)
+        return target if value == rebound else target.changed(restitution=value)
 
-    def rubbing(value: float) -> Aim:
-        return target if value == aim.friction else target.changed(friction=value)
-
-    def tuned(
-        name: str,
-        changed: Callable[[float], Aim],
-        error: Callable[[float], float],
-        start: float,
-        ends: tuple[float, float],
-        tolerance: float,
-    ) -> Aim:
-        def error_with(value: float) -> float:
-            return error(_reached(engine.aimed(changed(value)), aim, name))
-
-        return changed(_root(error_with, start, *ends, tolerance))
-
-    asked_m, rebound, friction = aim.depth_m, aim.rebound, aim.friction
-    if engine.is_soft and aim.stiffness_n_per_m is not None and asked_m is not None:
+    if engine.is_soft and stiffness is not None and asked_m is not None:
         ends = (1.0 / STIFFER, STIFFER)
-        target = tuned("penetration_m", stiffer, lambda depth_m: 1.0 - depth_m / asked_m, 1.0, ends, DEPTH_SHARE)
+        factor = _root(
+            lambda factor: 1.0 - reached(stiffer(factor), "penetration_m") / asked_m, 1.0, *ends, DEPTH_SHARE
+        )
+        target = stiffer(factor)
     if rebound is not None:
-        tolerance = RESTITUTION_TOLERANCE
-        target = tuned("restitution", rebounding, lambda mean: mean - rebound, rebound, engine.aims, tolerance)
-    if aim.is_friction_asked:
-        ends = (0.5 * friction, 2.0 * friction)
-        target = tuned("friction", rubbing, lambda found: found / friction - 1.0, friction, ends, FRICTION_SHARE)
+        ends, tolerance = engine.aims, RESTITUTION_TOLERANCE
+        value = _root(lambda value: reached(rebounding(value), "restitution") - rebound, rebound, *ends, tolerance)
+        target = rebounding(value)
     return engine.aimed(target)
 
 
@@ -196,7 +198,7 @@ def _reached(settings: ContactSettings, aim: Aim, name: str) -> float:
     """Return what settings reach in one quantity, by its scene alone."""
     probe, build = probe_of(settings, aim.mass_kg), settings.build(aim.mass_kg)
     if name == "friction":
-        return probe.slide(build, aim.friction).friction
+        return probe.slide(build, aim.friction).mean
     return probe.drop(build).mean if name == "restitution" else probe.rest(build).penetration_m
 
 

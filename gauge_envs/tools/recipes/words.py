@@ -17,6 +17,7 @@ from gauge_envs.tools.recipes.fabrics import FabricRecipe
 from gauge_envs.tools.recipes.materials import MaterialPair
 
 TITLES = {
+    "friction_hopping": "friction, hopping",
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",
     "time_constant_s": "time constant [s]",
@@ -33,17 +34,19 @@ def _number(key: str, title: str, *, unit: str = "") -> Column:
 
 
 NAME = Column("name", "", lambda name: TITLES.get(name, name))
-REACHED = (_number("reached", "reached"), Column("error", "error", lambda value: f"{value:+.2g}", is_number=True))
+REACHED = (
+    _number("reached", "reached"),
+    # Less than 1e-12 is rounding.
+    Column("error", "error", lambda value: f"{value:+.2g}" if abs(value) > 1e-12 else "0", is_number=True),
+)
 
 
 def recipe_document(recipe: Recipe, pair: MaterialPair | None = None) -> Document:
     """Return what was asked and reached, and the reason of a miss, below the measured pair that was asked for."""
-    friction = recipe.aim.friction if recipe.aim.is_friction_asked else None
-    asked = {"friction": friction, "restitution": recipe.aim.rebound, "penetration_m": recipe.aim.depth_m}
     table = Table(
         columns=(Column("name", recipe.engine, NAME.format), _number("asked", "asked"), *REACHED),
         rows=[
-            {"name": name, "asked": asked.get(name), "reached": value, "error": recipe.error.get(name)}
+            {"name": name, "asked": recipe.asked.get(name), "reached": value, "error": recipe.error.get(name)}
             for name, value in recipe.reached.items()
         ],
         notes=("", recipe.explanation, f"{recipe.wall_s:.1f} s"),

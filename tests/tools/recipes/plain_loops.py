@@ -1,6 +1,7 @@
 """Loops in the engines themselves, built from the snippet of a recipe and nothing else of this package.
 
-Each returns the friction of a slide of a plate and the restitution of drops of a ball.
+Those with the name of an engine return the friction of a slide of a plate and the restitution of drops of a ball. Those
+of `SLIDES` return the friction of one slide.
 """
 
 from __future__ import annotations
@@ -26,6 +27,13 @@ def friction_of(times: Any, path: Any, slope: float) -> float:
     seen = np.asarray(times) >= 0.1
     acceleration = 2.0 * np.polyfit(np.asarray(times)[seen], np.asarray(path)[seen], 2)[0]
     return float((G * math.sin(slope) - acceleration) / (G * math.cos(slope)))
+
+
+def friction_under(times: Any, path: Any, lift: Any, slope: float) -> float:
+    """Friction over normal force of a body on a slope, from its mean accelerations along and off it after 0.1 s."""
+    seen = np.asarray(times) >= 0.1
+    along, off = (2.0 * np.polyfit(np.asarray(times)[seen], np.asarray(one)[seen], 2)[0] for one in (path, lift))
+    return float((G * math.sin(slope) - along) / (G * math.cos(slope) + off))
 
 
 def restitution_of(heights: Any) -> float:
@@ -383,3 +391,114 @@ def genesis(snippet: str, friction: float, mass: float, step: float) -> tuple[fl
     finally:
         gs.destroy()
     return friction_of(step * np.arange(len(path)), path, slope), float(np.mean(rebounds))
+
+
+def mujoco_slide(
+    snippet: str,
+    friction: float,
+    mass: float,
+    *,
+    turn_deg: float,
+    size: tuple[float, float, float] = PLATE,
+    tip: tuple[float, float] = (0.0, 0.0),
+    beyond_deg: float = 10.0,
+    is_free: bool = False,
+) -> float:
+    """MuJoCo, from MJCF: a box on three sliding joints, which cannot turn, or a free one."""
+    import mujoco as mj
+
+    joints = "".join(f"<joint type='slide' axis='{axis}'/>" for axis in ("1 0 0", "0 1 0", "0 0 1"))
+    x, y, z = (0.5 * edge for edge in size)
+    height = z + x * abs(tip[1]) + y * abs(tip[0])
+    model = mj.MjModel.from_xml_string(
+        f"<mujoco><compiler eulerseq='XYZ' angle='radian'/>{snippet}<worldbody><geom name='floor' type='plane' "
+        f"size='9 9 1'/><body pos='0 0 {height}' euler='{tip[0]} {tip[1]} {math.radians(turn_deg)}'>"
+        f"{'<freejoint/>' if is_free else joints}<geom name='foot' type='box' size='{x} {y} {z}' mass='{mass}'/></body>"
+        "</worldbody></mujoco>"
+    )
+    slope = math.atan(friction) + math.radians(beyond_deg)
+    model.opt.gravity[:] = (G * math.sin(slope), 0.0, -G * math.cos(slope))
+    data = mj.MjData(model)
+    times, places = [], []
+    while data.time < 0.5:
+        mj.mj_step(model, data)
+        times.append(data.time)
+        places.append(data.xpos[1].copy())  # before the step that `time` follows: the shift changes no acceleration
+    return friction_under(times, np.array(places)[:, 0], np.array(places)[:, 2], slope)
+
+
+def rapier_slide(
+    snippet: str,
+    friction: float,
+    mass: float,
+    *,
+    turn_deg: float,
+    size: tuple[float, float, float] = PLATE,
+    beyond_deg: float = 10.0,
+    is_free: bool = False,
+) -> float:
+    """Rapier, from Python: a box whose rotations are locked, or a free one."""
+    import rapier3d as rp
+
+    names: dict[str, Any] = {}
+    exec(snippet, names)
+    slope = math.atan(friction) + math.radians(beyond_deg)
+    made = rp.PhysicsWorld(gravity=(G * math.sin(slope), 0.0, -G * math.cos(slope)))
+    names["set_parameters"](made)
+    made.add_body(rp.RigidBody.fixed(), [names["with_contact"](rp.Collider.halfspace((0.0, 0.0, 1.0)))])
+    builder = rp.RigidBody.dynamic().translation((0.0, 0.0, size[2] / 2)).can_sleep(False)
+    builder = builder.rotation((0.0, 0.0, math.radians(turn_deg))).enabled_rotations((is_free, is_free, is_free))
+    foot = rp.Collider.cuboid(*(0.5 * edge for edge in size)).mass(mass)
+    body = made.rigid_bodies[made.add_body(builder, [names["with_contact"](foot)])]
+    step = made.integration_parameters.dt
+    times, path, lift = [0.0], [0.0], [0.0]
+    while times[-1] < 0.5:
+        made.step()
+        times.append(times[-1] + step)
+        path.append(body.translation.x)
+        lift.append(body.translation.z)
+    return friction_under(times[1:], path[1:], lift[1:], slope)
+
+
+def physx_slide(
+    snippet: str,
+    friction: float,
+    mass: float,
+    *,
+    turn_deg: float,
+    size: tuple[float, float, float] = PLATE,
+    beyond_deg: float = 10.0,
+    is_free: bool = False,
+) -> float:
+    """SAPIEN, from Python: a box whose rotations are locked, or a free one."""
+    import sapien
+
+    names: dict[str, Any] = {}
+    slope = math.atan(friction) + math.radians(beyond_deg)
+    before = sapien.physx.get_scene_config()
+    kept = before.gravity, before.bounce_threshold
+    try:
+        sapien.physx.set_scene_config(gravity=np.array([G * math.sin(slope), 0.0, -G * math.cos(slope)]))
+        exec(snippet, names)
+        made = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+        made.set_timestep(names["timestep"])
+        made.add_ground(0.0, render=False, material=names["material"])
+        builder = made.create_actor_builder()
+        builder.add_box_collision(material=names["material"], half_size=[0.5 * edge for edge in size])
+        actor = builder.build()
+        half = math.radians(turn_deg) / 2.0
+        actor.set_pose(sapien.Pose([0.0, 0.0, size[2] / 2], [math.cos(half), 0.0, 0.0, math.sin(half)]))
+        component = actor.find_component_by_type(sapien.physx.PhysxRigidDynamicComponent)
+        component.mass = mass
+        component.set_locked_motion_axes([False] * 3 + [not is_free] * 3)
+        times, places = [0.0], [actor.pose.p]
+        while times[-1] < 0.5:
+            made.step()
+            times.append(times[-1] + names["timestep"])
+            places.append(actor.pose.p)
+    finally:
+        sapien.physx.set_scene_config(gravity=kept[0], bounce_threshold=kept[1])
+    return friction_under(times, np.array(places)[:, 0], np.array(places)[:, 2], slope)
+
+
+SLIDES = {"mujoco": mujoco_slide, "rapier": rapier_slide, "physx": physx_slide}

@@ -86,8 +86,8 @@ def test_the_friction_of_a_slide_is_that_of_coulomb() -> None:
     assert friction_of_slide(G * (math.sin(slope) - 0.4 * math.cos(slope)), slope) == pytest.approx(0.4)
 
 
-def test_the_friction_of_a_plate_that_hops_is_that_of_its_contacts() -> None:
-    """The recipe of restitution 0.9 hops by 3.6 mm; each of its contacts slides with 0.3 (MuJoCo's contact forces)."""
+def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> None:
+    """Each contact slides with 0.3 (MuJoCo's contact forces), also of free plates, which hop by 4 mm."""
     settings = MuJoCoSettings(
         timestep_s=0.001,
         integrator="implicitfast",
@@ -98,10 +98,12 @@ def test_the_friction_of_a_plate_that_hops_is_that_of_its_contacts() -> None:
         solreffriction=(0.0, -300.0),
         solimp=(0.99, 0.99, 0.001, 0.5, 2.0),
     )
-    slide = probe_of(settings, 0.2).slide(settings.build(0.2), 0.3)
-    assert slide.lift_m > 2e-3
+    probe, build = probe_of(settings, 0.2), settings.build(0.2)
+    slide, (hopping, hop_m) = probe.slide(build, 0.3), probe.hop(build, 0.3)
     # Without the acceleration off the slope, 0.3010.
-    assert slide.along == pytest.approx(0.3, abs=1e-4)
+    assert (slide.low, slide.high) == pytest.approx((0.3, 0.3), abs=1e-4)
+    assert hop_m > 2e-3
+    assert hopping.low <= hopping.mean <= hopping.high < 0.3
 
 
 def test_the_impedance_runs_from_d0_to_dwidth() -> None:

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import re
+import shlex
 from dataclasses import replace
 from typing import Any
 
 import mujoco
 import pytest
+from places import ROOT
 from typer.testing import CliRunner
 
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
@@ -43,10 +46,19 @@ def test_a_recipe_is_one_json_object() -> None:
         *("engine", "asked", "settings", "snippet", "reached", "error"),
         *("misses", "detail", "wall_s", "explanation", "versions"),
     ]
-    assert set(found["reached"]) == {"friction", "restitution", "penetration_m", "creep_m_s"}
+    assert set(found["reached"]) == {"friction", "friction_hopping", "restitution", "penetration_m", "creep_m_s"}
     assert found["error"]["friction"] == pytest.approx(found["reached"]["friction"] - 0.4)
     assert found["error"]["penetration_m"] is None
     assert found["engine"] == "mujoco" and "mujoco" in found["versions"]
+
+
+@pytest.mark.parametrize("place", [0, 1])
+def test_an_example_of_the_page_is_what_the_command_prints(place: int) -> None:
+    page = (ROOT / "docs" / "recipes.md").read_text(encoding="utf-8")
+    command, printed = re.findall(r"```sh\n([^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL)[place]
+    # The page leaves out the wall time.
+    found = re.sub(r"\d+\.\d s\n", "", gauge(*shlex.split(command)[2:]).output).split()
+    assert found[: len(printed.split())] == printed.split()
 
 
 def test_a_stiffness_is_reached_as_a_depth_and_a_damping_as_a_rebound() -> None:

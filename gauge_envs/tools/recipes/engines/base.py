@@ -33,6 +33,7 @@ class ContactSettings(BaseModel, ABC):
         natives: Names of settings of the backend, by the fields that state them.
         template: The settings in the engine's own language, with fields in braces.
         separator: Text between the numbers of a tuple in the engine's own language.
+        comment: A comment in the engine's own language, with braces for its text.
         limits: What the engine itself limits in `restitution`, `friction` or `penetration_m`.
         timestep_s: Time step [s].
     """
@@ -48,6 +49,7 @@ class ContactSettings(BaseModel, ABC):
     natives: ClassVar[Mapping[str, str]] = {}
     template: ClassVar[str]
     separator: ClassVar[str] = ", "
+    comment: ClassVar[str] = "# {}"
     limits: ClassVar[Mapping[str, str]]
 
     timestep_s: float = Field(gt=0.0)

@@ -87,6 +87,7 @@ class MuJoCoSettings(ConstraintSettings):
 </contact>
 """
     separator: ClassVar[str] = " "
+    comment: ClassVar[str] = "<!-- {} -->"
 
     integrator: str
     cone: str
