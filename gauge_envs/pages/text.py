@@ -28,9 +28,8 @@ METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 COST_TITLE = "wall s/sim s"
 
 NORMALIZED_NOTE = (
-    "Over real trials: score over the mean score of the real trials, which are aligned where the score is, with its "
-    "95 % interval. RMSE and DTW: lower is closer. LSD, MTE, PD: over the real value, 1 is ideal. EL: 0 is ideal. "
-    "Engines: as published (GAUGE, Table 5)."
+    "Over real trials: score over the mean of theirs, aligned where the score is. LSD, MTE, PD: over the real value, 1 "
+    "is ideal. EL: 0 is ideal. Engines: as published (GAUGE, Table 5)."
 )
 
 GRADE_NOTES = {

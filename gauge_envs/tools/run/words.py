@@ -86,8 +86,8 @@ def _score_table(results: Sequence[Result]) -> Table:
         notes=(
             "",
             NORMALIZED_NOTE,
-            "Real trials closer: to the mean of the others than the simulation is to the mean; in brackets the share "
-            "of all such trials. Aligned: after the best time shift. --format wide shows more columns.",
+            "Real trials closer: to the mean of the others than the simulation is to the mean. Aligned: after the best "
+            "time shift. In brackets: 95 % intervals. --format wide shows more columns.",
             *(f"Grade {grade}: {GRADE_NOTES[BandGrade(grade)]}." for grade in grades),
         ),
     )
