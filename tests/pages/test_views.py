@@ -134,7 +134,7 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
         (("list",), 84),
         (("list", "references"), 160),
         (("recipe", "fabrics"), 80),
-        (("compare",), 90),
+        (("compare",), 112),
         (("run", IDS[0], "--out", "new"), 23),
         (("sanity", "HalfCheetah-v5"), 120),
     ],

@@ -46,8 +46,8 @@ EXPERIMENT = Column("id", "experiment", short_id, place=Place.HEADING)
 GRADE = Column("", "grade", lambda row: grade_name(row["grade"], withheld=row["withheld"]), place=Place.HEADING)
 
 INTERVAL_NOTE = (
-    "[low, high]: 95 % interval, from the sample of real trials and the uncertain inputs. Trials closer: share of the "
-    "real trials that are closer to their mean, by the metric above it."
+    "[low, high]: 95 % interval, for what the sample of real trials leaves open. Trials closer: share of the "
+    "real trials that are closer to their mean, by the metric below it."
 )
 
 CELL_NOTES = {
@@ -213,10 +213,10 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
     ]
     shown = []
     for row in rows:
-        shown.append(row)
         is_primary = row["metric"] == experiments[row["id"]].primary
         if is_primary and any(one["percentile"] is not None for one in row["configurations"]):
             shown.append(row | {"metric": PERCENTILE, "published": None})
+        shown.append(row)
     return Table(
         title="Scores over the mean score of the real trials, with 95 % intervals",
         columns=(
