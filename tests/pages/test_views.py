@@ -135,7 +135,7 @@ def test_ids_are_whole_and_on_one_line(gauge: Print) -> None:
         (("list", "references"), 160),
         (("recipe", "fabrics"), 80),
         (("compare",), 112),
-        (("run", IDS[0], "--out", "new"), 23),
+        (("run", IDS[0], "--out", "new"), 24),
         (("sanity", "HalfCheetah-v5"), 120),
     ],
 )

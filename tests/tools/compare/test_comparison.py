@@ -456,15 +456,15 @@ def test_results_of_two_references_are_not_averaged(real):
     assert any("references of grade" in note for note in comparison.notes)
 
 
-def test_cells_have_intervals_and_the_percentile_below_the_primary_score(real):
+def test_cells_have_intervals_and_the_percentile_above_the_primary_score(real):
     score = real[SLIDER].score
     text = printed([real[SLIDER]])
     low, high = (score_text(end) for end in score.rmse_aligned_normalized_95)
     assert f"{score_text(score.rmse_aligned_normalized)} [{low}, {high}]" in text
     lines = text.splitlines()
     place = next(index for index, line in enumerate(lines) if line.strip().startswith("RMSE aligned"))
-    assert lines[place + 1].split()[:5] == ["trials", "closer", "-", f"{score.percentile_aligned:.0f}", "%"]
-    assert lines[place + 2].split()[0] == "RMSE"
+    assert lines[place - 1].split()[:5] == ["trials", "closer", "-", f"{score.percentile_aligned:.0f}", "%"]
+    assert lines[place + 1].split()[0] == "RMSE"
 
 
 @pytest.mark.parametrize("metric", [name for name, one in SCORE_METRICS.items() if one.is_normalized])
