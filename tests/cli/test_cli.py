@@ -83,7 +83,7 @@ def test_backend_list(gauge):
 def test_run_prints_scores_beside_the_published_ones(gauge, tmp_path):
     result = gauge("run", "SlopeSlider-2-*", "--out", "out")
     assert result.exit_code == 0
-    for text in ("SlopeSlider-2-plastic", "Isaac Sim", "Genesis", "Newton", "trials", "over the mean score"):
+    for text in ("SlopeSlider-2-plastic", "Isaac Sim", "Genesis", "Newton", "trials", "Over real trials"):
         assert text in result.stdout
     assert len(list((tmp_path / "out").iterdir())) == 3
     assert "3 finished; results in out" in result.stderr
@@ -209,7 +209,7 @@ def test_score_of_a_file(gauge, tmp_path):
     result = gauge("score", file, "--id", NAME)
     assert result.exit_code == 0
     assert "0.41" in result.stdout
-    assert "over the mean score" in result.stdout
+    assert "Over real trials" in result.stdout
     (values,) = lines(gauge("score", file, "--id", NAME, "--json"))
     assert values.keys() >= KEYS
     assert (values["backend"], values["wall_s"], values["settings"], values["seed"]) == (None, None, {}, None)
