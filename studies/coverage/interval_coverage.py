@@ -136,11 +136,9 @@ def _measure_kind(
             ScoreDraws(
                 seeds=(0,),
                 raw=score,
-                raw_draws=drawn,
-                raw_influences=influences,
                 primary=score,
-                primary_draws=drawn,
-                primary_influences=influences,
+                draws=drawn,
+                influences=influences,
             )
         )
     experiment = GradedExperiment(id="one", draws=tuple(scores))

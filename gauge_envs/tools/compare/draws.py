@@ -75,29 +75,21 @@ class ScoreDraws:
     Attributes:
         seeds: Seed of each repeat.
         raw: E_RMSE of the paper, normalized, shape [repeat_count].
-        raw_draws: Its draws, shape [repeat_count, draw_count].
-        raw_influences: Effect of each real trial on it, shape [repeat_count, trial_count]; no columns without trials.
         primary: The score that reports show first, aligned if the experiment starts with a release, same shape.
-        primary_draws: Its draws.
-        primary_influences: Effect of each real trial on it.
+        draws: Draws of it, shape [repeat_count, draw_count].
+        influences: Effect of each real trial on it, shape [repeat_count, trial_count]; no columns without trials.
     """
 
     seeds: tuple[int | None, ...]
     raw: FloatArray
-    raw_draws: FloatArray
-    raw_influences: FloatArray
     primary: FloatArray
-    primary_draws: FloatArray
-    primary_influences: FloatArray
+    draws: FloatArray
+    influences: FloatArray
 
-    def mean(self, *, raw: bool = False) -> tuple[float, FloatArray]:
-        """Return the mean over the repeats, and its draws of shape [draw_count].
-
-        Args:
-            raw: Whether to take the raw score instead of the primary one.
-        """
+    def mean(self) -> tuple[float, FloatArray]:
+        """Return the mean of the primary score over the repeats, and its draws of shape [draw_count]."""
         every = range(len(self.seeds))
-        return _mean(self, every, raw=raw, wider=widening(_influence(self, every, raw=raw)))
+        return _mean(self, every, wider=widening(_influence(self, every)))
 
 
 def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -> ScoreDraws | None:
@@ -108,30 +100,27 @@ def score_draws(results: Sequence[Result], experiment: Experiment, band: Band) -
     """
     if any(result.outcome is not Outcome.FINISHED for result in results):
         return None
-    raw: list[tuple[float, FloatArray, FloatArray]] = []
-    primary: list[tuple[float, FloatArray, FloatArray]] = []
+    raw: list[float] = []
+    drawn: list[tuple[float, FloatArray, FloatArray]] = []
     for result in results:
         if result.trajectory is None or result.score.rmse_normalized is None:
             return None
         times_s, values = result.trajectory.arrays(later=True)
         deviations = band_deviations(experiment, band, times_s=times_s, values=values)
-        for deviation, drawn in ((deviations.raw, raw), (deviations.first, primary)):
-            if (baseline := deviation.baseline) is None:
-                return None
-            draws = deviation.errors.draws(deviation.values)
-            influences = deviation.errors.influences(deviation.values)
-            drawn.append((deviation.rmse / baseline, draws / baseline, influences / baseline))
+        first = deviations.first
+        if (baseline := first.baseline) is None:
+            return None
+        draws, influences = first.errors.draws(first.values), first.errors.influences(first.values)
+        raw.append(deviations.raw.normalized or 0.0)
+        drawn.append((first.rmse / baseline, draws / baseline, influences / baseline))
     # The random numbers of a source depend on its name alone. Another order makes those of experiments independent.
-    draw_count = len(raw[0][1])
-    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(draw_count)
+    order = np.random.default_rng([SEED, *experiment.name.encode()]).permutation(len(drawn[0][1]))
     return ScoreDraws(
         seeds=tuple(result.seed for result in results),
-        raw=np.array([score for score, _, _ in raw]),
-        raw_draws=np.array([draws[order] for _, draws, _ in raw]),
-        raw_influences=np.array([influences for _, _, influences in raw]),
-        primary=np.array([score for score, _, _ in primary]),
-        primary_draws=np.array([draws[order] for _, draws, _ in primary]),
-        primary_influences=np.array([influences for _, _, influences in primary]),
+        raw=np.array(raw),
+        primary=np.array([score for score, _, _ in drawn]),
+        draws=np.array([draws[order] for _, draws, _ in drawn]),
+        influences=np.array([influences for _, _, influences in drawn]),
     )
 
 
@@ -143,8 +132,8 @@ def paired_scores(first: ScoreDraws, second: ScoreDraws) -> tuple[tuple[float, F
     as that takes: no difference is refused.
     """
     chosen, others = _common_repeats(first, second)
-    wider = widening(_influence(first, chosen, raw=False) - _influence(second, others, raw=False))
-    return _mean(first, chosen, raw=False, wider=wider), _mean(second, others, raw=False, wider=wider)
+    wider = widening(_influence(first, chosen) - _influence(second, others))
+    return _mean(first, chosen, wider=wider), _mean(second, others, wider=wider)
 
 
 def _common_repeats(first: ScoreDraws, second: ScoreDraws) -> tuple[Sequence[int], Sequence[int]]:
@@ -154,16 +143,14 @@ def _common_repeats(first: ScoreDraws, second: ScoreDraws) -> tuple[Sequence[int
     return [first.seeds.index(seed) for seed in common], [second.seeds.index(seed) for seed in common]
 
 
-def _influence(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool) -> FloatArray:
-    influences = scores.raw_influences if raw else scores.primary_influences
-    return np.asarray(influences[list(chosen)].mean(axis=0))
+def _influence(scores: ScoreDraws, chosen: Sequence[int]) -> FloatArray:
+    return np.asarray(scores.influences[list(chosen)].mean(axis=0))
 
 
-def _mean(scores: ScoreDraws, chosen: Sequence[int], *, raw: bool, wider: float) -> tuple[float, FloatArray]:
+def _mean(scores: ScoreDraws, chosen: Sequence[int], *, wider: float) -> tuple[float, FloatArray]:
     """Return the mean over repeats and its draws, which also scatter as the mean of so few repeats does."""
     index = list(chosen)
-    values, draws = (scores.raw, scores.raw_draws) if raw else (scores.primary, scores.primary_draws)
-    values, draws = values[index], draws[index]
+    values, draws = scores.primary[index], scores.draws[index]
     draws = values[:, None] + wider * (draws - values[:, None])
     weights = _repeat_weights(len(index), draws.shape[1])
     return float(values.mean()), np.einsum("kn,nk->k", weights, draws)

@@ -431,7 +431,7 @@ def test_repeats_are_paired_by_seed_and_averaged_in_each_draw(real):
 
 def test_draws_of_two_configurations_are_paired_and_those_of_two_experiments_are_not(real):
     comparison = compare(under_two_names(real, SLIDER, PLASTIC))
-    drawn = [[cell.draws.raw_draws[0] for cell in one.cells] for one in comparison.experiments]
+    drawn = [[cell.draws.draws[0] for cell in one.cells] for one in comparison.experiments]
     assert np.corrcoef(*drawn[0])[0, 1] > 0.99
     assert abs(np.corrcoef(drawn[0][0], drawn[1][0])[0, 1]) < 0.06
 

@@ -52,7 +52,7 @@ def observed(world: World, *, aligned: bool, random: np.random.Generator, name: 
         score = np.array([np.linalg.norm(own.flat(deviation))]) / baseline
         drawn = own.draws(deviation)[None, order] / baseline
         influences = own.influences(deviation)[None] / baseline
-        draws.append(ScoreDraws((0,), score, drawn, influences, score, drawn, influences))
+        draws.append(ScoreDraws((0,), score, score, drawn, influences))
         ends = own.interval(deviation)
         intervals.append(None if ends is None else (ends[0] / baseline, ends[1] / baseline))
     return GradedExperiment(id=name, draws=tuple(draws), intervals=tuple(intervals), trial_count=TRIAL_COUNT)
@@ -105,7 +105,7 @@ def test_engines_that_do_not_differ_are_told_apart_as_often_as_stated_from_few_r
         values = 1.0 + 0.1 * random.standard_normal(count)
         drawn = np.repeat(values[:, None], 500, axis=1)
         none = np.zeros((count, 0))
-        return ScoreDraws(tuple(range(count)), values, drawn, none, values, drawn, none)
+        return ScoreDraws(tuple(range(count)), values, values, drawn, none)
 
     alike, held = 0, 0
     for _ in range(400):
@@ -185,7 +185,7 @@ def test_trials_that_drift_tell_no_engines_apart() -> None:
             refused.append(errors.interval(deviation) is None)
             score, drawn = np.array([np.linalg.norm(errors.flat(deviation))]), errors.draws(deviation)[None]
             influences = errors.influences(deviation)[None]
-            draws.append(ScoreDraws((0,), score, drawn, influences, score, drawn, influences))
+            draws.append(ScoreDraws((0,), score, score, drawn, influences))
         pair = paired([GradedExperiment(id="slide", draws=tuple(draws), trial_count=TRIAL_COUNT)])
         verdicts.append((all(refused), pair.distinguishable))
     assert verdicts == [(True, False), (False, True)]

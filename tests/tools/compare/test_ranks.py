@@ -85,7 +85,7 @@ def scored(*scores: float, name: str = "exact", scatter: float = 0.0) -> GradedE
     for score in scores:
         drawn = score + scatter * random.standard_normal((1, 4000))
         value = np.array([score])
-        draws.append(ScoreDraws((0,), value, drawn, np.zeros((1, 0)), value, drawn, np.zeros((1, 0))))
+        draws.append(ScoreDraws((0,), value, value, drawn, np.zeros((1, 0))))
     return GradedExperiment(id=name, draws=tuple(draws), trial_count=20)
 
 
@@ -186,7 +186,7 @@ def equal_engines(count: int, trial_count: int, size: float, random: np.random.G
         score = np.array([np.linalg.norm(errors.flat(deviation)) / baseline])
         drawn = errors.draws(deviation)[None] / baseline
         influences = errors.influences(deviation)[None] / baseline
-        draws.append(ScoreDraws((0,), score, drawn, influences, score, drawn, influences))
+        draws.append(ScoreDraws((0,), score, score, drawn, influences))
     return GradedExperiment(id="equal", draws=tuple(draws), trial_count=trial_count)
 
 
