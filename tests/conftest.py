@@ -115,16 +115,16 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.fixture(scope="session")
 def rollout() -> Callable[..., tuple[gauge_envs.GaugeEnv, Trajectory, dict]]:
-    """Runs one episode with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
+    """Runs one episode, or its first frames, with zero actions: rollout("SlopeSlider-2-wood", parameters=...)."""
 
-    def run(name: str, **options: object) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
+    def run(name: str, *, frames: int | None = None, **options: object) -> tuple[gauge_envs.GaugeEnv, Trajectory, dict]:
         env = gymnasium.make(f"GAUGE/{name}", **options)
         env.reset(seed=0)
         zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
         over = False
         while not over:
             *_, terminated, truncated, info = env.step(zero)
-            over = terminated or truncated
+            over = terminated or truncated or info["frame"] == frames
         return env.unwrapped, env.unwrapped.trajectory(), info
 
     return run
