@@ -223,7 +223,7 @@ def interrupt_a_fork(*_):
 
 command = os.getpid()
 signal.signal(signal.SIGPROF, interrupt_a_fork)
-signal.setitimer(signal.ITIMER_PROF, 0.01, 0.2)
+signal.setitimer(signal.ITIMER_PROF, 0.01, 0.1)
 from gauge_command import main
 
 sys.argv = ["gauge", "list", "SlopeSlider-2-wood"]
@@ -234,7 +234,7 @@ finally:
     if os.getpid() == command:
         sys.stderr.write(json.dumps(moments))
 """
-"""A command of which a fork gets Ctrl-C every fifth of a second of processor time."""
+"""A command of which a fork gets Ctrl-C every tenth of a second of processor time."""
 
 
 def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:
