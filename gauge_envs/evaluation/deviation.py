@@ -190,7 +190,8 @@ def _shifted(
 class TrialDistances:
     """Distance of each real trial from the mean of the others, as that of a simulation is from the mean of all.
 
-    A trial is 2 to 3 % nearer to a mean of 20 that it is part of. The published baseline is of such distances.
+    A trial is nearer to a mean of N that it is part of, by the factor (N - 1) / N: 5 % of 20 trials. The published
+    baseline is of such distances.
 
     Attributes:
         raw: E_RMSE, shape [trial_count].

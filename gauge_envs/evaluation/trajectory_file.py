@@ -70,7 +70,7 @@ class StatedOrigin:
     Attributes:
         id: Id of the experiment.
         parameters: Parameters of the scene, not checked.
-        backend: Engine of the trajectory.
+        backend: Engine of the trajectory with its default settings; None for other settings.
         has_asset: Whether the file is a result whose scene was that of an asset.
     """
 
@@ -92,7 +92,7 @@ def stated_origin(file: Path) -> StatedOrigin:
     return StatedOrigin(
         id=name,
         parameters=parameters,
-        backend=backend if isinstance(backend, str) else None,
+        backend=backend if isinstance(backend, str) and not content.get("settings_given") else None,
         has_asset=bool(content.get("asset")),
     )
 

@@ -23,6 +23,8 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.references.sensitivities import input_uncertainties, load_sensitivities
 from gauge_envs.runs.episodes import run_episode, run_episodes
 from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import write_result
+from gauge_envs.runs.score_file import score_file
 from gauge_envs.runs.sensitivity import measure_sensitivities
 from gauge_envs.scene.jitter import Jitter, tilted
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -99,10 +101,15 @@ def test_what_a_constant_explains_is_what_a_run_with_the_other_value_leaves(scor
     assert first.left < 0.3 * scores[name].rmse_aligned
 
 
-def test_nothing_explains_an_error_of_the_engine(scores):
+def test_nothing_explains_an_error_of_the_engine(scores, tmp_path):
     """A table of another engine, of other settings or of other constants says nothing."""
     assert scores[BALL].explained
     assert run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})).score.explained is None
+    # Also not where the result is scored again from its file.
+    write_result(run_episode(RunRequest(BALL, settings={"timestep_s": 1 / 3600})), tmp_path / "ball.json")
+    assert score_file(tmp_path / "ball.json")[0].score.explained is None
+    write_result(run_episode(RunRequest(BALL)), tmp_path / "default.json")
+    assert score_file(tmp_path / "default.json")[0].score.explained == scores[BALL].explained
     effective = run_episode(RunRequest(BALL, parameters="effective")).score.explained
     assert not any(one.kind == "constant" for one in effective)
     law = run_episode(RunRequest("SlopeSlider-1-plastic")).score

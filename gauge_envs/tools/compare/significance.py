@@ -20,7 +20,7 @@ limit it would tell apart steps and solvers that differ by micrometres."""
 
 
 def p_value(first: tuple[float, FloatArray], second: tuple[float, FloatArray], *, degrees: int) -> float:
-    """Return the two-sided p-value of two scores that differ by at most `NEGLIGIBLE`.
+    """Return the two-sided p-value of the hypothesis that two scores differ by at most `NEGLIGIBLE`.
 
     It is below 0.05 where 97.5 % of the draws differ by more, with the sign of the observed difference. The tail cannot
     be counted: of 4000 draws, the smallest share on both sides is 0.0005, and the first of 153 pairs needs 0.0003. So

@@ -210,7 +210,8 @@ def rescored(result: Result, experiment: Experiment) -> Result:
     band = reference_band(experiment)
     if result.outcome is Outcome.FINISHED and result.trajectory is not None:
         times_s, values = result.trajectory.arrays(later=True)
-        score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=result.backend)
+        backend = None if result.settings_given else result.backend
+        score = score_trajectory(experiment, band, times_s=times_s, values=values, backend=backend)
     else:
         grade = BandGrade.NONE if band is None else band.grade
         score = Score(grade=grade.value, unit=experiment.score.observable.unit)
