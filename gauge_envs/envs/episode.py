@@ -112,7 +112,7 @@ class Episode:
         self.fault: str | None = None
         self._backend = backend
         self._world = world
-        is_aligned = band is not None and band.grade is not BandGrade.LAW and experiment.trial is None
+        is_aligned = band is not None and band.grade.is_real and experiment.trial is None
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later, self._later_limit = 0, self._later_frames
         self._last_view: View | None = None
@@ -124,6 +124,7 @@ class Episode:
         # A slice reads faster than an index array, and most experiments record all dynamic bodies.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
         self._reward_terms = reward_terms(band)
+        self._rewards_points = band is not None and band.points is not None
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
         self._deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
@@ -466,12 +467,18 @@ class Episode:
         return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin, **diverged}
 
     def reward(self) -> float:
-        """Return minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a band."""
+        """Return minus the mean over band coordinates of |z| at the frame; 0 where the band knows nothing.
+
+        A band with `points` compares the positions of the markers [mm] instead.
+        """
         if self._reward_terms is None:
             return 0.0
         projection, mean, weight = self._reward_terms
         frame = self.frame or 0
-        deviation = projection.dot(self._samples[frame * SAMPLES_PER_FRAME]) - mean[frame]
+        here = self._samples[frame * SAMPLES_PER_FRAME]
+        if self._rewards_points:
+            here = 1e3 * self._markers_m[frame].ravel()
+        deviation = projection.dot(here) - mean[frame]
         return -float(np.abs(deviation).dot(weight[frame]))
 
     def fault_of(self, states: NDArray[np.float64]) -> str | None:
@@ -508,11 +515,15 @@ def run_on_together(episodes: Sequence[Episode], advance: Callable[[Sequence[int
 def reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
     """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
 
-    None without a band.
+    z is the deviation over sigma, or over the uncertainty of the mean where that is larger.
+
+    They are those of the band's `points` if it has any. None without a band.
     """
     if band is None:
         return None
-    usable = band.measured[:, None] & (band.sigma > 0.0) & np.isfinite(band.mean)
+    band = band.points or band
+    scale = band.sigma if band.uncertainty is None else np.fmax(band.sigma, band.uncertainty)
+    usable = band.measured[:, None] & (scale > 0.0) & np.isfinite(band.mean)
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
-    weight = np.where(usable, 1.0, 0.0) / np.where(usable, band.sigma, 1.0) / count
+    weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
     return band.projection, np.nan_to_num(band.mean), weight

@@ -15,7 +15,7 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S, release_offset, trajectory_rmse
 from gauge_envs.evaluation.uncertainty import LEVEL, BandErrors, band_errors, refusal, widening
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -140,9 +140,9 @@ def band_deviations(
         errors=errors,
         baseline=None if published is None else published.mean,
     )
-    # The mean of a law is exact from frame 0 on, and a single-shot trial is measured from there. A shift of time would
-    # only hide a drift.
-    if band.grade is BandGrade.LAW or experiment.trial is not None:
+    # A law and a model hold from frame 0 on, and a single-shot trial is measured from there. A shift of time would only
+    # hide a drift.
+    if not band.grade.is_real or experiment.trial is not None:
         return Deviations(raw=raw, aligned=None, release_offset_s=None, primary="rmse")
     projected = band.project(values)
     offset_s, rmse = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)

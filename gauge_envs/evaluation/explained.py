@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from gauge_envs.evaluation.deviation import Deviations, sampled_frames
 from gauge_envs.evaluation.metrics.trajectory import release_offset, trajectory_rmse
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -119,7 +119,7 @@ def explained(
 def _inputs(experiment: Experiment, band: Band, sensitivities: Sensitivities) -> Iterator[InputUncertainty]:
     for one in sensitivities.inputs:
         fits = len(one.change) >= len(band.mean) and one.change.shape[1] == band.projection.shape[1]
-        is_shared = band.grade is BandGrade.LAW and one.kind != "discretization"
+        is_shared = not band.grade.is_real and one.kind != "discretization"
         is_replaced = bool(experiment.overrides) and one.kind == "constant"
         if fits and not is_shared and not is_replaced:
             yield one

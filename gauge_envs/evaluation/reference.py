@@ -9,6 +9,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
+from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import CarriedLaw, FlightLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
@@ -16,9 +17,10 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
-    """Return the band that an experiment is scored against: its trial or measured band, or else that of a law.
+    """Return the band that an experiment is scored against: its trial or measured band, that of a law, or a model's.
 
-    `reference_source` of the experiment selects the bundled band or that of the imported trials.
+    A model is the solution of the calibrated scene alone: other parameters or an asset have none. `reference_source` of
+    the experiment selects the bundled band or that of the imported trials.
 
     Args:
         experiment: The experiment.
@@ -37,7 +39,8 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         return band
     law = law_for(experiment.name)
     if law is None:
-        return None
+        solved = None if experiment.edited or experiment.overrides else solved_model(experiment.name)
+        return None if solved is None else solved.band
     # An asset changes the simulated scene. The law holds for the calibrated one.
     calibrated = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
     if isinstance(law, CarriedLaw):
@@ -80,4 +83,6 @@ def band_grade(variant: str, source: DataSource = DataSource.BUNDLED) -> BandGra
     band = load_band(variant, source)
     if band is not None and band.withheld is None:
         return band.grade
-    return BandGrade.NONE if law_for(variant) is None else BandGrade.LAW
+    if law_for(variant) is not None:
+        return BandGrade.LAW
+    return BandGrade.NONE if solved_model(variant) is None else BandGrade.MODEL

@@ -105,7 +105,11 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
         if trial_count == 1:
             return "one real trial"
         return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
-    return "one recorded real trial" if grade is BandGrade.RECORDING else "the law that the score compares with"
+    names = {
+        BandGrade.RECORDING: "one recorded real trial",
+        BandGrade.MODEL: "the converged solution of the scene, not a real trial",
+    }
+    return names.get(grade, "the law that the score compares with")
 
 
 def reference_text(band: Band | None, path: ReferencePath | None, *, end_s: float, trial: int | None = None) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -27,6 +27,7 @@ from gauge_envs.evaluation.metrics.trajectory import (
     dtw_path,
     mean_abs_z,
     signed_error,
+    trajectory_rmse,
     z_scores,
 )
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
@@ -34,6 +35,7 @@ from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.metrics import METRICS
+from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities
 
@@ -45,7 +47,7 @@ class Score:
     """Distance of an episode from reality. None is a metric that does not apply or has no reference.
 
     Attributes:
-        grade: Grade of the band: `trials`, `recording`, `law` or `none`.
+        grade: Grade of the band: `trials`, `recording`, `law`, `model` or `none`.
         unit: Unit of `rmse`, `dtw`, `rmse_aligned` and `signed_error`.
         primary: Field with the score that reports show first: `rmse_aligned` for an experiment that starts with a
             release, else `rmse`; None without a band.
@@ -100,6 +102,8 @@ class Score:
         explained: What uncertain inputs of the simulation can explain of the `primary` error, the most first; None
             without sensitivities of the engine.
         sensitivities: Engine and settings of these sensitivities.
+        rmse_without: RMSE to the mean of the solutions without one engine, by that engine, of the engines that made a
+            reference of grade `model`; empty for other grades. That of the simulated engine is free of its own part.
         withheld: Why the band is not used by default; None for a band that is.
         edited: Whether the scene is that of an asset which differs from the calibrated scene.
     """
@@ -155,6 +159,7 @@ class Score:
     refused: tuple[str, ...] = ()
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
+    rmse_without: Mapping[str, float] = field(default_factory=dict)
     withheld: str | None = None
     edited: bool = False
 
@@ -302,6 +307,8 @@ def _band_scores(
         ends = raw.errors.path_interval(cells, simulated, band.mean)
         scores["dtw_normalized_95"] = None if ends is None else (ends[0] / line.mean, ends[1] / line.mean)
     scores["refused"] = tuple(_refused(deviations))
+    if band.grade is BandGrade.MODEL and (solved := solved_model(experiment.name)) is not None:
+        scores["rmse_without"] = {name: trajectory_rmse(simulated, mean) for name, mean in solved.others.items()}
     first = deviations.first
     if first.baseline is not None:
         scores["budget"] = first.errors.budget(first.values, baseline=first.baseline)
@@ -318,10 +325,10 @@ def _percentiles(field: str, distances: FloatArray, deviation: Deviation) -> dic
 
 
 def _refused(deviations: Deviations) -> Iterator[str]:
-    for field, one in (("rmse", deviations.raw), ("rmse_aligned", deviations.aligned)):
+    for name, one in (("rmse", deviations.raw), ("rmse_aligned", deviations.aligned)):
         if one is not None:
-            reasons = {f"{field}_95": one.refusal, f"{field}_normalized_95": one.normalized_refusal}
-            yield from (f"{name}: {reason}" for name, reason in reasons.items() if reason is not None)
+            reasons = {f"{name}_95": one.refusal, f"{name}_normalized_95": one.normalized_refusal}
+            yield from (f"{interval}: {reason}" for interval, reason in reasons.items() if reason is not None)
 
 
 def _origin(sensitivities: Sensitivities) -> str:

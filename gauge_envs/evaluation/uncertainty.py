@@ -83,6 +83,9 @@ TRIAL_KINDS = ("release", "sampling")
 PATH_NUMBERS = 2_000_000
 """Largest count of numbers in the draws of a warping path."""
 
+TABLE = "uncertainty of the mean in the band's table"
+"""Source of a measured band's uncertainty."""
+
 PROJECTION_FLOOR_MM = 1.0
 """Motion across the measured coordinates below which their direction does not matter: 0.3 degrees of it is 5 um."""
 
@@ -481,7 +484,7 @@ def _band_errors(band: Band, baseline_spread: float | None) -> BandErrors:
         baseline_bias=bias,
         baseline_source=baseline_source,
         sources=tuple(shapes.sources),
-        is_observed=band.grade is not BandGrade.LAW,
+        is_observed=band.grade.is_real,
         trial_count=count,
         influence=influence,
     )
@@ -500,19 +503,19 @@ def _random(name: str) -> np.random.Generator:
 def _from_spread(band: Band, baseline_spread: float | None, shapes: _Shapes) -> tuple[FloatArray, str]:
     """Add the error of a mean without single trials; return that of the baseline in each draw, and its source."""
     trial_count = input_uncertainties().trials.count
-    shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
-    known = "one trial" if shared == 1 else f"{shared} trials"
-    columns = [
-        np.eye(band.mean.shape[1])[column] * band.sigma / math.sqrt(shared) for column in range(band.mean.shape[1])
-    ]
-    shapes.add(
-        "mean of the trials",
-        "sampling",
-        "B",
-        f"scatter of the trials over the root of their number ({known}), taken as constant in time",
-        columns,
-        _random("sampling").standard_normal((DRAW_COUNT, len(columns))),
-    )
+    # A model is no mean of trials: it errs by its own uncertainty alone.
+    if band.grade is not BandGrade.MODEL:
+        shared = 1 if band.grade is BandGrade.RECORDING else band.trial_count or trial_count
+        known = "one trial" if shared == 1 else f"{shared} trials"
+        columns = list(np.eye(band.mean.shape[1])[:, None] * band.sigma / math.sqrt(shared))
+        shapes.add(
+            "mean of the trials",
+            "sampling",
+            "B",
+            f"scatter of the trials over the root of their number ({known}), taken as constant in time",
+            columns,
+            _random("sampling").standard_normal((DRAW_COUNT, len(columns))),
+        )
     if baseline_spread is None:
         return np.zeros(DRAW_COUNT), "not published"
     count = band.trial_count or trial_count
@@ -617,4 +620,5 @@ def _measurement(band: Band, shapes: _Shapes) -> None:
         if spread.any():
             columns = [unit * spread for unit in np.eye(spread.shape[1])]
             factors = _random(kind).standard_normal((DRAW_COUNT, len(columns)))
-            shapes.add(name, kind, "B", "uncertainty of the mean in the band's table", columns, factors)
+            source = "convergence and distance of the engines' solutions" if band.grade is BandGrade.MODEL else TABLE
+            shapes.add(name, kind, "B", source, columns, factors)

@@ -16,7 +16,7 @@ from gauge_envs.errors import MissingExtraError, ShapeError
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def score_worlds(
 
 def _is_aligned(experiment: Experiment, band: Band) -> bool:
     """Return whether worlds are also scored after the time shift that fits best; see `band_deviations`."""
-    return band.grade is not BandGrade.LAW and experiment.trial is None
+    return band.grade.is_real and experiment.trial is None
 
 
 def _normalized(experiment: Experiment, band: Band, scores: dict[str, FloatArray]) -> dict[str, FloatArray]:

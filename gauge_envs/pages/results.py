@@ -9,6 +9,7 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import number_text, quantity_text, short_id, value_text, with_unit
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
@@ -130,13 +131,44 @@ def percentile_text(score: Score, metric: str) -> str | None:
     return f"{percentile:.0f} %" + ("" if ends is None else f" [{ends[0]:.0f}, {ends[1]:.0f}]")
 
 
+def model_text(score: Score, backend: str | None) -> str:
+    """Return how well an engine solves the model, and the same without its own part in the reference."""
+
+    def amount(error: float) -> str:
+        text = with_unit(number_text(error), score.unit)
+        if not score.rmse_normalized or not score.rmse:
+            return text
+        return f"{text}, {percent_text(error / score.rmse * score.rmse_normalized)} % of the scatter of real trials"
+
+    text = f"solves the model to {amount(score.rmse or 0.0)}"
+    if score.rmse_95 is not None:
+        ends = " to ".join(number_text(end) for end in score.rmse_95)
+        text += f" (95 % interval {with_unit(ends, score.unit)})"
+    if backend in score.rmse_without:
+        others = " and ".join(sorted(set(score.rmse_without) - {backend}))
+        own = amount(score.rmse_without[backend])
+        text += f"; it helped to make this reference: to the solution of {others} alone {own}"
+    return text
+
+
 MOST_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""
 
 
-def reality_lines(name: str, score: Score) -> Iterator[str]:
-    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it."""
+def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterator[str]:
+    """Yield whether a result could be a real trial by its distance, and what uncertain inputs can explain of it.
+
+    Of a reference of grade `model` they say how well the engine solves the model.
+
+    Args:
+        name: Name of the result.
+        score: Its score.
+        backend: Name of its engine; None is unknown.
+    """
     if score.primary is None:
+        return
+    if score.grade == BandGrade.MODEL:
+        yield f"{name}: {model_text(score, backend)}."
         return
     percentile, count = getattr(score, PERCENTILES[score.primary]), score.trial_count
     if percentile is not None and count is not None:
@@ -197,14 +229,14 @@ def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:
     if row["share"] is None:
         amount = f"{quantity_text(row['points_rms_mm'])} mm (rms of the observed points)"
     else:
-        amount = f"{_percent(row['share'])} % of the real scatter"
+        amount = f"{percent_text(row['share'])} % of the real scatter"
     if not with_unit:
         return amount
     rms, largest = quantity_text(row["rms"]), quantity_text(row["max"])
     return f"{amount}, g(t) by {rms} {row['unit']} rms and {largest} {row['unit']} at most"
 
 
-def _percent(share: float) -> str:
+def percent_text(share: float) -> str:
     """Return a share in percent with two digits; a share below 0.01 % as such."""
     percent = 100.0 * share
     return "less than 0.01" if percent < 0.01 else f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"

@@ -48,8 +48,15 @@ class BandGrade(StrEnum):
     """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
     LAW = "law"
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
+    MODEL = "model"
+    """Converged solution of the calibrated scene by several engines. It says nothing of reality."""
     NONE = "none"
-    """No real reference: no score."""
+    """No reference: no score."""
+
+    @property
+    def is_real(self) -> bool:
+        """Whether the mean was measured. The motion of a law or a model starts at frame 0, so it is not aligned."""
+        return self in (BandGrade.TRIALS, BandGrade.RECORDING)
 
 
 class SigmaSource(StrEnum):
@@ -61,6 +68,8 @@ class SigmaSource(StrEnum):
     """Published baseline, which gives a time average alone: sigma is constant and the same for each coordinate."""
     MEASUREMENT = "measurement"
     """Uncertainty of the measurement, as no scatter of real trials is published."""
+    MODEL = "model"
+    """Uncertainty of the converged solution, as no scatter of real trials is published."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,6 +99,8 @@ class Band:
             and scatter are known.
         normalized_by_baseline: Whether distances to the band are divided by the published baseline. False for a band
             of another span than the baseline.
+        points: Positions of the markers at the same frames, from which rewards are, of a band in other coordinates;
+            else None.
     """
 
     grade: BandGrade
@@ -106,6 +117,7 @@ class Band:
     withheld: str | None = None
     trials: FloatArray | None = None
     normalized_by_baseline: bool = True
+    points: Band | None = None
 
     def __post_init__(self) -> None:
         for name in ("projection", "mean", "sigma", "measured", "uncertainty", "trials"):
@@ -147,7 +159,7 @@ class Band:
 
     def to_dict(self) -> dict[str, Any]:
         """Return a JSON-ready dictionary; an unknown number is None."""
-        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        values = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "points"}
         arrays = {name: _with_none(value) for name, value in values.items() if isinstance(value, np.ndarray)}
         return values | arrays | {"coordinates": list(self.coordinates)}
 

@@ -22,7 +22,7 @@ from gauge_envs.evaluation.swing import swing_metrics
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.results import raw_score
 from gauge_envs.pages.text import short_id
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -284,9 +284,9 @@ class ErrorMeasure:
         table = None if self.metric != "rmse" else experiment_sensitivities(self.experiment, backend)
         if table is None:
             return None
-        is_law = self.band is not None and self.band.grade is BandGrade.LAW
+        is_exact = self.band is not None and not self.band.grade.is_real
         # A law keeps the body where it starts, so another start moves simulation and law alike.
-        kinds = [kind for kind in INPUT_KINDS if not (is_law and kind == "start")]
+        kinds = [kind for kind in INPUT_KINDS if not (is_exact and kind == "start")]
         count = self.experiment.frame_count
         changes = [one.change[:count] for one in table.inputs if one.kind in kinds and len(one.change) >= count]
         if not changes:

@@ -29,7 +29,7 @@ from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -178,9 +178,9 @@ def _checked(times_s: FloatArray, values: FloatArray, frame_count: int) -> tuple
 def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
     """Return the stages that do not apply, with the reason."""
     missing = {}
-    if band.grade is BandGrade.LAW:
-        # As in the score: a law is exact from frame 0 on, and a shift could only hide a drift.
-        missing[BudgetStage.RELEASE] = "a law has no release: it holds from frame 0 on"
+    if not band.grade.is_real:
+        # As in the score: a shift could only hide a drift.
+        missing[BudgetStage.RELEASE] = f"a {band.grade} has no release: it holds from frame 0 on"
     real = float(np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0)))))
     own = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
     scatter = float(np.sqrt(np.nanmean(np.square(band.sigma))))

@@ -157,14 +157,14 @@ def _speed_faults(frames: FloatArray, experiment: Experiment) -> Iterator[Found]
 def copied_reference(frames: FloatArray, experiment: Experiment) -> str | None:
     """Return why a trajectory is a copy of the real mean or of a real trial, or None.
 
-    A reference of grade `law` is left out: an exact engine follows a closed form within rounding.
+    Laws and models are left out: an exact engine follows them within rounding.
 
     Args:
         frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
         experiment: The experiment.
     """
     band = reference_band(experiment, use_withheld=True)
-    if band is None or band.grade is BandGrade.LAW:
+    if band is None or not band.grade.is_real:
         return None
     simulated = band.project(frames)
     for name, real in _real_trajectories(band):

@@ -185,7 +185,7 @@ def _deformation_table(results: Sequence[Result]) -> Table:
 def _remarks(result: Result) -> Iterator[str]:
     """Yield what the table does not say of a result."""
     name = short_id(result.id)
-    yield from reality_lines(name, result.score)
+    yield from reality_lines(name, result.score, result.backend)
     yield from (f"{name}: no interval of {reason}." for reason in result.score.refused)
     if result.score.implied:
         yield _implied_line(name, result.score)

@@ -181,7 +181,7 @@ def _causes(site: Site, results: Results) -> Parts:
     lines = [
         join([site.swatch(index), line])
         for index, result in results.items()
-        for line in reality_lines(site.labels[index], result.score)
+        for line in reality_lines(site.labels[index], result.score, result.backend)
     ]
     return [listed(lines)] if lines else []
 

@@ -1,0 +1,218 @@
+"""Models: the converged solution of a calibrated scene, by engines of different families.
+
+A variant without a real reference may have `scoring/models/<variant>.npz` and a sidecar `<variant>.json`, which
+`scripts/build_models.py` writes; `unsolved.json` says why others have none. A distance to it is the numerical error of
+an engine: verification (ASME V&V 20), and not validation. It says nothing of reality.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.files import MEGABYTE, npz_arrays
+from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.published import published_baselines
+from gauge_envs.references.tables import FileModel, faults_of, read_content, scoring_folder
+from gauge_envs.scene.geometry import FloatArray
+
+STRIDE = 5
+"""Frames between stored values of an uncertainty, which varies slowly."""
+
+MOST_BYTES = 64 * MEGABYTE
+"""Largest size of a file, packed or not."""
+
+POINT_SIGMA_MM = 1.0
+"""Distance of a marker that a reward counts as 1 where the solution is surer than that [mm]. It is a choice: no scatter
+of marker positions is published for these experiments."""
+
+ARRAYS = ("mean", "offsets", "uncertainty", "points", "points_uncertainty")
+"""Arrays of a file. The last two are absent where g(t) is of positions."""
+
+
+class Refinement(FileModel):
+    """How the solution of an engine changes as one parameter is refined.
+
+    Attributes:
+        parameter: `step`, `cell` or `iterations`.
+        factors: Parameter of each run over that of the default settings, coarse to fine.
+        order: Observed order of convergence; None if it was not observed, so that nothing was extrapolated.
+        change: Root mean square difference of g(t) between the two finest runs, in the unit of g(t).
+        uncertainty: Standard uncertainty that is left, root mean square over frames, in the unit of g(t).
+    """
+
+    parameter: str
+    factors: tuple[PositiveFloat, ...]
+    order: float | None = None
+    change: NonNegativeFloat
+    uncertainty: NonNegativeFloat
+
+
+class EngineSolution(FileModel):
+    """The solution of one engine.
+
+    Attributes:
+        engine: Name of the engine.
+        version: Its version.
+        preset: Its preset.
+        refinements: What was refined.
+        correction: Root mean square difference of g(t) between its default settings and its solution.
+    """
+
+    engine: str
+    version: str
+    preset: str
+    refinements: tuple[Refinement, ...]
+    correction: NonNegativeFloat
+
+
+class ModelSidecar(FileModel):
+    """The file `<variant>.json` beside the arrays of a model.
+
+    Attributes:
+        unit: Unit of g(t).
+        coordinates: Names of the coordinates of g(t).
+        frames: Number of frames of the episode.
+        solved_frames: Number of frames, from the first one, at which g(t) is known.
+        point_frames: The same of the points; None where g(t) is of positions.
+        ends: Why it ends there; empty if it covers the episode.
+        quantum: Value of one count of `mean` and `offsets`, in the unit of g(t).
+        point_quantum_mm: Value of one count of `points` [mm].
+        families_apart: Root mean square difference of g(t) between the engines' solutions and their mean.
+        engines: The solutions that the mean is of.
+        processor_s: Processor time of all runs [s].
+    """
+
+    unit: str
+    coordinates: Annotated[tuple[str, ...], Field(min_length=1)]
+    frames: PositiveInt
+    solved_frames: PositiveInt
+    point_frames: PositiveInt | None = None
+    ends: str = ""
+    quantum: PositiveFloat
+    point_quantum_mm: PositiveFloat | None = None
+    families_apart: NonNegativeFloat
+    engines: Annotated[tuple[EngineSolution, ...], Field(min_length=1)]
+    processor_s: NonNegativeFloat
+
+    @property
+    def source(self) -> str:
+        """The reference in one sentence."""
+        names = " and ".join(one.engine for one in self.engines)
+        return (
+            f"the calibrated scene as {names} solve it, extrapolated to zero step and cell; it says nothing of reality"
+        )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolvedModel:
+    """Converged solution of a calibrated scene.
+
+    Attributes:
+        sidecar: What it rests on.
+        band: Mean of the engines' solutions and its uncertainty, of grade `model`.
+        others: Mean of the solutions without one engine, by that engine, shape [T, C]; empty with one engine.
+    """
+
+    sidecar: ModelSidecar
+    band: Band
+    others: Mapping[str, FloatArray]
+
+
+def solved_model(variant: str) -> SolvedModel | None:
+    """Return the converged solution of a variant's calibrated scene, or None."""
+    return _read(scoring_folder("models") / f"{variant}.npz", variant)
+
+
+@cache
+def _read(file: Path, variant: str) -> SolvedModel | None:
+    if not file.is_file():
+        return None
+    with faults_of(file.with_suffix(".json")):
+        sidecar = ModelSidecar.model_validate_json(read_content(file.with_suffix(".json")))
+    with faults_of(file):
+        arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
+    count, width = sidecar.solved_frames, len(sidecar.coordinates)
+    expected = {"mean": (count, width), "offsets": (len(sidecar.engines) - 1, count, width)}
+    shapes = {name: array.shape for name, array in arrays.items() if name in expected}
+    if shapes != expected:
+        raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
+    mean = unpacked(arrays["mean"], sidecar.quantum)
+    uncertainty = interpolated(arrays["uncertainty"], count)
+    points = None
+    if sidecar.point_quantum_mm is not None and sidecar.point_frames is not None:
+        points_mm = unpacked(arrays["points"], sidecar.point_quantum_mm).reshape(sidecar.point_frames, -1)
+        spread = np.repeat(interpolated(arrays["points_uncertainty"], sidecar.point_frames), 3, axis=1)
+        names = tuple(f"marker-{index}.{axis}" for index in range(points_mm.shape[1] // 3) for axis in "xyz")
+        points = _band(sidecar, points_mm, spread, unit="mm", coordinates=names)
+        points = replace(points, sigma=np.maximum(points.uncertainty, POINT_SIGMA_MM))
+    baseline = published_baselines(variant).get("rmse")
+    band = _band(sidecar, mean, uncertainty, unit=sidecar.unit, coordinates=sidecar.coordinates)
+    if baseline is not None and baseline.mean:
+        # The mean over trials of the squared E_RMSE is the variance of the vector; see `carried_band`.
+        sigma = np.hypot(baseline.mean, baseline.std or 0.0) / np.sqrt(width)
+        band = replace(band, sigma=np.full_like(band.mean, sigma), sigma_source=SigmaSource.BASELINE)
+        band = replace(band, normalized_by_baseline=sidecar.solved_frames == sidecar.frames)
+    offsets = unpacked(arrays["offsets"].swapaxes(0, 1), sidecar.quantum).swapaxes(0, 1)
+    solutions = mean + np.concatenate([offsets, -offsets.sum(axis=0, keepdims=True)])
+    engines = [one.engine for one in sidecar.engines]
+    others = {
+        name: padded(np.delete(solutions, place, axis=0).mean(axis=0), sidecar.frames)
+        for place, name in enumerate(engines)
+        if len(engines) > 1
+    }
+    return SolvedModel(sidecar=sidecar, band=replace(band, points=points), others=others)
+
+
+def _band(
+    sidecar: ModelSidecar, mean: FloatArray, uncertainty: FloatArray, *, unit: str, coordinates: tuple[str, ...]
+) -> Band:
+    """Return a band whose sigma is the uncertainty of its mean."""
+    spread = padded(uncertainty, sidecar.frames)
+    return Band(
+        grade=BandGrade.MODEL,
+        unit=unit,
+        coordinates=coordinates,
+        projection=np.eye(mean.shape[1]),
+        mean=padded(mean, sidecar.frames),
+        sigma=np.nan_to_num(spread),
+        measured=np.arange(sidecar.frames) < len(mean),
+        trial_count=None,
+        source=sidecar.source,
+        sigma_source=SigmaSource.MODEL,
+        uncertainty=spread,
+        normalized_by_baseline=False,
+    )
+
+
+def packed(values: FloatArray, quantum: float) -> np.ndarray:
+    """Return values as differences of whole counts along the first axis, which pack well."""
+    counts = np.round(values / quantum).astype(np.int64)
+    return np.diff(counts, axis=0, prepend=np.zeros_like(counts[:1])).astype(np.int32)
+
+
+def unpacked(differences: np.ndarray, quantum: float) -> FloatArray:
+    """Return what `packed` was given, to half a quantum."""
+    return quantum * np.cumsum(differences, axis=0, dtype=np.int64).astype(np.float64)
+
+
+def interpolated(values: np.ndarray, frames: int) -> FloatArray:
+    """Return an uncertainty at all frames, from its values at every `STRIDE`-th one, shape [frames, ...]."""
+    at = np.arange(frames) / STRIDE
+    low = np.minimum(at.astype(int), len(values) - 1)
+    high, share = np.minimum(low + 1, len(values) - 1), (at - low)[:, None]
+    stored = values.astype(np.float64)
+    return np.asarray((1.0 - share) * stored[low] + share * stored[high])
+
+
+def padded(values: FloatArray, frames: int) -> FloatArray:
+    """Return values with NaN at later frames, shape [frames, ...]."""
+    missing = np.full((frames - len(values), *values.shape[1:]), np.nan)
+    return np.concatenate([values, missing])

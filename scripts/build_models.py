@@ -1,0 +1,565 @@
+"""Solve the calibrated scenes of experiments without a real reference, and write `scoring/models/<variant>.npz`.
+
+    python scripts/build_models.py solve --runs FOLDER --ids 'Textile*'    runs episodes that FOLDER does not have yet
+    python scripts/build_models.py write --runs FOLDER                     writes the references of finished ids
+    python scripts/build_models.py table                                   prints what the written references rest on
+
+`solve` runs each id on engines of different families: default settings, and each of time step, cell and iterations
+coarser and finer, one at a time. `write` extrapolates each of them to zero (Richardson), adds the corrections, and
+takes the mean over the engines. `studies/models/README.md` has the method.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import resource
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from build_convergence import supported
+from generated import SCORING, markdown_table
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+from scipy.optimize import brentq
+
+from gauge_envs.backends import backend
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.errors import GaugeError
+from gauge_envs.evaluation.reference import band_grade
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.variants import variants
+from gauge_envs.files import write_whole
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.models import (
+    STRIDE,
+    EngineSolution,
+    ModelSidecar,
+    Refinement,
+    packed,
+    solved_model,
+)
+from gauge_envs.references.published import published_baselines
+from gauge_envs.scene import Cloth, SoftBody
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+FloatArray = NDArray[np.float64]
+
+ORDERS = (0.3, 4.0)
+"""Smallest and largest order that counts as observed."""
+
+LEAST_COSINE = 0.5
+"""Least cosine between the changes of two refinements: they correct the same error."""
+
+SAFETY, LONE_SAFETY = 1.25, 3.0
+"""Factors of Roache's grid convergence index, with an observed order and without one."""
+
+WINDOW = 11
+"""Frames over which an uncertainty is averaged."""
+
+SCATTER_SHARE = 0.5
+"""Share of the published scatter of real trials at which a reference ends."""
+
+MOTION_SHARE = 0.1
+"""Share of the root mean square motion at which a reference ends where no scatter is published."""
+
+LEAST_SPAN = 0.25
+"""Share of the episode that a reference covers at least."""
+
+POINT_QUANTUM_MM = 0.01
+"""Resolution of stored marker positions [mm]."""
+
+DEFORMABLE_ENGINES = ("mujoco", "newton")
+"""Engines of different families for scenes with deformable bodies."""
+
+RIGID_ENGINES = ("mujoco", "rapier", "physx", "drake")
+"""Engines of different families for rigid scenes; Newton's rigid solver is MuJoCo's."""
+
+CELL_FACTORS = (2.0, 0.5)
+"""Cells of the refined levels over those of the default settings, coarse to fine."""
+
+SOFT_CELL_FACTORS = (2.0, 2.0 / 3.0)
+"""The same for soft bodies, whose cost grows with the sixth power of the number of cells along an edge."""
+
+DRIVE_INTERVAL_S = 1.0 / 180.0
+"""Interval in which drivers move [s]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Level:
+    """One episode with one refined parameter.
+
+    Attributes:
+        parameter: `step`, `cell` or `iterations`; `base` for the default settings.
+        factor: Size of the parameter over that of the default settings; smaller is finer.
+        settings: Settings of the run.
+    """
+
+    parameter: str
+    factor: float
+    settings: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """Name of the file of the run."""
+        return f"{self.parameter}-{self.factor:.4g}"
+
+
+def engines_of(experiment: Experiment) -> tuple[str, ...]:
+    """Return the engines that solve an experiment."""
+    wanted = DEFORMABLE_ENGINES if experiment.scene.deformables else RIGID_ENGINES
+    return tuple(name for name in wanted if supported(experiment.name, name))
+
+
+def levels_of(experiment: Experiment, engine: str) -> list[Level]:
+    """Return the runs of an engine, the cheapest parameters first."""
+    scene = experiment.scene
+    simulation = backend(engine).build(scene, {})
+    default = dict(simulation.settings)
+    simulation.close()
+    base: dict[str, Any] = {}
+    only_cloth = all(isinstance(body, Cloth) for body in scene.deformables) and not scene.dynamic_bodies
+    if engine == "mujoco" and scene.deformables and only_cloth and default["solver"] == "Newton":
+        # Conjugate gradients are twice as fast on cloth, and move markers by 0.0001 mm.
+        base["solver"] = "CG"
+    levels = [Level(parameter="base", factor=1.0, settings=base)]
+    count = round(DRIVE_INTERVAL_S / default["timestep_s"])
+    for steps in (math.ceil(count / 2), 2 * count):
+        # Drivers move by whole intervals, so a step divides them.
+        step = {"timestep_s": DRIVE_INTERVAL_S / steps}
+        levels.append(Level(parameter="step", factor=count / steps, settings=base | step))
+    vbd = default.get("solver") == "SolverVBD"
+    if scene.deformables:
+        if vbd:
+            for factor in (0.5, 0.25):
+                more = {"iterations": round(default["iterations"] / factor)}
+                levels.append(Level(parameter="iterations", factor=factor, settings=base | more))
+        else:
+            tighter = {"tolerance": 1e-2 * default["tolerance"], "iterations": 4 * default["iterations"]}
+            levels.append(Level(parameter="iterations", factor=0.25, settings=base | tighter))
+    if cell_m := default_cell_m(experiment, default):
+        is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
+        for factor in SOFT_CELL_FACTORS if is_soft else CELL_FACTORS:
+            cell: dict[str, Any] = {"cell_m": factor * cell_m}
+            if vbd:
+                # An iteration moves information by one node.
+                cell["iterations"] = max(round(default["iterations"] / factor**2), 1)
+            levels.append(Level(parameter="cell", factor=factor, settings=base | cell))
+    return levels
+
+
+def default_cell_m(experiment: Experiment, default: Mapping[str, Any]) -> float | None:
+    """Return the edge of the default cells [m]; None for a scene without cells that can be refined."""
+    if default.get("cell_m") is not None:
+        return float(default["cell_m"])
+    soft = [body for body in experiment.scene.deformables if isinstance(body, SoftBody)]
+    # MuJoCo's foam has two cells across a single body, and two along each body of a row.
+    return 0.5 * min(min(body.shape.size_m) for body in soft) if soft else None
+
+
+def solve(experiment: Experiment, engine: str, level: Level, *, limit_s: float) -> dict[str, Any]:
+    """Return g(t), points and cost of an episode with zero actions; `fault` says why it was left out.
+
+    Args:
+        experiment: The experiment.
+        engine: Name of the engine.
+        level: Settings of the run.
+        limit_s: Processor time after which the episode is stopped [s].
+    """
+    start = _processor_s()
+    try:
+        env = GaugeEnv(experiment.name, backend=engine, settings=dict(level.settings), marker_proxy="material")
+    except GaugeError as error:
+        return {"fault": str(error)}
+    space = env.action_space
+    zero = np.zeros(space.shape) if isinstance(space, gymnasium.spaces.Box) else 0
+    fault, over = "", False
+    try:
+        env.reset(seed=0)
+        while not over and not fault:
+            *_, terminated, truncated, info = env.step(zero)
+            over = terminated or truncated
+            fault = info.get("diverged", "")
+            if _processor_s() - start > limit_s:
+                fault = f"stopped after {limit_s:g} s of processor time"
+        trajectory = env.trajectory()
+        points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
+        settings = {
+            key: value for key, value in env.simulation.settings.items() if isinstance(value, float | int | str)
+        }
+        return {
+            "frames": trajectory.frames,
+            "points_m": points,
+            "settings": json.dumps(settings),
+            "versions": json.dumps(dict(env.versions)),
+            "processor_s": _processor_s() - start,
+            "fault": fault,
+        }
+    finally:
+        env.close()
+
+
+def _processor_s() -> float:
+    usage = resource.getrusage(resource.RUSAGE_SELF)
+    return usage.ru_utime + usage.ru_stime
+
+
+def wanted_experiments(patterns: Sequence[str]) -> Iterator[Experiment]:
+    """Yield the experiments without a real reference whose name matches a pattern, in the order of the patterns."""
+    known = [variant.name for variant in variants()]
+    for name in dict.fromkeys(name for pattern in patterns for name in known if fnmatchcase(name, pattern)):
+        if band_grade(name) in (BandGrade.NONE, BandGrade.MODEL):
+            yield load_experiment(name)
+
+
+def solve_all(options: argparse.Namespace) -> int:
+    """Run all episodes that the folder lacks."""
+    for experiment in wanted_experiments(options.ids):
+        for engine in options.engine or engines_of(experiment):
+            if engine not in engines_of(experiment):
+                continue
+            for level in levels_of(experiment, engine):
+                file = options.runs / experiment.name / f"{engine}-{level.name}.npz"
+                if file.exists():
+                    continue
+                values = solve(experiment, engine, level, limit_s=options.limit_s)
+                file.parent.mkdir(parents=True, exist_ok=True)
+                content = io.BytesIO()
+                np.savez_compressed(content, **values)
+                write_whole(file, content.getvalue())
+                print(
+                    f"{experiment.name}, {engine} {level.name}: {values.get('processor_s', 0):.0f} s"
+                    f"{', ' + values['fault'] if values['fault'] else ''}",
+                    flush=True,
+                )
+    return 0
+
+
+# --- extrapolation ---
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Extrapolated:
+    """A quantity at zero step and cell.
+
+    Attributes:
+        correction: What is added to the values of the default settings, shape [T, C].
+        uncertainty: Standard uncertainty that is left, shape [T, C].
+        order: Observed order; None if it was not observed.
+    """
+
+    correction: FloatArray
+    uncertainty: FloatArray
+    order: float | None
+
+
+def observed_order(runs: Sequence[FloatArray], factors: Sequence[float]) -> float | None:
+    """Return the order p at which three runs converge, coarse to fine; None if they do not.
+
+    The error is C f^p for a refinement factor f. So the ratio of the two changes is (f1^p - f2^p) / (f2^p - f3^p). The
+    changes must point the same way, and p must lie in `ORDERS`.
+    """
+    first, second = (runs[0] - runs[1]).ravel(), (runs[1] - runs[2]).ravel()
+    sizes = float(np.linalg.norm(first)), float(np.linalg.norm(second))
+    if not all(sizes) or float(first @ second) < LEAST_COSINE * sizes[0] * sizes[1]:
+        return None
+
+    def excess(order: float) -> float:
+        coarse, middle, fine = (factor**order for factor in factors)
+        return (coarse - middle) / (middle - fine) - sizes[0] / sizes[1]
+
+    if excess(ORDERS[0]) * excess(ORDERS[1]) > 0.0:
+        return None
+    return float(brentq(excess, *ORDERS))
+
+
+def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapolated:
+    """Return a quantity at zero of a parameter, with the uncertainty of Roache's grid convergence index.
+
+    With an observed order the value is extrapolated, and 1.25 times the distance to the finest run counts as its 95 %
+    uncertainty. Else the finest run stands, with 3 times the change to the next one, as for order 1.
+
+    Args:
+        runs: The quantity in each run, coarse to fine, each of shape [T, C]; one of them has the factor 1.
+        factors: Parameter of each run over that of the default settings.
+    """
+    base, fine = runs[list(factors).index(1.0)], runs[-1]
+    order = observed_order(runs[-3:], factors[-3:]) if len(runs) > 2 else None
+    power = 1.0 if order is None else order
+    middle, last = factors[-2] ** power, factors[-1] ** power
+    left = (fine - runs[-2]) * last / (middle - last)
+    safety = LONE_SAFETY if order is None else SAFETY
+    return Extrapolated(
+        correction=fine - base + (0.0 if order is None else left),
+        uncertainty=0.5 * safety * smoothed(left),
+        order=order,
+    )
+
+
+def smoothed(values: FloatArray) -> FloatArray:
+    """Return the root mean square over `WINDOW` frames, so that a passage through zero is no certainty."""
+    return np.sqrt(uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """A finished run of `solve`."""
+
+    engine: str
+    parameter: str
+    factor: float
+    values: Mapping[str, Any]
+
+    def quantity(self, name: str) -> FloatArray:
+        """Return `frames`, or `points_m` as `[T, 3 P]` in mm."""
+        array = np.asarray(self.values[name], dtype=np.float64)
+        return array if name == "frames" else 1e3 * array.reshape(len(array), -1)
+
+
+def read_runs(folder: Path, frame_count: int) -> list[Run]:
+    """Return the runs of a variant that finished."""
+    runs = []
+    for file in sorted(folder.glob("*.npz")):
+        engine, parameter, factor = file.stem.split("-")
+        with np.load(file) as archive:
+            values = {name: archive[name] for name in archive.files}
+        if not str(values["fault"]) and len(values["frames"]) == frame_count:
+            runs.append(Run(engine=engine, parameter=parameter, factor=float(factor), values=values))
+    return runs
+
+
+def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray, FloatArray, dict[str, Any]]]:
+    """Return the solution of each engine, its standard uncertainty, and what was refined.
+
+    An engine without a finer run of a parameter is left out, because nothing says how far it is from its solution.
+    """
+    found = {}
+    for engine in dict.fromkeys(run.engine for run in runs):
+        own = [run for run in runs if run.engine == engine]
+        base = next((run for run in own if run.parameter == "base"), None)
+        if base is None:
+            continue
+        start = base.quantity(quantity)
+        total, square, refined = np.zeros_like(start), np.zeros_like(start), {}
+        for parameter in dict.fromkeys(run.parameter for run in own if run is not base):
+            levels = sorted([base, *(run for run in own if run.parameter == parameter)], key=lambda run: -run.factor)
+            factors = [run.factor for run in levels]
+            if factors[-1] >= 1.0:
+                break
+            result = extrapolate([run.quantity(quantity) for run in levels], factors)
+            total, square = total + result.correction, square + np.square(result.uncertainty)
+            refined[parameter] = (factors, result, levels[-1].quantity(quantity) - levels[-2].quantity(quantity))
+        else:
+            if "step" in refined:
+                found[engine] = (start + total, np.sqrt(square), refined)
+    return found
+
+
+def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean of solutions, its standard uncertainty, and the distance of the families from it.
+
+    Engines share meshes and the map of constants, so their uncertainties do not shrink in the mean. Half the range of
+    the solutions is added in quadrature.
+    """
+    values = np.array([value for value, _ in each])
+    mean = values.mean(axis=0)
+    apart = smoothed(np.abs(values - mean).max(axis=0))
+    numerical = np.mean([np.square(uncertainty) for _, uncertainty in each], axis=0)
+    return mean, np.sqrt(numerical + np.square(apart)), apart
+
+
+def known_frames(uncertainty: FloatArray, limit: float) -> int:
+    """Return the number of frames until the uncertainty, as a norm over coordinates, first exceeds a limit."""
+    beyond = np.linalg.norm(uncertainty, axis=1) > limit
+    return int(beyond.argmax()) if beyond.any() else len(uncertainty)
+
+
+def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> str:
+    """Write the reference of a variant, or return why it has none; empty if it has."""
+    each = solutions(runs, "frames")
+    if len(each) < 2:
+        return f"only {', '.join(each) or 'no engine'} solved it: two families are needed"
+    name, file = experiment.name, folder / f"{experiment.name}.npz"
+    mean, uncertainty, apart = combined([(value, spread) for value, spread, _ in each.values()])
+    baseline = published_baselines(name).get("rmse")
+    motion = rms(mean - mean[0])
+    limit = SCATTER_SHARE * baseline.mean if baseline is not None and baseline.mean else MOTION_SHARE * motion
+    count = known_frames(uncertainty, limit)
+    unit = experiment.score.observable.unit
+    ends = "" if count == len(mean) else f"its uncertainty exceeds {limit:.3g} {unit}"
+    if count < LEAST_SPAN * len(mean):
+        return (
+            f"the solutions of {' and '.join(each)} part after {count / FRAME_RATE_HZ:.2f} of "
+            f"{len(mean) / FRAME_RATE_HZ:.2f} s: {ends}"
+        )
+    quantum = rounded(max(float(np.median(uncertainty[:count])), 1e-9 * float(np.abs(mean).max())) / 20.0)
+    values = [value[:count] - mean[:count] for value, _, _ in each.values()]
+    arrays = {
+        "mean": packed(mean[:count], quantum),
+        "offsets": np.array([packed(value, quantum) for value in values[:-1]]).reshape(-1, count, mean.shape[1]),
+        "uncertainty": uncertainty[:count:STRIDE].astype(np.float16),
+    }
+    points = solutions(runs, "points_m") if experiment.score.observable.unit != "mm" else {}
+    points = {engine: found for engine, found in points.items() if engine in each}
+    point_count = None
+    if points:
+        places, spread, _ = combined([(value, left) for value, left, _ in points.values()])
+        # One number for each marker: the uncertainty of a coordinate of it.
+        spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
+        point_count = max(known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])), 1)
+        arrays["points"] = packed(places[:point_count], POINT_QUANTUM_MM)
+        arrays["points_uncertainty"] = spread[:point_count:STRIDE].astype(np.float16)
+    sidecar = ModelSidecar(
+        unit=unit,
+        coordinates=coordinate_names(experiment, mean.shape[1]),
+        frames=len(mean),
+        solved_frames=count,
+        point_frames=point_count,
+        ends=ends,
+        quantum=quantum,
+        point_quantum_mm=POINT_QUANTUM_MM if points else None,
+        families_apart=digits(rms(apart[:count])),
+        engines=tuple(
+            EngineSolution(
+                engine=engine,
+                version=", ".join(f"{key} {text}" for key, text in json.loads(str(base.values["versions"])).items()),
+                preset=str(json.loads(str(base.values["settings"]))["preset"]),
+                refinements=tuple(
+                    Refinement(
+                        parameter=parameter,
+                        factors=tuple(factors),
+                        order=None if result.order is None else digits(result.order),
+                        change=digits(rms(change[:count])),
+                        uncertainty=digits(rms(result.uncertainty[:count])),
+                    )
+                    for parameter, (factors, result, change) in refined.items()
+                ),
+                correction=digits(rms((value - base.quantity("frames"))[:count])),
+            )
+            for engine, (value, _, refined) in each.items()
+            for base in [next(run for run in runs if run.engine == engine and run.parameter == "base")]
+        ),
+        processor_s=digits(sum(float(run.values["processor_s"]) for run in runs)),
+    )
+    content = io.BytesIO()
+    np.savez_compressed(content, **arrays)
+    write_whole(file, content.getvalue())
+    write_whole(file.with_suffix(".json"), (sidecar.model_dump_json(indent=1) + "\n").encode())
+    return ""
+
+
+def coordinate_names(experiment: Experiment, width: int) -> tuple[str, ...]:
+    """Return names of the coordinates of g(t)."""
+    if experiment.score.observable is Observable.POSITION:
+        bodies = experiment.recorded
+        return tuple(f"{body}.{axis}" if len(bodies) > 1 else axis for body in bodies for axis in "xyz")
+    if experiment.score.observable is Observable.MARKER_POSITION:
+        return tuple(f"marker-{index}.{axis}" for index in range(width // 3) for axis in "xyz")
+    return tuple(f"{experiment.score.observable.value}-{index}" for index in range(width))
+
+
+def rms(values: FloatArray) -> float:
+    """Return the root mean square over frames of a distance over coordinates."""
+    return float(np.sqrt(np.mean(np.square(np.linalg.norm(values, axis=1)))))
+
+
+def digits(value: float) -> float:
+    """Return three significant digits."""
+    return float(f"{value:.3g}")
+
+
+def rounded(value: float) -> float:
+    """Return the power of ten below a value, or twice or five times that."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return float(f"{max(factor for factor in (1.0, 2.0, 5.0) if factor * power <= value * 1.0001) * power:.1g}")
+
+
+def write_all(options: argparse.Namespace) -> int:
+    """Write the references of all ids with runs, and why others have none."""
+    folder = options.scoring / "models"
+    folder.mkdir(exist_ok=True)
+    file = folder / "unsolved.json"
+    reasons = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    for experiment in wanted_experiments(options.ids):
+        runs = read_runs(options.runs / experiment.name, experiment.frame_count)
+        if not runs:
+            continue
+        reason = write_model(experiment, runs, folder)
+        reasons.pop(experiment.name, None)
+        if reason:
+            reasons[experiment.name] = reason
+            for stale in folder.glob(f"{experiment.name}.*"):
+                stale.unlink()
+        print(f"{experiment.name}: {reason or 'written'}", flush=True)
+    write_whole(file, (json.dumps(reasons, indent=1, sort_keys=True) + "\n").encode())
+    return 0
+
+
+def table(options: argparse.Namespace) -> int:
+    """Print what the written references rest on, in Markdown."""
+    rows = []
+    for file in sorted((options.scoring / "models").glob("*.npz")):
+        model = solved_model(file.stem)
+        assert model is not None
+        sidecar, band = model.sidecar, model.band
+        baseline = published_baselines(file.stem).get("rmse")
+        spread = rms(np.nan_to_num(band.uncertainty[: sidecar.solved_frames]))
+        orders = [
+            f"{one.engine} "
+            + ", ".join(f"{r.parameter} {'-' if r.order is None else f'{r.order:.1f}'}" for r in one.refinements)
+            for one in sidecar.engines
+        ]
+        rows.append(
+            [
+                file.stem,
+                f"{sidecar.solved_frames} of {sidecar.frames}",
+                "; ".join(orders),
+                f"{sidecar.families_apart:.3g} {sidecar.unit}",
+                f"{spread:.3g} {sidecar.unit}",
+                f"{100.0 * spread / baseline.mean:.2g} %"
+                if baseline is not None and baseline.mean
+                else "not published",
+            ]
+        )
+    print(
+        "\n".join(
+            markdown_table(["id", "frames", "observed order", "families apart", "u", "u over real scatter"], rows)
+        )
+    )
+    return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the script and return its exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    solving = commands.add_parser("solve")
+    solving.add_argument("--runs", type=Path, required=True, help="folder of the episodes")
+    solving.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
+    solving.add_argument("--engine", nargs="*", help="only these engines")
+    solving.add_argument("--limit-s", type=float, default=900.0, help="processor time of an episode at most")
+    solving.set_defaults(action=solve_all)
+    writing = commands.add_parser("write")
+    writing.add_argument("--runs", type=Path, required=True, help="folder of the episodes")
+    writing.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns")
+    writing.set_defaults(action=write_all)
+    listing = commands.add_parser("table")
+    listing.set_defaults(action=table)
+    parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
+    options = parser.parse_args(arguments)
+    status: int = options.action(options)
+    return status
+
+
+if __name__ == "__main__":
+    sys.exit(main())
