@@ -55,10 +55,10 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]
 
-ORDERS = (0.3, 4.0)
-"""Smallest and largest order that counts as observed."""
+ORDERS = (0.5, 2.2)
+"""Smallest and largest order that counts as observed. A larger one is two errors that cancel."""
 
-LEAST_COSINE = 0.5
+LEAST_COSINE = 0.9
 """Least cosine between the changes of two refinements: they correct the same error."""
 
 SAFETY, LONE_SAFETY = 1.25, 3.0
@@ -134,11 +134,12 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
         base["solver"] = "CG"
     levels = [Level(parameter="base", factor=1.0, settings=base)]
     count = round(DRIVE_INTERVAL_S / default["timestep_s"])
-    for steps in (math.ceil(count / 2), 2 * count):
+    vbd = default.get("solver") == "SolverVBD"
+    # A much larger step needs more iterations of vertex block descent, and would change two things at once.
+    for steps in (math.ceil((0.75 if vbd else 0.5) * count), 2 * count):
         # Drivers move by whole intervals, so a step divides them.
         step = {"timestep_s": DRIVE_INTERVAL_S / steps}
         levels.append(Level(parameter="step", factor=count / steps, settings=base | step))
-    vbd = default.get("solver") == "SolverVBD"
     if scene.deformables:
         if vbd:
             for factor in (0.5, 0.25):
@@ -286,8 +287,8 @@ def observed_order(runs: Sequence[FloatArray], factors: Sequence[float]) -> floa
 def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapolated:
     """Return a quantity at zero of a parameter, with the uncertainty of Roache's grid convergence index.
 
-    With an observed order the value is extrapolated, and 1.25 times the distance to the finest run counts as its 95 %
-    uncertainty. Else the finest run stands, with 3 times the change to the next one, as for order 1.
+    With an observed order the value is extrapolated. Its 95 % uncertainty is 1.25 times the distance to the finest run,
+    at most by order 1, because errors of several orders may look like one of a high order. Else the finest run stands, with 3 times the change to the next one, as for order 1.
 
     Args:
         runs: The quantity in each run, coarse to fine, each of shape [T, C]; one of them has the factor 1.
@@ -295,15 +296,15 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
     """
     base, fine = runs[list(factors).index(1.0)], runs[-1]
     order = observed_order(runs[-3:], factors[-3:]) if len(runs) > 2 else None
-    power = 1.0 if order is None else order
-    middle, last = factors[-2] ** power, factors[-1] ** power
-    left = (fine - runs[-2]) * last / (middle - last)
-    safety = LONE_SAFETY if order is None else SAFETY
-    return Extrapolated(
-        correction=fine - base + (0.0 if order is None else left),
-        uncertainty=0.5 * safety * smoothed(left),
-        order=order,
-    )
+
+    def left(power: float) -> FloatArray:
+        middle, last = factors[-2] ** power, factors[-1] ** power
+        return (fine - runs[-2]) * last / (middle - last)
+
+    if order is None:
+        return Extrapolated(correction=fine - base, uncertainty=0.5 * LONE_SAFETY * smoothed(left(1.0)), order=None)
+    uncertainty = 0.5 * SAFETY * smoothed(left(min(order, 1.0)))
+    return Extrapolated(correction=fine - base + left(order), uncertainty=uncertainty, order=order)
 
 
 def smoothed(values: FloatArray) -> FloatArray:

@@ -23,6 +23,7 @@ from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.imported import DataSource, has_import
 from gauge_envs.scene.jitter import Jitter, jittered
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 
 @dataclass(frozen=True)
@@ -244,15 +245,26 @@ _warned: set[str] = set()
 
 
 def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
-    """Warn, once for each id, that an environment has no reward, and say how to get one.
+    """Warn, once for each id, that an environment has no reward, or none from some frame on.
 
     Args:
         experiment: The experiment of the environment.
-        band: Band that its rewards are relative to; with one, nothing is reported.
+        band: Band that its rewards are relative to.
     """
-    if band is not None or experiment.id in _warned:
+    if experiment.id in _warned:
         return
-    warnings.warn(_no_reward_message(experiment), NoRewardWarning, stacklevel=CALLER)
+    if band is None:
+        message = _no_reward_message(experiment)
+    else:
+        known = np.flatnonzero(np.isfinite((band.points or band).mean).any(axis=1))
+        last = int(known.max(initial=0))
+        if last >= experiment.frame_count - 1:
+            return
+        message = (
+            f"{experiment.id}: its reference of grade {band.grade} ends at {last / FRAME_RATE_HZ:.2f} of "
+            f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
+        )
+    warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
     _warned.add(experiment.id)
 
 

@@ -30,6 +30,7 @@ SIGMA_NOTES = {
     SigmaSource.TRIALS: "scatter of the trials, per frame",
     SigmaSource.BASELINE: "from the published scatter, constant and the same for each coordinate",
     SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
+    SigmaSource.MODEL: "uncertainty of the solution; the scatter of trials is not published",
 }
 
 

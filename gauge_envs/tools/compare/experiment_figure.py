@@ -161,9 +161,9 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
     """Draw the mean with one and two sigma; extrapolated parts are hatched and dotted."""
     times = np.arange(len(band.mean)) / FRAME_RATE_HZ
     mean, sigma = band.mean[:, column], band.sigma[:, column]
-    # A law is a line that simulations lie on: wide and below them. A measured mean is dots, and above them.
-    is_law = band.grade is BandGrade.LAW
-    width, order = (3.0, 2) if is_law else (1.1, 5)
+    # Simulations lie on the line of a law or a model: wide and below them. A measured mean is dots, and above them.
+    is_exact = not band.grade.is_real
+    width, order = (3.0, 2) if is_exact else (1.1, 5)
     # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
     segments = band.measured[:-1] & band.measured[1:]
     for flags, measured in ((segments, True), (~segments, False)):
@@ -174,14 +174,18 @@ def _draw_band(axis: Axes, band: Band, column: int) -> None:
                 low, high = mean[piece] - reach * sigma[piece], mean[piece] + reach * sigma[piece]
                 axis.fill_between(times[piece], low, high, facecolor=shade, zorder=1, **hatch)
             axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls="-" if measured else ":", zorder=order)
-    if not is_law:
+    if not is_exact:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
             axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
     if column == 0:
-        names = {BandGrade.LAW: "law", BandGrade.RECORDING: "real, one trial"}
+        names = {
+            BandGrade.LAW: "law",
+            BandGrade.MODEL: "solved model, not real",
+            BandGrade.RECORDING: "real, one trial",
+        }
         name = names.get(band.grade, "real, mean" + (f" ({band.trial_count} trials)" if band.trial_count else ""))
-        axis.plot([], [], "-" if is_law else "o-", ms=3.0, color=REAL, lw=width, label=name)
-        whose = "law" if is_law else "real"
+        axis.plot([], [], "-" if is_exact else "o-", ms=3.0, color=REAL, lw=width, label=name)
+        whose = "real, published" if band.grade is BandGrade.MODEL else "law" if is_exact else "real"
         axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
         axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
         if (~band.measured & np.isfinite(mean)).any():
@@ -348,6 +352,11 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
         if metric == "el":
             continue
         bars = [_own_bar(one, metric) for one in series]
+        is_solved = any(result.score.grade == BandGrade.MODEL for one in series for result in one.results)
+        if is_solved and not SCORE_METRICS[metric].is_event:
+            # Published scores are distances from real trials, and these are numerical errors.
+            groups[f"{SCORE_METRICS[metric].title}, against the solved model"] = bars
+            continue
         for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
             value = line.engines[engine]
             text = "not published" if value is None else score_text(value)

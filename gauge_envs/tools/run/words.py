@@ -108,6 +108,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         raw, normalized = raw_score(score, key), normalized_score(score, key)
         if (normalized if metric is ALIGNED else raw) is None and line is None:
             continue
+        is_solved = score.grade == BandGrade.MODEL and not metric.is_event
         is_partial = metric.is_normalized and raw is not None and normalized is None
         row: dict[str, Any] = common | {
             "metric": metric.title,
@@ -116,8 +117,8 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             if raw is None
             else with_unit(interval_text(raw, getattr(score, f"{key}_95", None)), metric.unit_of(score.unit)),
             "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
-            # Published scores are over the whole motion. Some laws hold for its first frames alone.
-            "engines": None if line is None or is_partial else line.engines,
+            # Published scores are over the whole motion. Some laws hold for its first frames alone. A model is not real.
+            "engines": None if line is None or is_partial or is_solved else line.engines,
         }
         if key == "rmse":
             row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}

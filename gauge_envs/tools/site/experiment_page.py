@@ -340,7 +340,11 @@ def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts
 def _legend(site: Site, indices: Sequence[int], band: Band | None) -> Html:
     entries = [site.links[index] for index in indices]
     if band is not None:
-        means = {BandGrade.RECORDING: "real: one recorded trial", BandGrade.LAW: "law"}
+        means = {
+            BandGrade.RECORDING: "real: one recorded trial",
+            BandGrade.LAW: "law",
+            BandGrade.MODEL: "solved model, not real",
+        }
         mean = "real mean" if band.trial_count is None else f"real mean of {band.trial_count} trials"
         for color, kind, text in (
             ("--real", "swatch", means.get(band.grade, mean)),

@@ -211,7 +211,7 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     ghost = ghosts[0]
     grade = BandGrade(ghost["grade"])
     what = reference_words(grade, ghost["trials"])
-    what += ", no recorded motion" if grade is BandGrade.LAW else ""
+    what += ", no recorded motion" if not grade.is_real else ""
     held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
     last = max((frame for frame, place in enumerate(ghost["places"]) if place is not None), default=0)
     end = f" It ends at {last / FRAME_RATE_HZ:.2f} s." if last < len(ghost["places"]) - 1 else ""

@@ -1,0 +1,254 @@
+"""References of grade `model`: the extrapolation, what is written, and that they stay apart from reality."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import build_models
+import gymnasium
+import numpy as np
+import pytest
+
+from gauge_envs import load_experiment, reference_band, variants
+from gauge_envs.envs.episode import reward_terms
+from gauge_envs.errors import ReferenceFileError
+from gauge_envs.evaluation.deviation import sampled_frames
+from gauge_envs.evaluation.score import score_trajectory
+from gauge_envs.files import data_folder
+from gauge_envs.pages.results import reality_lines
+from gauge_envs.references import models
+from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.models import POINT_SIGMA_MM, interpolated, packed, solved_model, unpacked
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+
+FOLDER = data_folder("scoring") / "models"
+SOLVED = sorted(file.stem for file in FOLDER.glob("*.npz"))
+FOAM = "FoamStretching-soft"
+
+
+def converging(order, *, factors=(2.0, 1.0, 0.5), scale=0.3):
+    """Return an exact motion, and runs with an error of one order."""
+    times = np.linspace(0.0, 2.0, 40)
+    exact = np.stack([np.sin(times), np.cos(3.0 * times)], axis=1)
+    error = scale * np.stack([times, times**2], axis=1)
+    return exact, [exact + error * factor**order for factor in factors]
+
+
+# --- extrapolation ---
+
+
+@pytest.mark.parametrize("order", [0.6, 1.0, 2.0])
+@pytest.mark.parametrize("factors", [(2.0, 1.0, 0.5), (5.0 / 3.0, 1.0, 0.5), (2.0, 1.0, 2.0 / 3.0), (1.0, 0.5, 0.25)])
+def test_richardson_finds_order_and_limit(order, factors):
+    exact, runs = converging(order, factors=factors)
+    found = build_models.extrapolate(runs, factors)
+    assert found.order == pytest.approx(order, abs=1e-6)
+    base = runs[factors.index(1.0)]
+    np.testing.assert_allclose(base + found.correction, exact, atol=1e-9)
+    if order <= 1.0:
+        # Roache: 1.25 times the distance to the finest run, as two standard uncertainties.
+        left = np.linalg.norm(exact - runs[-1])
+        assert np.linalg.norm(found.uncertainty) == pytest.approx(0.625 * left, rel=0.1)
+
+
+def test_runs_that_do_not_converge_are_not_extrapolated():
+    exact, runs = converging(1.0)
+    noise = np.random.default_rng(0).normal(size=(3, *exact.shape))
+    found = build_models.extrapolate([exact + one for one in noise], (2.0, 1.0, 0.5))
+    assert found.order is None
+    np.testing.assert_allclose(found.correction, noise[2] - noise[1], atol=1e-12)
+    # Changes that grow with refinement have no order.
+    assert build_models.extrapolate(runs[::-1], (2.0, 1.0, 0.5)).order is None
+
+
+def test_two_runs_are_not_extrapolated_and_count_three_times():
+    _, runs = converging(2.0, factors=(1.0, 0.5))
+    found = build_models.extrapolate(runs, (1.0, 0.5))
+    assert found.order is None
+    change = build_models.smoothed(runs[1] - runs[0])
+    np.testing.assert_allclose(found.uncertainty, 1.5 * change)
+
+
+@pytest.mark.parametrize(("orders", "least"), [((1.0, 2.0), 0.95), ((2.0, 3.0), 0.95), ((0.7, 2.0), 0.92)])
+@pytest.mark.parametrize("factors", [(2.0, 1.0, 0.5), (4.0 / 3.0, 1.0, 0.5), (1.0, 0.5, 0.25)])
+def test_the_uncertainty_covers_errors_of_two_orders(orders, least, factors):
+    """Real runs have errors of several orders, which cancel in parts. Worlds of a seed that the rule was not chosen on."""
+    random = np.random.default_rng(7)
+    times = np.linspace(0.0, 1.0, 12)[:, None]
+    held = []
+    for _ in range(300):
+        first, second = (
+            np.concatenate([random.normal() + 0.0 * times, random.normal() * times], axis=1) for _ in range(2)
+        )
+        share = random.uniform(0.05, 1.0)
+        runs = [first * factor ** orders[0] + share * second * factor ** orders[1] for factor in factors]
+        found = build_models.extrapolate(runs, factors)
+        left = np.linalg.norm(runs[factors.index(1.0)] + found.correction)
+        held.append(left <= 2.0 * np.linalg.norm(found.uncertainty))
+    assert np.mean(held) >= least
+
+
+def test_families_that_disagree_are_as_uncertain_as_they_are_apart():
+    zero, one = np.zeros((20, 2)), np.full((20, 2), 3.0)
+    mean, uncertainty, apart = build_models.combined([(zero, 0.1 + zero), (one, 0.1 + zero)])
+    np.testing.assert_allclose(mean, 1.5)
+    np.testing.assert_allclose(apart, 1.5)
+    np.testing.assert_allclose(uncertainty, np.hypot(1.5, 0.1))
+
+
+def test_a_reference_ends_where_its_uncertainty_first_exceeds_the_limit():
+    uncertainty = np.array([[0.1], [0.2], [0.9], [0.2]])
+    assert build_models.known_frames(uncertainty, 0.5) == 2
+    assert build_models.known_frames(uncertainty, 1.0) == 4
+
+
+# --- files ---
+
+
+def test_packing_keeps_values_to_half_a_quantum():
+    values = np.cumsum(np.random.default_rng(1).normal(size=(50, 3)), axis=0)
+    assert np.abs(unpacked(packed(values, 0.01), 0.01) - values).max() <= 0.005 + 1e-12
+
+
+def test_an_uncertainty_is_interpolated_between_stored_frames():
+    line = np.arange(23.0)[:, None]
+    np.testing.assert_allclose(interpolated(line[:: models.STRIDE], 21), line[:21])
+
+
+def test_every_id_without_a_real_reference_or_law_has_a_model_or_a_reason():
+    reasons = json.loads((FOLDER / "unsolved.json").read_text(encoding="utf-8"))
+    assert not set(reasons) & set(SOLVED)
+    grades = {variant.name: reference_band(load_experiment(variant)) for variant in variants()}
+    without = {name for name, band in grades.items() if band is None}
+    assert without <= set(reasons), "run scripts/build_models.py for them"
+
+
+@pytest.mark.parametrize("name", SOLVED)
+def test_a_model_covers_a_quarter_and_states_what_it_rests_on(name):
+    model = solved_model(name)
+    sidecar, band = model.sidecar, model.band
+    assert band.grade is BandGrade.MODEL
+    assert sidecar.frames == load_experiment(name).frame_count
+    assert sidecar.solved_frames >= build_models.LEAST_SPAN * sidecar.frames
+    assert bool(sidecar.ends) == (sidecar.solved_frames < sidecar.frames)
+    assert len(sidecar.engines) >= 2
+    assert set(model.others) == {one.engine for one in sidecar.engines}
+    known = slice(0, sidecar.solved_frames)
+    assert np.isfinite(band.mean[known]).all()
+    assert np.isnan(band.mean[sidecar.solved_frames :]).all()
+    assert (band.uncertainty[known] >= 0.0).all()
+    for one in sidecar.engines:
+        assert {"step"} <= {refinement.parameter for refinement in one.refinements}
+    if load_experiment(name).scene.deformables:
+        assert any("cell" in {r.parameter for r in one.refinements} for one in sidecar.engines)
+
+
+def test_the_mean_of_two_solutions_lies_between_them():
+    model = solved_model(FOAM)
+    first, second = model.others.values()
+    np.testing.assert_allclose(0.5 * (first + second), model.band.mean, atol=2.0 * model.sidecar.quantum)
+
+
+def test_damage_is_named(tmp_path):
+    for file in FOLDER.glob(f"{FOAM}.*"):
+        (tmp_path / file.name).write_bytes(file.read_bytes())
+    sidecar = json.loads((tmp_path / f"{FOAM}.json").read_text(encoding="utf-8"))
+    (tmp_path / f"{FOAM}.json").write_text(json.dumps(sidecar | {"solved_frames": 7}), encoding="utf-8")
+    with pytest.raises(ReferenceFileError, match=r"has arrays .* expected .*\(7, "):
+        models._read(tmp_path / f"{FOAM}.npz", FOAM)
+    (tmp_path / f"{FOAM}.json").write_text("{", encoding="utf-8")
+    with pytest.raises(ReferenceFileError, match=f"{FOAM}.json"):
+        models._read(tmp_path / f"{FOAM}.npz.copy", FOAM) or models._read(Path(tmp_path, f"{FOAM}.npz"), "other")
+
+
+# --- scores and rewards ---
+
+
+def played(name, *, backend="mujoco", moved_mm=0.0):
+    env = gymnasium.make(f"GAUGE/{name}", backend=backend)
+    env.reset(seed=0)
+    zero = np.zeros(env.action_space.shape) if env.action_space.shape else 0
+    rewards, over = [], False
+    while not over:
+        *_, reward, terminated, truncated, info = env.step(zero)
+        rewards.append(reward)
+        over = terminated or truncated
+    trajectory = env.unwrapped.trajectory()
+    env.close()
+    return info, np.array(rewards), trajectory
+
+
+@pytest.fixture(scope="module")
+def foam():
+    return played(FOAM)
+
+
+def test_default_settings_are_as_far_off_as_their_refinement_says(foam):
+    score, sidecar = foam[0]["score"], solved_model(FOAM).sidecar
+    own = next(one for one in sidecar.engines if one.engine == "mujoco")
+    assert score.grade == "model"
+    assert score.rmse <= own.correction + sidecar.families_apart + 1e-3
+    # The solution without MuJoCo's own part is Newton's.
+    assert score.rmse_without["mujoco"] == pytest.approx(score.rmse, abs=2.0 * sidecar.families_apart)
+    assert score.rmse_without["mujoco"] != score.rmse_without["newton"]
+    assert score.release_offset_s is None
+    assert score.percentile is None
+
+
+def test_words_say_model_and_never_real(foam):
+    (line,) = reality_lines("x", foam[0]["score"], "mujoco")
+    assert "solves the model to" in line
+    assert "it helped to make this reference: to the solution of newton alone" in line
+    assert "real trial?" not in line
+    (other,) = reality_lines("x", foam[0]["score"], "drake")
+    assert "helped" not in other
+
+
+def test_a_fault_larger_than_the_uncertainty_is_seen(foam):
+    """A motion that is 5 % too large is told from the model, by an interval that excludes what the right one scores."""
+    experiment = load_experiment(FOAM)
+    band, trajectory = reference_band(experiment), foam[2]
+    times_s, values = trajectory.dense
+    wrong = values[0] + 1.05 * (values - values[0])
+    right = foam[0]["score"]
+    found = score_trajectory(experiment, band, times_s=times_s, values=wrong)
+    assert found.rmse_95[0] > right.rmse
+    assert sampled_frames(experiment, times_s, wrong).shape == band.mean.shape
+
+
+def test_the_reward_is_of_marker_positions_where_g_is_not(foam):
+    _, rewards, trajectory = foam
+    band = reference_band(load_experiment(FOAM))
+    assert band.unit == "mm^2"
+    points_mm = 1e3 * trajectory.markers_m.reshape(len(trajectory.markers_m), -1)
+    scale = np.fmax(band.points.sigma, band.points.uncertainty)
+    expected = -np.abs((points_mm - band.points.mean) / scale).mean(axis=1)
+    known = np.isfinite(expected)
+    np.testing.assert_allclose(rewards[known[1:]], expected[1:][known[1:]], rtol=1e-9)
+    assert (scale[known] >= POINT_SIGMA_MM).all()
+    assert (rewards[known[1:]] < 0.0).all()
+
+
+def test_a_reward_divides_by_the_larger_of_sigma_and_uncertainty():
+    band = reference_band(load_experiment(FOAM)).points
+    _, mean, weight = reward_terms(band)
+    frame = 10
+    scale = np.maximum(band.sigma[frame], band.uncertainty[frame])
+    np.testing.assert_allclose(weight[frame] * len(scale) * scale, 1.0)
+    assert mean.shape == weight.shape
+
+
+def test_another_scene_has_no_model():
+    assert reference_band(load_experiment(FOAM)).grade is BandGrade.MODEL
+    assert reference_band(load_experiment(FOAM, {"foam.young_modulus_pa": 1e5})) is None
+
+
+def test_gym_make_says_where_a_reference_ends(monkeypatch):
+    from gauge_envs.envs import arguments
+
+    monkeypatch.setattr(arguments, "_warned", set())
+    partial = next((name for name in SOLVED if solved_model(name).sidecar.ends), "SlopeContact-wood")
+    with pytest.warns(arguments.NoRewardWarning, match=r"ends at [\d.]+ of [\d.]+ s\. Later rewards are 0"):
+        gymnasium.make(f"GAUGE/{partial}").close()
+    assert FRAME_RATE_HZ == 30.0
