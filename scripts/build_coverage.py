@@ -31,7 +31,7 @@ HEAD = """
 | --- | --- |
 | band | grade of the band in use; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
-| sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` |
+| sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` or of the `model` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
@@ -40,7 +40,7 @@ body covers every frame. A law of a free flight ends at the first contact, that 
 Scores against these two are not normalized, because the published baseline covers the whole motion. `statistics` are
 the statistics of deformation of foam, which are not scored.
 """
-GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.NONE)
+GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.MODEL, BandGrade.NONE)
 
 
 @dataclass(frozen=True)

@@ -88,8 +88,8 @@ RIGID_ENGINES = ("mujoco", "rapier", "physx", "drake")
 CELL_FACTORS = (2.0, 0.5)
 """Cells of the refined levels over those of the default settings, coarse to fine."""
 
-SOFT_CELL_FACTORS = (2.0, 2.0 / 3.0)
-"""The same for soft bodies, whose cost grows with the sixth power of the number of cells along an edge."""
+COSTLY_CELL_FACTORS = (2.0, 2.0 / 3.0)
+"""The same for soft bodies and vertex block descent, whose cost grows with a high power of the number of cells."""
 
 DRIVE_INTERVAL_S = 1.0 / 180.0
 """Interval in which drivers move [s]."""
@@ -150,7 +150,7 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
             levels.append(Level(parameter="iterations", factor=0.25, settings=base | tighter))
     if cell_m := default_cell_m(experiment, default):
         is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
-        for factor in SOFT_CELL_FACTORS if is_soft else CELL_FACTORS:
+        for factor in COSTLY_CELL_FACTORS if is_soft or vbd else CELL_FACTORS:
             cell: dict[str, Any] = {"cell_m": factor * cell_m}
             if vbd:
                 # An iteration moves information by one node.
@@ -231,7 +231,8 @@ def solve_all(options: argparse.Namespace) -> int:
                 continue
             for level in levels_of(experiment, engine):
                 file = options.runs / experiment.name / f"{engine}-{level.name}.npz"
-                if file.exists():
+                wanted = any(fnmatchcase(level.name, pattern) for pattern in options.levels)
+                if file.exists() or not wanted:
                     continue
                 values = solve(experiment, engine, level, limit_s=options.limit_s)
                 file.parent.mkdir(parents=True, exist_ok=True)
@@ -342,7 +343,7 @@ def read_runs(folder: Path, frame_count: int) -> list[Run]:
 def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray, FloatArray, dict[str, Any]]]:
     """Return the solution of each engine, its standard uncertainty, and what was refined.
 
-    An engine without a finer run of a parameter is left out, because nothing says how far it is from its solution.
+    An engine without a second run of a parameter is left out, because nothing says how far it is from its solution.
     """
     found = {}
     for engine in dict.fromkeys(run.engine for run in runs):
@@ -355,7 +356,7 @@ def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray,
         for parameter in dict.fromkeys(run.parameter for run in own if run is not base):
             levels = sorted([base, *(run for run in own if run.parameter == parameter)], key=lambda run: -run.factor)
             factors = [run.factor for run in levels]
-            if factors[-1] >= 1.0:
+            if len(levels) < 2:
                 break
             result = extrapolate([run.quantity(quantity) for run in levels], factors)
             total, square = total + result.correction, square + np.square(result.uncertainty)
@@ -548,6 +549,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     solving.add_argument("--runs", type=Path, required=True, help="folder of the episodes")
     solving.add_argument("--ids", nargs="*", default=["*"], help="variants or patterns, run in this order")
     solving.add_argument("--engine", nargs="*", help="only these engines")
+    solving.add_argument("--levels", nargs="*", default=["*"], help="only these runs, as base-1 or 'step-*'")
     solving.add_argument("--limit-s", type=float, default=900.0, help="processor time of an episode at most")
     solving.set_defaults(action=solve_all)
     writing = commands.add_parser("write")

@@ -45,7 +45,8 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
     added to the recorded one; the task file states its scale, `residual_rate_*`. Zero replays the recorded motion.
     Without driven bodies the action is `Discrete(1)`.
 
-    Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame; 0 without a reference.
+    Reward: minus the mean over band coordinates of |g - mean| / sigma at the frame, of the marker positions where the
+    band has `points`; 0 without a reference.
 
     `info`: `frame`, `time_s`, `reference` (grade of the band), `reference_source` and `drivers` (`bundled` or
     `imported`), `edited` if an edited asset states the scene, and `diverged` (the reason) if the simulation diverged.

@@ -41,8 +41,8 @@ SLIDER, PLASTIC, FOAM, CRADLE = (
 GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
 
-HOLD, DRIVEN = "SlopeSlider-1-wood", "SlopeSlider-3-metal"
-"""Experiments of the grades law and recording."""
+HOLD, DRIVEN, SOLVED = "SlopeSlider-1-wood", "SlopeSlider-3-metal", "FoamStretching-soft"
+"""Experiments of the grades law, recording and model."""
 
 
 def recorded(motion, *, seconds=1.0):
@@ -270,7 +270,7 @@ def test_nothing_to_compare():
 @pytest.fixture(scope="module")
 def real():
     """Results of MuJoCo of every grade, by variant."""
-    return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, HOLD, DRIVEN)}
+    return {name: run_episode(RunRequest(name)) for name in (SLIDER, PLASTIC, HOLD, DRIVEN, SOLVED)}
 
 
 def altered(result, scale, **changes):
@@ -303,15 +303,17 @@ def grade(comparison, name):
 
 
 def test_each_grade_has_its_own_means_and_nothing_else_changes_them(real):
-    trials, others = under_two_names(real, SLIDER, PLASTIC), under_two_names(real, HOLD, DRIVEN)
+    trials, others = under_two_names(real, SLIDER, PLASTIC), under_two_names(real, HOLD, DRIVEN, SOLVED)
     alone, together = compare(trials), compare([*others, *trials])
-    assert [one.name for one in together.grades] == ["trials", "recording", "law"]
+    assert [one.name for one in together.grades] == ["trials", "recording", "law", "model"]
     assert grade(alone, "trials") == grade(together, "trials")
     ours = grade(together, "trials").scores[0]
     aligned = [real[name].score.rmse_aligned_normalized for name in (SLIDER, PLASTIC)]
     assert ours.mean.value == pytest.approx(np.mean(aligned))
     assert ours.mean_rank.value == 1.5
     assert grade(together, "law").scores[0].mean.value == pytest.approx(real[HOLD].score.rmse_normalized)
+    assert grade(together, "model").ids == (f"GAUGE/{SOLVED}",)
+    assert grade(together, "model").scores[0].mean.value == pytest.approx(real[SOLVED].score.rmse_normalized)
 
 
 def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
@@ -319,7 +321,7 @@ def test_published_engines_stand_beside_raw_scores_of_trials_alone(real):
     rows = {(row["id"], row["metric"]): row["published"] for row in comparison_rows(comparison)}
     assert rows[f"GAUGE/{SLIDER}", "rmse"] == published_baselines(SLIDER)["rmse"].engines
     assert rows[f"GAUGE/{SLIDER}", "rmse_aligned"] is None
-    assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN)} == {None}
+    assert {rows[f"GAUGE/{name}", "rmse"] for name in (HOLD, DRIVEN, SOLVED)} == {None}
 
 
 def test_published_constants_are_not_ranked_against_other_ones(real):
@@ -359,7 +361,7 @@ def test_only_experiments_that_all_have_scored_are_ranked_and_pairs_have_their_o
 
 def test_identical_trajectories_are_never_distinguishable(real):
     comparison = compare(under_two_names(real, *real))
-    assert len(comparison.grades) == 3
+    assert len(comparison.grades) == 4
     for one in comparison.grades:
         (pair,) = one.pairs
         assert (pair.p, pair.distinguishable) == (1.0, False)
