@@ -31,7 +31,7 @@ HEAD = """
 | --- | --- |
 | band | grade of the band in use; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
-| sigma | source of the scatter: the `trials`, the published `baseline`, or the uncertainty of the `measurement` or of the `model` |
+| sigma | source of the scatter: `trials`, the published `baseline`, or the uncertainty of the `measurement` or `model` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 

@@ -3,6 +3,7 @@
     python scripts/build_models.py solve --runs FOLDER --ids 'Textile*'    runs episodes that FOLDER does not have yet
     python scripts/build_models.py write --runs FOLDER                     writes the references of finished ids
     python scripts/build_models.py table                                   prints what the written references rest on
+    python scripts/build_models.py picture FILE                            draws their uncertainty over time
 
 `solve` runs each id on engines of different families: default settings, and each of time step, cell and iterations
 coarser and finer, one at a time. `write` extrapolates each of them to zero (Richardson), adds the corrections, and
@@ -75,6 +76,22 @@ MOTION_SHARE = 0.1
 
 LEAST_SPAN = 0.25
 """Share of the episode that a reference covers at least."""
+
+PICTURED = (
+    "TextileFlinging-satin",
+    "TextileFlinging-oxford",
+    "TextileBending-satin",
+    "TextileBending-oxford",
+    "TextileStretching-satin",
+    "TextileStretching-nylon",
+    "FoamStretching-soft",
+    "FoamTwisting-soft",
+    "FoamShearing-hard",
+    "FoamCompressing-soft",
+    "CantileverBeam-soft",
+    "StickStack-soft",
+)
+"""Variants of the picture."""
 
 POINT_QUANTUM_MM = 0.01
 """Resolution of stored marker positions [mm]."""
@@ -289,7 +306,8 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
     """Return a quantity at zero of a parameter, with the uncertainty of Roache's grid convergence index.
 
     With an observed order the value is extrapolated. Its 95 % uncertainty is 1.25 times the distance to the finest run,
-    at most by order 1, because errors of several orders may look like one of a high order. Else the finest run stands, with 3 times the change to the next one, as for order 1.
+    at most by order 1, because errors of several orders may look like one of a high order. Else the finest run stands,
+    with 3 times the change to the next one, as for order 1.
 
     Args:
         runs: The quantity in each run, coarse to fine, each of shape [T, C]; one of them has the factor 1.
@@ -541,6 +559,39 @@ def table(options: argparse.Namespace) -> int:
     return 0
 
 
+def picture(options: argparse.Namespace) -> int:
+    """Draw the uncertainty of written references over time, as a share of the scatter or the motion."""
+    from matplotlib.figure import Figure
+
+    names = [name for name in PICTURED if solved_model(name) is not None]
+    columns = 4
+    rows = math.ceil(len(names) / columns)
+    figure = Figure(figsize=(3.2 * columns, 2.2 * rows), layout="constrained")
+    for place, name in enumerate(names):
+        axis = figure.add_subplot(rows, columns, place + 1)
+        model = solved_model(name)
+        assert model is not None
+        band, baseline = model.band, published_baselines(name).get("rmse")
+        known = slice(0, model.sidecar.solved_frames)
+        is_published = baseline is not None and baseline.mean
+        scale = baseline.mean if is_published and baseline is not None else rms(band.mean[known] - band.mean[0])
+        times_s = np.arange(model.sidecar.solved_frames) / FRAME_RATE_HZ
+        spread = np.linalg.norm(band.uncertainty[known], axis=1) / scale
+        halves = np.array(list(model.others.values()))[:, known]
+        apart = np.linalg.norm(np.abs(halves - band.mean[known]).max(axis=0), axis=1) / scale
+        axis.semilogy(times_s, np.maximum(spread, 1e-5), color="#0b5394", label="uncertainty u")
+        axis.semilogy(times_s, np.maximum(apart, 1e-5), color="#b45f06", lw=0.8, label="distance of the engines")
+        axis.set_title(f"{name}\nover the {'scatter of real trials' if is_published else 'motion'}", fontsize=8)
+        axis.set_ylim(1e-4, 2.0)
+        axis.tick_params(labelsize=7)
+        if place == 0:
+            axis.legend(fontsize=6)
+        if place >= len(names) - columns:
+            axis.set_xlabel("time [s]", fontsize=8)
+    figure.savefig(options.file, dpi=110)
+    return 0
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -558,6 +609,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     writing.set_defaults(action=write_all)
     listing = commands.add_parser("table")
     listing.set_defaults(action=table)
+    drawing = commands.add_parser("picture")
+    drawing.add_argument("file", type=Path, help="PNG file")
+    drawing.set_defaults(action=picture)
     parser.add_argument("--scoring", type=Path, default=SCORING, help="folder of the data")
     options = parser.parse_args(arguments)
     status: int = options.action(options)
