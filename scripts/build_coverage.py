@@ -9,14 +9,15 @@ The table leaves out imported trials, which differ between users: `gauge list re
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import ROOT, markdown_table, settle, with_part
+from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
@@ -31,7 +32,7 @@ HEAD = """
 | --- | --- |
 | band | grade of the band in use; a *withheld* recording, which is used only if you ask for it; `statistics` |
 | known | frames with a known mean, of all frames of the experiment; in brackets, frames known in every coordinate |
-| sigma | source of the scatter: `trials`, the published `baseline`, or the uncertainty of the `measurement` or `model` |
+| sigma | source of the scatter: `trials`, the published `baseline`, the uncertainty of the `measurement` or `model` |
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
@@ -117,7 +118,27 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
         if row.withheld:
             reasons.setdefault(row.withheld, []).append(row.variant)
     lines += [f"- {', '.join(names)}: {reason}." for reason, names in reasons.items()]
-    return "\n".join(lines)
+    return "\n".join([*lines, *unsolved_lines()])
+
+
+def unsolved_lines() -> Iterator[str]:
+    """Yield why scenes have no converged solution, and statistics of the last frame on each engine."""
+    unsolved = json.loads((SCORING / "models" / "unsolved.json").read_text(encoding="utf-8"))
+    if not unsolved:
+        return
+    yield from ("", "Why ids have no converged solution:", "")
+    yield from (f"- {name}: {one['reason']}." for name, one in unsolved.items())
+    yield from ("", "Their last frame: mean and standard deviation over runs with other steps and cells.", "")
+    names = list(dict.fromkeys(name for one in unsolved.values() for name in one["statistics"]))
+    rows = []
+    for variant, one in unsolved.items():
+        engines = dict.fromkeys(engine for values in one["statistics"].values() for engine in values)
+        for engine in engines:
+            cells = [one["statistics"][name].get(engine) for name in names]
+            texts = ["-" if cell is None else f"{cell[0]:.4g} +- {cell[1]:.2g}" for cell in cells]
+            runs = next((str(cell[2]) for cell in cells if cell is not None), "0")
+            rows.append([variant, engine, runs, *texts])
+    yield from markdown_table(("id", "engine", "runs", *names), rows)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -18,7 +18,7 @@ import json
 import math
 import resource
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -31,6 +31,7 @@ from generated import SCORING, markdown_table
 from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 from scipy.optimize import brentq
+from scipy.spatial import ConvexHull
 
 from gauge_envs.backends import backend
 from gauge_envs.envs.env import GaugeEnv
@@ -478,6 +479,38 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     return ""
 
 
+def end_statistics(runs: Sequence[Run]) -> dict[str, dict[str, list[float]]]:
+    """Return statistics of the last frame: of each engine the mean, the standard deviation and the number of runs.
+
+    They are of all recorded points, as bodies or markers. Runs of an engine differ in step, cell and iterations. Where
+    these change the motion at random, their scatter is what the engine leaves open.
+    """
+    found: dict[str, dict[str, list[float]]] = {name: {} for name in STATISTICS}
+    for engine in dict.fromkeys(run.engine for run in runs):
+        points = [np.asarray(run.values["points_m"], dtype=np.float64) for run in runs if run.engine == engine]
+        for name, statistic in STATISTICS.items():
+            values = [statistic(1e3 * one) for one in points]
+            spread = float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+            found[name][engine] = [digits(float(np.mean(values))), digits(spread), len(values)]
+    return found
+
+
+def _hull_area_mm2(points_mm: FloatArray) -> float:
+    """Return the area that the points cover at the last frame, seen from above; 0 for fewer than four."""
+    return float(ConvexHull(points_mm[-1, :, :2]).volume) if points_mm.shape[1] > 3 else 0.0
+
+
+STATISTICS: Mapping[str, Callable[[FloatArray], float]] = {
+    "mean height [mm]": lambda points_mm: float(points_mm[-1, :, 2].mean()),
+    "mean distance moved [mm]": lambda points_mm: float(np.linalg.norm(points_mm[-1] - points_mm[0], axis=1).mean()),
+    "share that fell by 10 mm or more": lambda points_mm: float(
+        np.mean(points_mm[-1, :, 2] < points_mm[0, :, 2] - 10.0)
+    ),
+    "area seen from above [mm^2]": _hull_area_mm2,
+}
+"""Statistics of the last frame of an episode whose trajectory is not determined; the argument has shape [T, P, 3]."""
+
+
 def coordinate_names(experiment: Experiment, width: int) -> tuple[str, ...]:
     """Return names of the coordinates of g(t)."""
     if experiment.score.observable is Observable.POSITION:
@@ -517,7 +550,7 @@ def write_all(options: argparse.Namespace) -> int:
         reason = write_model(experiment, runs, folder)
         reasons.pop(experiment.name, None)
         if reason:
-            reasons[experiment.name] = reason
+            reasons[experiment.name] = {"reason": reason, "statistics": end_statistics(runs)}
             for stale in folder.glob(f"{experiment.name}.*"):
                 stale.unlink()
         print(f"{experiment.name}: {reason or 'written'}", flush=True)

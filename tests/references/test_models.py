@@ -73,7 +73,7 @@ def test_two_runs_are_not_extrapolated_and_count_three_times():
 @pytest.mark.parametrize(("orders", "least"), [((1.0, 2.0), 0.95), ((2.0, 3.0), 0.95), ((0.7, 2.0), 0.92)])
 @pytest.mark.parametrize("factors", [(2.0, 1.0, 0.5), (4.0 / 3.0, 1.0, 0.5), (1.0, 0.5, 0.25)])
 def test_the_uncertainty_covers_errors_of_two_orders(orders, least, factors):
-    """Real runs have errors of several orders, which cancel in parts. Worlds of a seed that the rule was not chosen on."""
+    """Errors of several orders cancel in parts. The worlds have a seed that the rule was not chosen on."""
     random = np.random.default_rng(7)
     times = np.linspace(0.0, 1.0, 12)[:, None]
     held = []
