@@ -213,8 +213,6 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
         note = f"{_recorded_note(records[0])}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
-    elif has_import(experiment.name):
-        note = f"{note}; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
     return described | {"imported": bool(records), "note": note, "motions": motions}
 
 

@@ -115,7 +115,7 @@ def _summary(values: Values) -> Iterator[str]:
     yield f"It evaluates {', '.join(values['evaluates'])}."
     yield f"Observed is g(t), {observable['kind'].replace('_', ' ')} [{observable['unit']}], 30 frames a second."
     yield f"Sources: {'; '.join(f'{key}: {text}' for key, text in values['source'].items())}."
-    yield f'`gymnasium.make("{values["id"]}")` makes the first id; `gauge show {short_id(values["id"])}` prints its facts.'
+    yield f'`gymnasium.make("{values["id"]}")` makes the first id, `gauge show {short_id(values["id"])}` prints it.'
 
 
 def _ids(members: Sequence[Values]) -> Table:

@@ -226,8 +226,11 @@ def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _drivers(values: Mapping[str, Any], *, detailed: bool) -> Iterator[Part]:
+    hint = "; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
+    has_import = values["reference"]["is_import_available"] and values["asset"] is None
     for driver in values["drivers"]:
-        yield Paragraph(f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}")
+        end = hint if has_import and not driver["imported"] else ""
+        yield Paragraph(f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}{end}")
         yield from (Paragraph(f"  {pairs_text(motion)}") for motion in driver["motions"] if detailed)
 
 
