@@ -19,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from environment_page import family_document
 from generated import ROOT, markdown_table, settle
 from gymnasium import spaces
 
@@ -31,7 +32,6 @@ from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.catalog import family_document
 from gauge_envs.tools.film import film_writer
 
 SCRIPT = Path(__file__).name

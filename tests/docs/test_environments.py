@@ -11,6 +11,7 @@ import build_environments
 import gymnasium
 import numpy as np
 import pytest
+from environment_page import family_document
 from numbers_of_pages import sourceless
 from places import ROOT
 from typer.testing import CliRunner
@@ -28,7 +29,7 @@ from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.limits import all_limits, episode_costs, known_limits
-from gauge_envs.tools.catalog import family_document, listing
+from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 PAGES = ROOT / "docs" / "environments"
@@ -42,7 +43,7 @@ def shown(*arguments: str) -> str:
     return result.stdout
 
 
-# --- every id ----------------------------------------------------------------------------------------------------------
+# --- every id --------------------------------------------------------------------------------------------------------
 
 
 def test_every_registered_experiment_has_a_page_that_names_it() -> None:
@@ -75,7 +76,7 @@ def test_a_page_has_what_gymnasium_pages_have() -> None:
         assert {"Known limits", "Constants", "Where the numbers are from"} <= set(titles)
 
 
-# --- what an environment does ------------------------------------------------------------------------------------------
+# --- what an environment does ----------------------------------------------------------------------------------------
 
 
 def part(observation: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -93,7 +94,7 @@ def test_rows_of_spaces_describe_observations(name: str) -> None:
     for row in rows:
         values = part(observation, row["name"])
         assert list(values.shape) == row["shape"]
-        assert np.isnan(row["low"]) or (row["low"] <= values).all() and (values <= row["high"]).all()
+        assert np.isnan(row["low"]) or ((row["low"] <= values).all() and (values <= row["high"]).all())
     named = {key: sum(row["shape"][-1] for row in rows if row["entry"] == key) for key in observation}
     assert named == {key: values.shape[-1] for key, values in observation.items()}
     env.close()
@@ -139,7 +140,7 @@ def test_rewards_are_where_their_sentence_says(name: str) -> None:
         assert count == env.experiment.frame_count
 
 
-# --- engines -----------------------------------------------------------------------------------------------------------
+# --- engines ---------------------------------------------------------------------------------------------------------
 
 
 def test_engines_answer_without_being_installed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -165,7 +166,7 @@ def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) 
         assert uninstalled_backend(engine).supports(scene) == answer
 
 
-# --- limits and costs --------------------------------------------------------------------------------------------------
+# --- limits and costs ------------------------------------------------------------------------------------------------
 
 
 def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
@@ -212,7 +213,7 @@ def test_costs_are_of_engines_that_run_the_family() -> None:
     assert measured > 40
 
 
-# --- the script --------------------------------------------------------------------------------------------------------
+# --- the script ------------------------------------------------------------------------------------------------------
 
 
 def test_what_is_missing_or_stale_is_named(

@@ -36,6 +36,7 @@ SIGMA_NOTES = {
 }
 
 SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
+COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
 
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -106,10 +107,14 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
         Heading("Action and observation"),
         Facts(_entries([*values["action"], *values["observation"]])),
         *_engines(values),
-        published_table(values["baselines"], title="Published", note=SHORT_NOTE),
+        (
+            published_table(values["baselines"], title="Published", note=SHORT_NOTE)
+            if values["baselines"]
+            else Paragraph("Published: none")
+        ),
         *([Bullets([limit_text(one) for one in values["limits"]], "Known limits")] if values["limits"] else []),
         Heading("Constants and driven motion"),
-        Facts({name: constants_text(table) for name, table in values["constants"].items()}),
+        Facts(_constants(values["constants"])),
         *_drivers(values, detailed=detailed),
     )
     if detailed:
@@ -150,12 +155,16 @@ def limit_text(limit: Mapping[str, Any]) -> str:
     return limit["text"] + (f" (studies/{limit['study']})" if limit["study"] else "")
 
 
-def constants_text(table: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the constants of a body, those of a source before it."""
-    by_source: dict[str, dict[str, Any]] = {}
-    for key, constant in table.items():
-        by_source.setdefault(constant["source"], {})[key] = constant["value"]
-    return "; ".join(f"{pairs_text(group)} ({source})" for source, group in by_source.items())
+def _constants(constants: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, str]:
+    """Return the constants of bodies that share them, those of a source before it."""
+    names: dict[str, list[str]] = {}
+    for name, table in constants.items():
+        by_source: dict[str, dict[str, Any]] = {}
+        for key, constant in table.items():
+            by_source.setdefault(constant["source"], {})[key] = constant["value"]
+        text = "; ".join(f"{pairs_text(group)} ({source})" for source, group in by_source.items())
+        names.setdefault(text, []).append(name)
+    return {shortened(sharing): text for text, sharing in names.items()}
 
 
 def _entries(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
@@ -202,7 +211,7 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             Column("", "works here", lambda row: "yes" if row["fault"] is None else "no"),
         ),
         rows=running,
-        notes=tuple(row["fault"] for row in running if row["fault"] is not None),
+        notes=(COST_NOTE, *(row["fault"] for row in running if row["fault"] is not None)),
     )
     yield Facts({row["engine"]: f"no: {reasons_text(row['missing'])}" for row in values["engines"] if row["missing"]})
 
