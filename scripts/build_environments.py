@@ -80,7 +80,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("Turntable-3-metal"),
         Entry("BouncingBall-rubber"),
         Entry("NewtonsCradle-metal", 0.6),
-        Entry("Pendulum-metal", 0.9, use_withheld=True),
+        Entry("Pendulum-metal", 0.9),
         Entry("WallBreaking-wood", 1.5),
     ),
     "Rope and textiles": (

@@ -18,6 +18,7 @@ from gauge_envs.tools.catalog.spaces import range_text, shape_text
 from gauge_envs.tools.catalog.words import (
     SIGMA_NOTES,
     convergence_facts,
+    grade_note,
     published_table,
     reasons_text,
     span_text,
@@ -132,12 +133,8 @@ def _ids(members: Sequence[Values]) -> Table:
         Column("reference.trial_count", "real trials", is_number=True),
         Column("", "frames with a mean", known, is_number=True),
     )
-    notes = [f"{one.value}: {GRADE_NOTES[one]}." for one in BandGrade if one in _grades(members)]
+    notes = dict.fromkeys(f"{values['reference']['grade']}: {grade_note(values['reference'])}." for values in members)
     return Table(columns=columns, rows=members, notes=tuple(notes))
-
-
-def _grades(members: Sequence[Values]) -> set[BandGrade]:
-    return {BandGrade(values["reference"]["grade"]) for values in members}
 
 
 # --- spaces, reward, reference ----------------------------------------------------------------------------------------
@@ -149,7 +146,7 @@ def _spaces(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
         groups = names.grouped(({"id": values["id"], "rows": values[key]} for values in members), _without_ranges)
         for label, _, having in groups:
             if len(groups) > 1:
-                yield Paragraph(f"{label}:")
+                yield Paragraph(f"Ids {label}:")
             yield _space_table([values["rows"] for values in having])
     yield Paragraph("A range is that of the declared space, the widest of the ids.")
 

@@ -142,12 +142,17 @@ def _facts(values: Mapping[str, Any]) -> dict[str, str]:
 
 def grade_text(reference: Mapping[str, Any]) -> str:
     """Return the grade of a reference, what it means, and whether a recording is withheld."""
-    grade = BandGrade(reference["grade"])
-    trials, note = f", {reference['trial_count']} trials" if reference["trial_count"] else "", GRADE_NOTES[grade]
-    if reference["single_shot"]:
-        trials, note = "", "one real trial with the same start; each trial has its own"
+    count = None if reference["single_shot"] else reference["trial_count"]
+    trials = f", {count} trials" if count else ""
     withheld = ", recording withheld" if reference["withheld"] is not None else ""
-    return f"{grade.value}{trials} ({note}){withheld}"
+    return f"{reference['grade']}{trials} ({grade_note(reference)}){withheld}"
+
+
+def grade_note(reference: Mapping[str, Any]) -> str:
+    """Return what the grade of a reference means."""
+    if reference["single_shot"]:
+        return "one real trial with the same start; each trial has its own"
+    return GRADE_NOTES[BandGrade(reference["grade"])]
 
 
 def limit_text(limit: Mapping[str, Any]) -> str:
