@@ -113,14 +113,15 @@ def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Documen
             else Paragraph("Published: none")
         ),
         *([Bullets([limit_text(one) for one in values["limits"]], "Known limits")] if values["limits"] else []),
-        Heading("Constants and driven motion"),
+        *([Heading("Constants and driven motion")] if values["constants"] or values["drivers"] else []),
         Facts(_constants(values["constants"])),
         *_drivers(values, detailed=detailed),
     )
-    if detailed:
+    # The constants of an experiment file are those of its scene.
+    if detailed or not values["constants"]:
         return Document(parts=(*short, *_details(values)), rows=[values])
-    more = f"Scene, decisions and all sources: gauge show {short_id(values['id'])} --format wide"
-    return Document(parts=(*short, Paragraph(more, Tone.NOTE)), rows=[values])
+    more = Paragraph("Scene, decisions and all sources: --format wide", Tone.NOTE)
+    return Document(parts=(*short, more), rows=[values])
 
 
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
@@ -216,7 +217,10 @@ def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
             Column("", "works here", lambda row: "yes" if row["fault"] is None else "no"),
         ),
         rows=running,
-        notes=(COST_NOTE, *(row["fault"] for row in running if row["fault"] is not None)),
+        notes=(
+            *([COST_NOTE] if any(row["cpu_s_per_s"] for row in running) else []),
+            *(row["fault"] for row in running if row["fault"] is not None),
+        ),
     )
     yield Facts({row["engine"]: f"no: {reasons_text(row['missing'])}" for row in values["engines"] if row["missing"]})
 
