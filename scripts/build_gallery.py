@@ -1,18 +1,18 @@
-"""Draw the pictures of the gallery and write the list of `docs/gallery.md`: one strip for each experiment, and films.
+"""Draw the pictures of the gallery and write the list of `docs/gallery.md`: films of engines, and control tasks.
 
     python scripts/build_gallery.py            runs what has no result yet, draws everything, writes the list
-    python scripts/build_gallery.py --check    fails unless every family has an entry and every entry its picture
+    python scripts/build_gallery.py --check    fails unless every entry has its picture
 
-Results and poses stay in a folder, so that a second run draws alone. The films need the engines that they show.
+Results stay in a folder, so that a second run draws alone. The films need the engines that they show.
+`scripts/build_environments.py` draws the experiments.
 """
 
 from __future__ import annotations
 
 import argparse
-import pickle
 import re
 import sys
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,17 +20,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs import load_experiment, reference_band
-from gauge_envs.backends import versions_of
-from gauge_envs.envs.env import GaugeEnv
-from gauge_envs.envs.rendering.lazy import Pictures
-from gauge_envs.envs.rendering.overlay import Overlay, tracked_overlay
-from gauge_envs.evaluation.reference_path import reference_path, reference_text
-from gauge_envs.experiments.variants import beyond_variants, find_variant, variants
-from gauge_envs.observables.kinds import Observable
 from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import planned_results, run_many
-from gauge_envs.runs.replay import replayed_experiment
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
@@ -41,8 +32,6 @@ from gauge_envs.tools.film import (
     PanelText,
     save_film,
     save_still,
-    save_strip,
-    score_line,
     strip_picture,
 )
 
@@ -59,31 +48,6 @@ CONTROL_FRACTION = 0.98
 MOST_FILM_BYTES = 600_000
 MOST_BYTES = 4_000_000
 """Largest size of a film, and of all pictures of the gallery."""
-
-OBSERVED = {
-    Observable.POSITION: "positions",
-    Observable.CURVATURE: "curvature at markers",
-    Observable.LINE_CURVATURE: "turning angles along a line of markers",
-    Observable.FACE_AREA: "areas between markers",
-    Observable.MARKER_POSITION: "positions of markers",
-}
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A strip of one experiment on MuJoCo.
-
-    Attributes:
-        name: Variant.
-        to_s: Time of the last picture [s]; None for the end of the episode.
-        use_withheld: Whether to draw a recording that is withheld from scores.
-        is_scored: Whether it has a reference or a score. Of others, the episode is run to the last picture alone.
-    """
-
-    name: str
-    to_s: float | None = None
-    use_withheld: bool = False
-    is_scored: bool = True
 
 
 @dataclass(frozen=True)
@@ -108,59 +72,6 @@ FILMS = (
     FilmEntry("TextileFlinging-oxford", ("mujoco", "newton"), 0.5, 1.8),
 )
 
-
-@dataclass(frozen=True)
-class View:
-    """What a picture of an episode shows.
-
-    Attributes:
-        time_s: Time [s].
-        poses: Pose of each rigid body that moves.
-        nodes_m: Nodes of each deformable body [m].
-        overlay: What is drawn on top of them.
-    """
-
-    time_s: float
-    poses: Mapping[str, NDArray[np.float64]]
-    nodes_m: Mapping[str, NDArray[np.float64]]
-    overlay: Overlay
-
-
-GROUPS: dict[str, tuple[Entry, ...]] = {
-    "Rigid bodies": (
-        Entry("SlopeSlider-2-wood"),
-        Entry("SlopeContact-wood"),
-        Entry("NonsmoothContact-1-wood"),
-        Entry("Turntable-3-metal"),
-        Entry("BouncingBall-rubber"),
-        Entry("NewtonsCradle-metal", 0.6),
-        Entry("Pendulum-metal", 0.9, use_withheld=True),
-        Entry("WallBreaking-wood", 1.5),
-    ),
-    "Rope and textiles": (
-        Entry("RopeWinding-rubber", 2.0, is_scored=False),
-        Entry("TextileStretching-satin", 3.0, is_scored=False),
-        Entry("TextileBending-oxford", 4.8, is_scored=False),
-        Entry("TextileFlinging-oxford", 1.8),
-        Entry("Funnel-satin", 2.0, is_scored=False),
-        Entry("RotatingBall-uniform", 2.0, is_scored=False),
-        Entry("TableclothPulling-metal", 3.0, use_withheld=True, is_scored=False),
-    ),
-    "Foam": (
-        Entry("FoamStretching-soft", 0.9, use_withheld=True, is_scored=False),
-        Entry("FoamCompressing-soft", 0.9, use_withheld=True, is_scored=False),
-        Entry("FoamShearing-soft", 1.2, use_withheld=True, is_scored=False),
-        Entry("FoamTwisting-soft", 2.1, use_withheld=True),
-        Entry("FoamBending-soft", 1.1, use_withheld=True, is_scored=False),
-        Entry("StickStack-soft", 4.0, is_scored=False),
-        Entry("CantileverBeam-soft", 0.5, use_withheld=True, is_scored=False),
-    ),
-    "Beyond the benchmark": (
-        Entry("CubeToss-acrylic"),
-        Entry("ElbowToss-blocks"),
-        Entry("SiliconeBeam-52g-silicone", 0.5),
-    ),
-}
 
 CONTROLS = (
     "Turntable-Limit-wood",
@@ -187,37 +98,6 @@ def result_of(name: str, backend: str, folder: Path) -> tuple[Path, Result]:
     return file, load_result(file)
 
 
-def stepped(entry: Entry, folder: Path) -> list[View]:
-    """Return the first, middle and last view of an experiment without a score; an earlier call may have stored them."""
-    assert entry.to_s is not None
-    experiment = load_experiment(entry.name)
-    last = min(round(FRAME_RATE_HZ * entry.to_s), experiment.frame_count - 1)
-    key = repr((experiment.file_sha256, versions_of("mujoco"), last, entry.use_withheld))
-    file = folder / f"{entry.name}.views.pickle"
-    if file.is_file():
-        known, views = pickle.loads(file.read_bytes())
-        if known == key:
-            return views
-    views = list(_views(entry, last))
-    folder.mkdir(parents=True, exist_ok=True)
-    file.write_bytes(pickle.dumps((key, views)))
-    return views
-
-
-def _views(entry: Entry, last: int) -> Iterator[View]:
-    """Run an episode to a frame with zero actions, and yield its first, middle and last view."""
-    env = GaugeEnv(entry.name, use_withheld=entry.use_withheld)
-    env.reset(seed=0)
-    episode = env.episode
-    zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
-    for frame in range(last + 1):
-        if frame:
-            env.step(zero)
-        if frame in (0, last // 2, last):
-            yield View(frame / FRAME_RATE_HZ, episode.poses(), episode.nodes_m(), tracked_overlay(episode))
-    env.close()
-
-
 def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
     """Return the first, middle and last picture of a control task, their times, and what was reached."""
     env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", **STRIP_SIZE)
@@ -239,23 +119,8 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
 # --- page ------------------------------------------------------------------------------------------------------------
 
 
-def entry_text(entry: Entry, result: Result | None) -> str:
-    """Return the sentences of an experiment: what happens, what is observed, its score if it has one, its reference."""
-    experiment = load_experiment(entry.name) if result is None else replayed_experiment(result)
-    spec = load_experiment(entry.name).spec
-    band = reference_band(experiment, use_withheld=entry.use_withheld)
-    observed = f"Observed: {OBSERVED[experiment.score.observable]}, for {', '.join(spec.evaluates)}."
-    if result is not None:
-        score = f"MuJoCo {result.versions['mujoco']}: {score_line(result, band)}."
-    else:
-        score = f"Not scored: {'the package has no real reference' if band is None else 'the reference is withheld'}."
-    end_s = entry.to_s or (experiment.frame_count - 1) / FRAME_RATE_HZ
-    reference = reference_text(band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial)
-    return " ".join([spec.summary, observed, score, *([f"Red: {reference}."] if reference else [])])
-
-
 def picture_name(name: str) -> str:
-    """Return the file name of the strip of an experiment or a control task."""
+    """Return the file name of the strip of a control task."""
     return f"{name}.webp"
 
 
@@ -280,36 +145,30 @@ def page_lines(texts: dict[str, str]) -> Iterator[str]:
     """Yield the lines of the list.
 
     Args:
-        texts: Sentences of each experiment and each control task.
+        texts: Sentences of each control task.
     """
     yield "## Engines side by side"
     for film in FILMS:
         yield from ("", f"### {film.name} on {engines(film)}", "")
         yield from (f"![{film.name} on {engines(film)}](images/gallery/{film_name(film)})", "")
         yield f"Speed x {film.speed:g}. `{command(film)}` makes it from results of these engines."
-    groups = {title: [entry.name for entry in entries] for title, entries in GROUPS.items()}
-    for title, names in (groups | {"Control tasks": list(CONTROLS)}).items():
-        yield from ("", f"## {title}")
-        for name in names:
-            yield from ("", f"### {name}", "", f"![{name} at three times](images/gallery/{picture_name(name)})", "")
-            yield texts[name]
+    yield from ("", "## Control tasks")
+    for name in CONTROLS:
+        yield from ("", f"### {name}", "", f"![{name} at three times](images/gallery/{picture_name(name)})", "")
+        yield texts[name]
 
 
 def faults(page: str, folder: Path) -> list[str]:
-    """Return what is missing: families without an entry, pictures without a file or a place on the page.
+    """Return what is missing: pictures without a file or a place on the page.
 
     Args:
         page: Text of the page.
         folder: Folder of the pictures.
     """
-    shown = [entry.name for entries in GROUPS.values() for entry in entries]
-    families = {variant.family for variant in (*variants(), *beyond_variants())}
-    missing = sorted(families - {find_variant(name).family for name in shown})
-    found = [f"{family}: no picture of this family: add an entry" for family in missing]
-    wanted = [*(picture_name(name) for name in (*shown, *CONTROLS)), *(film_name(film) for film in FILMS)]
+    wanted = [*map(picture_name, CONTROLS), *map(film_name, FILMS)]
     linked = re.findall(r"\]\(images/gallery/([^)]+)\)", page)
     files = {file.name: file.stat().st_size for file in folder.iterdir()} if folder.is_dir() else {}
-    found += [f"{name}: there is no such picture" for name in wanted if not files.get(name)]
+    found = [f"{name}: there is no such picture" for name in wanted if not files.get(name)]
     found += [f"{name}: the page does not show it" for name in wanted if name not in linked]
     found += [f"{name}: it is in the folder, and no entry names it" for name in sorted(set(files) - set(wanted))]
     films = [film_name(film) for film in FILMS]
@@ -323,15 +182,9 @@ def faults(page: str, folder: Path) -> list[str]:
 
 
 def draw(results: Path, folder: Path) -> dict[str, str]:
-    """Draw all pictures, and return the sentences of each entry."""
+    """Draw all pictures, and return the sentences of each control task."""
     folder.mkdir(parents=True, exist_ok=True)
     texts = {}
-    for entry in (entry for entries in GROUPS.values() for entry in entries):
-        file = folder / picture_name(entry.name)
-        texts[entry.name] = (
-            draw_scored(entry, results, file) if entry.is_scored else draw_unscored(entry, results, file)
-        )
-        report(file)
     for name in CONTROLS:
         texts[name] = draw_control(name, folder / picture_name(name))
         report(folder / picture_name(name))
@@ -339,38 +192,6 @@ def draw(results: Path, folder: Path) -> dict[str, str]:
         draw_film(film, results, folder / film_name(film))
         report(folder / film_name(film))
     return texts
-
-
-def draw_scored(entry: Entry, results: Path, out: Path) -> str:
-    """Draw the strip of a result, and return its sentences."""
-    file, result = result_of(entry.name, "mujoco", results)
-    options = FilmOptions(**STRIP_SIZE, to_s=entry.to_s, use_withheld=entry.use_withheld)
-    raise_if_left_out(save_strip({file: result}, out, options))
-    return entry_text(entry, result)
-
-
-def draw_unscored(entry: Entry, results: Path, out: Path) -> str:
-    """Draw the strip of an experiment without a score, and return its sentences."""
-    experiment = load_experiment(entry.name)
-    band = reference_band(experiment, use_withheld=True)
-    if band is not None and band.withheld is None:
-        raise SystemExit(f"{entry.name}: it has a reference: leave out is_scored=False")
-    shown = band if entry.use_withheld else None
-    views = stepped(entry, results)
-    canvas = Pictures("rgb_array", **STRIP_SIZE)
-    pictures = [
-        canvas.draw(
-            experiment, views[0].nodes_m, band=shown, poses=view.poses, nodes_m=view.nodes_m, overlay=view.overlay
-        )
-        for view in views
-    ]
-    canvas.close()
-    note = "not scored" if band is None else "not scored: the reference is withheld"
-    text = PanelText(title="MuJoCo", detail=f"mujoco {versions_of('mujoco')['mujoco']}", note=note)
-    reference = reference_text(shown, reference_path(experiment, shown), end_s=views[-1].time_s)
-    caption = Caption(title=entry.name, subtitle=experiment.title, reference=reference)
-    save_still(strip_picture([pictures], [text], caption, [f"{view.time_s:.2f} s" for view in views]), out)
-    return entry_text(entry, None)
 
 
 def draw_control(name: str, out: Path) -> str:
@@ -408,7 +229,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Draw the gallery or check it; return the exit status."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="draw nothing; fail if a picture is missing")
-    parser.add_argument("--results", type=Path, default=Path("results/gallery"), help="folder of results and poses")
+    parser.add_argument("--results", type=Path, default=Path("results/gallery"), help="folder of results")
     parser.add_argument("--page", type=Path, default=ROOT / "docs" / "gallery.md", help="the page")
     options = parser.parse_args(arguments)
     folder = options.page.parent / "images" / "gallery"

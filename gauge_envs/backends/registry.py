@@ -63,6 +63,16 @@ def is_bundled(name: str) -> bool:
     return bool(values) and values[0].startswith("gauge_envs.")
 
 
+def uninstalled_backend(name: str) -> Backend:
+    """Return a backend of this package that answers `supports` and `resolved_settings` without its engine.
+
+    It cannot build; the answers are the same whether or not the engine is installed.
+    """
+    (point,) = (point for point in _points() if point.name == name and is_bundled(name))
+    engine: Backend = object.__new__(point.load())
+    return engine
+
+
 @contextmanager
 def _as_backend_error(place: str) -> Iterator[None]:
     """Raise a `BackendError` for anything that an engine raises, so that other backends stay usable.

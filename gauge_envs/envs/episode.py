@@ -147,34 +147,8 @@ class Episode:
         self._samples = np.full((sample_count, self._observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
         self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
-        motions = sum(path.motion_count for path in self._drivers)
-        self.action_space: spaces.Space[Any] = (
-            spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
-        )
-        self.observation_space = self._observation_space()
-
-    # --- spaces ---
-
-    def _observation_space(self) -> spaces.Space[Observation]:
-        scene = self.experiment.scene
-        distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
-        state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
-
-        def states(count: int) -> spaces.Box:
-            bound = np.tile(state, (count, 1))
-            return spaces.Box(-bound, bound, dtype=np.float64)
-
-        entries: dict[str, spaces.Space[Any]] = {
-            "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (self._observer.width,), np.float64),
-            "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
-        }
-        if self.experiment.recorded:
-            entries["bodies"] = states(len(self.experiment.recorded))
-        else:
-            entries["markers"] = spaces.Box(-distance, distance, self._markers_m.shape[1:], np.float64)
-        if self._driven:
-            entries["driver"] = states(len(self._driven))
-        return cast("spaces.Space[Observation]", spaces.Dict(entries))
+        self.action_space = action_space_of(experiment)
+        self.observation_space = observation_space_of(experiment)
 
     # --- rollout ---
 
@@ -497,6 +471,39 @@ class Episode:
         return self._rigid_bounds.fault(states)
 
 
+# --- what an environment declares ---
+
+
+def action_space_of(experiment: Experiment) -> spaces.Space[Any]:
+    """Return the action space of an experiment: one entry for each motion of a driver; `Discrete(1)` without any."""
+    motions = sum(len(driver.motions) for driver in experiment.scene.drivers)
+    return spaces.Box(-1.0, 1.0, (motions,), np.float64) if motions else spaces.Discrete(1)
+
+
+def observation_space_of(experiment: Experiment) -> spaces.Space[Observation]:
+    """Return the observation space of an experiment; `GaugeEnv` says what each entry holds."""
+    scene = experiment.scene
+    distance, speed = scene.distance_limit_m, scene.speed_limit_m_per_s
+    state = np.concatenate([np.full(3, distance), np.ones(4) + 1e-9, np.full(3, speed), np.full(3, np.inf)])
+
+    def states(count: int) -> spaces.Box:
+        bound = np.tile(state, (count, 1))
+        return spaces.Box(-bound, bound, dtype=np.float64)
+
+    entries: dict[str, spaces.Space[Any]] = {
+        "observable": spaces.Box(-1e3 * distance, 1e3 * distance, (len(experiment.coordinates),), np.float64),
+        "time": spaces.Box(0.0, scene.duration_s + 1e-9, (1,), np.float64),
+    }
+    if experiment.recorded:
+        entries["bodies"] = states(len(experiment.recorded))
+    else:
+        count = 0 if scene.markers is None else len(scene.markers.positions_m)
+        entries["markers"] = spaces.Box(-distance, distance, (count, 3), np.float64)
+    if scene.drivers:
+        entries["driver"] = states(len(scene.drivers))
+    return cast("spaces.Space[Observation]", spaces.Dict(entries))
+
+
 def run_on_together(episodes: Sequence[Episode], advance: Callable[[Sequence[int]], None]) -> None:
     """Simulate worlds on past the last frame, so that the release alignment knows the later motion.
 
@@ -527,3 +534,29 @@ def reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.flo
     count = np.maximum(usable.sum(axis=1, keepdims=True), 1)
     weight = np.where(usable, 1.0, 0.0) / np.where(usable, scale, 1.0) / count
     return band.projection, np.nan_to_num(band.mean), weight
+
+
+def reward_text(band: Band | None) -> str:
+    """Return what the reward of an environment is made of, one sentence.
+
+    Args:
+        band: Band that rewards are relative to, or None.
+    """
+    terms = reward_terms(band)
+    if band is None or terms is None:
+        return "0 at every frame: there is no reference in use"
+    known = np.flatnonzero(terms[2].any(axis=1))
+    if not len(known):
+        return "0 at every frame: the reference has no scatter"
+    span = f"frames {known[0]} to {known[-1]}" if len(known) > 1 else f"frame {known[0]}"
+    if known[-1] - known[0] + 1 != len(known):
+        span = f"{len(known)} of the {span}"
+    elsewhere = "" if len(known) == len(band.mean) else "; 0 at the others"
+    compared = band.points or band
+    names = compared.coordinates if len(compared.coordinates) < 4 else (f"{len(compared.coordinates)} coordinates",)
+    if band.points is not None:
+        names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
+    return (
+        f"minus the mean over {', '.join(names)} of |deviation from the reference's mean| / sigma, "
+        f"at {span} of {len(band.mean)}{elsewhere}"
+    )

@@ -1,7 +1,7 @@
 """CPU time of episodes over their simulated time, from result files of `gauge run`.
 
 gauge run "*" --backend mujoco --out results
-python studies/cost/cost.py results > studies/cost/cost.csv
+python studies/cost/cost.py results > scoring/costs.csv
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def main() -> None:
                 family = find_variant(result.id).family
                 seconds[str(result.backend), family].append(result.cpu_s / result.sim_s)
     table = csv.writer(sys.stdout, lineterminator="\n")
-    table.writerow(["engine", "experiment", "ids", "least CPU s per simulated s", "most"])
+    table.writerow(["engine", "family", "ids", "least", "most"])
     for (engine, family), costs in seconds.items():
         table.writerow([engine, family, len(costs), f"{min(costs):.2g}", f"{max(costs):.2g}"])
 

@@ -56,12 +56,13 @@ def test_list_takes_patterns(gauge, pattern):
     "name", [NAME, f"GAUGE/{NAME}", "SlopeSlider-3-metal", "Pendulum-metal", SOFT, "Turntable-1-wood"]
 )
 def test_show_states_constants_and_where_they_are_from(gauge, name):
-    text = gauge("show", name)
+    text = gauge("show", name, "--format", "wide")
     assert text.exit_code == 0
     for heading in ("Bodies", "Contacts", "Constants", "Where the numbers are from", "Decisions", "Published"):
         assert heading in text.stdout
     (values,) = lines(gauge("show", name, "--json"))
     assert values["provenance"]["constants"] == "metadata"
+    assert all(one["source"] for table in values["constants"].values() for one in table.values())
     assert values["parameter_sets"]["calibrated"]
     assert values["baselines"][0]["engines"].keys() == {"isaacsim", "genesis", "newton"}
 

@@ -325,8 +325,6 @@ def readers() -> dict[str, list[str]]:
         of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
     )
     (download_size,) = re.findall(r"\d+ GB", COMMANDS["data download"][1])
-    poisson = toml("tasks/stick_stack.toml")["constants"]["rod"]["soft"]["poisson_ratio"]
-    rope = toml("tasks/rope_winding.toml")["constants"]["rope"]["rubber"]
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
     return {
         "docs/limits.md": [
@@ -346,9 +344,6 @@ def readers() -> dict[str, list[str]]:
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
-            f"after {law_frames('NonsmoothContact-1-wood')} or {law_frames('SlopeContact-wood')} frames",
-            f"Poisson ratio of {poisson['calibrated']:g} is not admissible; {poisson['used']:g} is used",
-            f"modulus, {rope['young_modulus_pa']:g} Pa, cannot",
             jitter("The jitter of {position} is that of real starts where it was measured; the {angle} are"),
         ],
         "docs/leaderboard.md": [

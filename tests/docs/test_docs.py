@@ -132,9 +132,10 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 def test_every_page_is_in_the_table_of_contents() -> None:
     listed = {"index"}
-    for page in (DOCS / "index.md", DOCS / "api.md"):
+    for page in (DOCS / "index.md", DOCS / "api.md", DOCS / "environments" / "index.md"):
         for tree in re.findall(r"^```\{toctree\}\n(.*?)^```$", page.read_text(), flags=re.MULTILINE | re.DOTALL):
-            listed |= {line for line in tree.splitlines() if line and not line.startswith((":", "studies/"))}
+            names = [line for line in tree.splitlines() if line and not line.startswith((":", "studies/"))]
+            listed |= {str((page.parent / name).relative_to(DOCS)) for name in names}
     assert {str(page.relative_to(DOCS).with_suffix("")) for page in PAGES if DOCS in page.parents} == listed
 
 

@@ -67,9 +67,9 @@ def show(
     use: arguments.Use = "",
     form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show one experiment or control task: scene, constants, reference, published scores.
+    """Show one experiment or control task: reference, reward, spaces, engines, published scores, constants.
 
-    Constants have their sources. For a control task: law, limit and reward.
+    `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
     """
     from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
@@ -80,5 +80,5 @@ def show(
         document = control_document(control_description(find_control_task(name)))
     else:
         experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
-        document = experiment_document(description(experiment))
+        document = experiment_document(description(experiment), detailed=form is not Format.TEXT)
     print_document(document, form)

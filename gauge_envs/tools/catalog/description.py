@@ -1,4 +1,7 @@
-"""All that defines an experiment or a control task, with the source of each number, JSON-ready."""
+"""All that defines an experiment or a control task, with the source of each number, JSON-ready.
+
+The terminal page of `gauge show` and the page of a family in the documentation are both made from it.
+"""
 
 from __future__ import annotations
 
@@ -10,21 +13,24 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from gauge_envs.backends.registry import backend_names
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.tasks import ControlTask
+from gauge_envs.envs.episode import reward_text
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import json_ready
 from gauge_envs.pages.results import convergence_rows
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
+from gauge_envs.references.limits import episode_costs, known_limits
 from gauge_envs.references.published import law_for
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Profile, SampledProfile
-from gauge_envs.tools.catalog.listing import lacking_features
+from gauge_envs.tools.catalog.listing import engine_rows
+from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 
 def description(experiment: Experiment) -> dict[str, Any]:
@@ -54,12 +60,31 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
             "air": None if scene.air is None else dataclasses.asdict(scene.air),
             "markers": None if scene.markers is None else {"count": len(scene.markers.positions_m)},
+            "action": action_rows(experiment),
+            "observation": observation_rows(experiment),
             "reference": _reference(experiment),
             "baselines": [dataclasses.asdict(line) for line in experiment.baselines.values()],
-            "backends": {name: lacking_features(name, [experiment])[0] for name in backend_names()},
-            "convergence": {name: convergence_rows(name, experiment.name) for name in backend_names()},
+            "engines": _engines(experiment),
+            "limits": [one.model_dump(exclude={"variants"}) for one in known_limits(experiment.name)],
         }
     )
+
+
+def _engines(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return what each engine says of an experiment, what an episode costs on it, and its convergence."""
+    costs, rows = {}, []
+    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
+        costs = episode_costs(experiment.variant.family)
+    for row in engine_rows(experiment):
+        cost = None if row["missing"] else costs.get(row["engine"])
+        rows.append(
+            row
+            | {
+                "cpu_s_per_s": None if cost is None else [cost.least, cost.most],
+                "convergence": convergence_rows(row["engine"], experiment.name),
+            }
+        )
+    return rows
 
 
 def _of_task(experiment: Experiment) -> dict[str, Any]:
@@ -71,10 +96,7 @@ def _of_task(experiment: Experiment) -> dict[str, Any]:
         "group": spec.group.value,
         "evaluates": spec.evaluates,
         "source": spec.source.model_dump(exclude_none=True),
-        "constants": {
-            name: tables.get(variant.material, next(iter(tables.values()), {}))
-            for name, tables in spec.constants.items()
-        },
+        "constants": {name: _constants(experiment, name) for name in spec.constants if _has(experiment, name)},
         "parameter_sets": {
             "calibrated": {"summary": "calibrated constants of the metadata", "values": {}},
             **{
@@ -82,9 +104,36 @@ def _of_task(experiment: Experiment) -> dict[str, Any]:
                 for name, chosen in spec.parameters.items()
             },
         },
+        "subtask": spec.subtasks[variant.subtask].title if variant.subtask else None,
         "provenance": spec.provenance,
         "decisions": spec.decisions,
     }
+
+
+def _has(experiment: TaskExperiment, name: str) -> bool:
+    """Return whether the scene has a body of a name of the task file, or several numbered ones."""
+    scene = experiment.scene
+    return any(
+        body.name == name or body.name.removeprefix(f"{name}-").isdecimal()
+        for body in (*scene.bodies, *scene.deformables)
+    )
+
+
+def _constants(experiment: TaskExperiment, name: str) -> dict[str, dict[str, Any]]:
+    """Return value and source of each constant of a body."""
+    spec, variant = experiment.spec, experiment.variant
+    tables = spec.constants[name]
+    material = variant.material if variant.material in tables else next(iter(tables))
+    values = spec.constants_of(name, material, variant.subtask)
+    described = {}
+    for key, stated in tables[material].items():
+        place = f"constants.{name}.{material}.{key}"
+        source = spec.provenance_of(place)
+        if isinstance(stated, Substituted):
+            used = spec.provenance_of(f"{place}.used")
+            source = f"{used}, for {stated.calibrated:g} ({source}): {stated.reason}"
+        described[key] = {"value": values[key], "source": source}
+    return described
 
 
 def _of_file(experiment: FileExperiment) -> dict[str, Any]:
@@ -97,6 +146,7 @@ def _of_file(experiment: FileExperiment) -> dict[str, Any]:
         "source": {"usd": definition.usd},
         "constants": {},
         "parameter_sets": {},
+        "subtask": None,
         "provenance": definition.provenance,
         "decisions": [],
     }
@@ -121,6 +171,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
         "withheld": band and band.withheld,
+        "reward": reward_text(used),
     }
 
 
@@ -162,8 +213,6 @@ def _driver(experiment: Experiment, index: int) -> dict[str, Any]:
         note = f"{_recorded_note(records[0])}; not in use is the bundled one: {note}"
         for motion, used in zip(motions, driver.motions, strict=True):
             motion["profile"] = [_sampled(profile, motion["kind"]) for profile in used.profiles]
-    elif has_import(experiment.name):
-        note = f"{note}; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
     return described | {"imported": bool(records), "note": note, "motions": motions}
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 from gauge_envs.backends import backend, backend_names, is_bundled, support_of
+from gauge_envs.backends.base import with_declared
+from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import Experiment
@@ -40,6 +42,31 @@ def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = la
         }
         for index, (variant, experiment) in enumerate(experiments.items())
     ]
+
+
+def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return what each installed backend says of an experiment, JSON-ready.
+
+    `missing` has the features of the scene that the engine lacks, `fault` why it does not run here, or None. Engines of
+    this package also have the default `preset` and `timestep_s` of the scene.
+    """
+    rows = []
+    for name in backend_names():
+        row: dict[str, Any] = {"engine": name, "missing": [], "fault": None, "preset": None, "timestep_s": None}
+        if not is_bundled(name) or experiment.model_file is not None:
+            rows.append(row | {"missing": lacking_features(name, [experiment])[0]})
+            continue
+        engine = uninstalled_backend(name)
+        row["missing"] = list(with_declared(engine, experiment.scene, engine.supports(experiment.scene)).missing)
+        if not row["missing"]:
+            settings = engine.resolved_settings(experiment.scene) or {}
+            row |= {key: settings.get(key) for key in ("preset", "timestep_s")}
+        try:
+            backend(name)
+        except GaugeError as error:
+            row["fault"] = str(error)
+        rows.append(row)
+    return rows
 
 
 def lacking_features(

@@ -6,9 +6,10 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
+from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.experiments.experiment import AssetKind
-from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone
+from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
@@ -19,12 +20,14 @@ from gauge_envs.pages.text import (
     number_text,
     pairs_text,
     plus_minus_text,
+    quantity_text,
     short_id,
     shortened,
     vector_text,
     with_unit,
 )
 from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
 SIGMA_NOTES = {
     SigmaSource.TRIALS: "scatter of the trials, per frame",
@@ -32,6 +35,9 @@ SIGMA_NOTES = {
     SigmaSource.MEASUREMENT: "uncertainty of the measurement; the scatter of trials is not known",
     SigmaSource.MODEL: "uncertainty of the solution; the scatter of trials is not published",
 }
+
+SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
+COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
 
 
 def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
@@ -82,73 +88,199 @@ def control_document(values: Mapping[str, Any]) -> Document:
         "uncertainty": limit["sigma_source"],
     }
     title = Paragraph(f"{values['id']}  control task", Tone.ANSWER)
-    return Document(parts=(title, Facts(facts), Heading("Task"), Paragraph(values["task"])), rows=[values])
+    # Docstrings are wrapped at the width of the code.
+    task = (Paragraph(" ".join(lines.split())) for lines in values["task"].split("\n\n"))
+    return Document(parts=(title, Facts(facts), Heading("Task"), *task), rows=[values])
 
 
-def experiment_document(values: Mapping[str, Any]) -> Document:
-    """Return the dictionary of `description` in words."""
-    sets = {
-        name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
-        for name, chosen in values["parameter_sets"].items()
-    }
-    return Document(
-        parts=(
-            Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
-            Paragraph(values["summary"]),
-            Paragraph(""),
-            Facts(_facts(values)),
-            *_scene(values),
-            Heading("Constants"),
-            Facts({name: pairs_text(table) for name, table in values["constants"].items()}),
-            Heading("Where the numbers are from"),
-            Facts(values["provenance"]),
-            Heading("Decisions"),
-            *(Paragraph(f"- {line}") for line in values["decisions"] or ["none"]),
-            Heading("Parameter sets"),
-            Facts(sets),
-            _published(values),
+def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Document:
+    """Return the dictionary of `description` in words.
+
+    Args:
+        values: The dictionary.
+        detailed: Whether to add the scene, the source of each number, decisions and parameter sets to what fits a page.
+    """
+    short: tuple[Part, ...] = (
+        Paragraph(f"{values['id']}  {values['title']}", Tone.ANSWER),
+        Paragraph(values["summary"]),
+        Paragraph(""),
+        Facts(_facts(values)),
+        Heading("Action and observation"),
+        Facts(_entries([*values["action"], *values["observation"]])),
+        *_engines(values),
+        (
+            published_table(values["baselines"], title="Published", note=SHORT_NOTE)
+            if values["baselines"]
+            else Paragraph("Published: none")
         ),
-        rows=[values],
+        *([Bullets([limit_text(one) for one in values["limits"]], "Known limits")] if values["limits"] else []),
+        *([Heading("Constants and driven motion")] if values["constants"] or values["drivers"] else []),
+        Facts(_constants(values["constants"])),
+        *_drivers(values, detailed=detailed),
     )
+    # The constants of an experiment file are those of its scene.
+    if detailed or not values["constants"]:
+        return Document(parts=(*short, *_details(values)), rows=[values])
+    more = Paragraph("Scene, decisions and all sources: --format wide", Tone.NOTE)
+    return Document(parts=(*short, more), rows=[values])
 
 
 def _facts(values: Mapping[str, Any]) -> dict[str, str]:
     observable, reference, asset = values["observable"], values["reference"], values["asset"]
-    grade = BandGrade(reference["grade"])
-    trials, note = f", {reference['trial_count']} trials" if reference["trial_count"] else "", GRADE_NOTES[grade]
-    if reference["single_shot"]:
-        trials, note = "", "one real trial with the same start; each trial has its own"
-    withheld = ", recording withheld" if reference["withheld"] is not None else ""
     facts = {
         "evaluates": ", ".join(values["evaluates"]),
-        "sources": "; ".join(f"{key}: {text}" for key, text in values["source"].items()),
         "episode": f"{values['frames']} frames at 30 Hz, {values['duration_s']:.3f} s",
         "g(t)": f"{observable['kind']} [{observable['unit']}]: {shortened(observable['coordinates'])}",
-        "grade": f"{grade.value}{trials} ({note}){withheld}",
+        "grade": grade_text(reference),
         "reference": reference["source"] or reference["law"] or "none",
+        "reward": reference["reward"],
     }
     if asset is not None:
         facts["asset"] = f"{asset['file']}, sha256 {asset['sha256'][:8]}"
         if asset["kind"] != AssetKind.EXPERIMENT:
             facts["edited"] = "; ".join(asset["changes"]) or "no: the calibrated scene"
-    facts |= _band_facts(values)
-    facts |= {f"on {name}": "; ".join(lacks) or "runs" for name, lacks in values["backends"].items()}
+    return facts | _band_facts(values)
+
+
+def grade_text(reference: Mapping[str, Any]) -> str:
+    """Return the grade of a reference, what it means, and whether a recording is withheld."""
+    count = None if reference["single_shot"] else reference["trial_count"]
+    trials = f", {count} trials" if count else ""
+    withheld = ", recording withheld" if reference["withheld"] is not None else ""
+    return f"{reference['grade']}{trials} ({grade_note(reference)}){withheld}"
+
+
+def grade_note(reference: Mapping[str, Any]) -> str:
+    """Return what the grade of a reference means."""
+    if reference["single_shot"]:
+        return "one real trial with the same start; each trial has its own"
+    return GRADE_NOTES[BandGrade(reference["grade"])]
+
+
+def limit_text(limit: Mapping[str, Any]) -> str:
+    """Return a known limit, with the study that shows it."""
+    return limit["text"] + (f" (studies/{limit['study']})" if limit["study"] else "")
+
+
+def _constants(constants: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, str]:
+    """Return the constants of bodies that share them, those of a source before it."""
+    names: dict[str, list[str]] = {}
+    for name, table in constants.items():
+        by_source: dict[str, dict[str, Any]] = {}
+        for key, constant in table.items():
+            by_source.setdefault(constant["source"], {})[key] = constant["value"]
+        text = "; ".join(f"{pairs_text(group)} ({source})" for source, group in by_source.items())
+        names.setdefault(text, []).append(name)
+    return {shortened(sharing): text for text, sharing in names.items()}
+
+
+def _entries(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
+    """Return the entries of action and observation with their shapes, and what each holds."""
+    found: dict[str, str] = {}
+    for row in rows:
+        key = f"{row['entry']} {shape_text(row['whole'])}".rstrip()
+        text = f"{row['meaning']}, {range_text(row)}{'' if row['unit'] == '1' else ' ' + row['unit']}"
+        found[key] = f"{found[key]}; {text}" if key in found else text
+    return found
+
+
+# --- engines ----------------------------------------------------------------------------------------------------------
+
+
+def step_text(step_s: float) -> str:
+    """Return a time step as a fraction of a second, or in seconds if it is none."""
+    count = 1.0 / step_s
+    return f"1/{round(count)}" if abs(count - round(count)) < 1e-6 * count else f"{step_s:.4g}"
+
+
+def span_text(span: Sequence[float]) -> str:
+    """Return the least and the most of some numbers to two digits, once if both are the same."""
+    least, most = (quantity_text(float(f"{value:.2g}")) for value in span)
+    return least if least == most else f"{least} to {most}"
+
+
+def reasons_text(missing: Sequence[str]) -> str:
+    """Return why an engine declines a scene: the first reason, and the number of the others; empty without any."""
+    return "" if not missing else missing[0] + (f" (and {len(missing) - 1} more)" if len(missing) > 1 else "")
+
+
+def _engines(values: Mapping[str, Any]) -> Iterator[Part]:
+    """Yield the engines that build a scene, and why the others do not."""
+    running = [row for row in values["engines"] if not row["missing"]]
+    yield Table(
+        title="Engines",
+        columns=(
+            Column("engine", "engine", lambda name: f"{name} (default)" if name == EnvArguments.backend else name),
+            Column("preset", "preset"),
+            Column("timestep_s", "step [s]", step_text, is_number=True),
+            Column("cpu_s_per_s", "CPU s/s", span_text, is_number=True),
+            Column("", "s/episode", partial(_episode_cost, duration_s=values["duration_s"]), is_number=True),
+            Column("", "works here", lambda row: "yes" if row["fault"] is None else "no"),
+        ),
+        rows=running,
+        notes=(
+            *([COST_NOTE] if any(row["cpu_s_per_s"] for row in running) else []),
+            *(row["fault"] for row in running if row["fault"] is not None),
+        ),
+    )
+    yield Facts({row["engine"]: f"no: {reasons_text(row['missing'])}" for row in values["engines"] if row["missing"]})
+
+
+def _episode_cost(row: Mapping[str, Any], *, duration_s: float) -> str:
+    cost = row["cpu_s_per_s"]
+    return "-" if cost is None else span_text([value * duration_s for value in cost])
+
+
+def convergence_facts(values: Mapping[str, Any]) -> dict[str, str]:
+    """Return what half the step and half the cell change, by engine, of those that were measured."""
     has_cells = any(body["kind"] != "rigid" for body in values["bodies"])
-    return facts | {
-        f"convergence, {name}": convergence_text(rows, has_cells=has_cells, with_unit=True)
-        for name, rows in values["convergence"].items()
-        if not values["backends"].get(name)
+    return {
+        row["engine"]: convergence_text(row["convergence"], has_cells=has_cells, with_unit=True)
+        for row in values["engines"]
+        if row["convergence"]
     }
 
 
+# --- details ----------------------------------------------------------------------------------------------------------
+
+
+def _drivers(values: Mapping[str, Any], *, detailed: bool) -> Iterator[Part]:
+    hint = "; imported trials exist: drivers='imported' or --use imported-drivers uses their motion"
+    has_import = values["reference"]["is_import_available"] and values["asset"] is None
+    for driver in values["drivers"]:
+        end = hint if has_import and not driver["imported"] else ""
+        yield Paragraph(f"Driver of {driver['body']} ({driver['provenance']}): {driver['note']}{end}")
+        yield from (Paragraph(f"  {pairs_text(motion)}") for motion in driver["motions"] if detailed)
+
+
+def _details(values: Mapping[str, Any]) -> Iterator[Part]:
+    yield Heading("Sources")
+    yield Facts(values["source"])
+    yield from _scene(values)
+    if convergence := convergence_facts(values):
+        yield Heading("Convergence")
+        yield Facts(convergence)
+    yield Heading("Where the numbers are from")
+    yield Facts(values["provenance"])
+    yield Heading("Decisions")
+    yield Bullets(values["decisions"] or ["none"])
+    yield Heading("Parameter sets")
+    yield Facts(
+        {
+            name: chosen["summary"] + (f": {pairs_text(chosen['values'])}" if chosen["values"] else "")
+            for name, chosen in values["parameter_sets"].items()
+        }
+    )
+
+
 def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
-    """Return the limits of a band: known frames, source of sigma, why it is withheld."""
+    """Return the limits of a band: source of sigma, known frames, why it is withheld."""
     reference = values["reference"]
     facts = {}
-    if reference["known_frames"] is not None and reference["known_frames"] < values["frames"]:
-        facts["known"] = f"{reference['known_frames']} of {values['frames']} frames"
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
+        if reference["known_frames"] < values["frames"]:
+            facts["sigma"] += f"; the mean is known at {reference['known_frames']} of {values['frames']} frames"
     if reference["single_shot"]:
         facts["normalized"] = "no: a single trial has no scatter; a reset with a trial or a seed selects another one"
     elif reference["normalized_by_baseline"] is False:
@@ -191,10 +323,6 @@ def _scene(values: Mapping[str, Any]) -> Iterator[Part]:
     if values["air"] is not None:
         yield Heading("Air")
         yield Paragraph(pairs_text(values["air"]))
-    for driver in values["drivers"]:
-        yield Heading(f"Driver of {driver['body']} ({driver['provenance']})")
-        yield Paragraph(driver["note"])
-        yield from (Paragraph(f"  {pairs_text(motion)}") for motion in driver["motions"])
 
 
 def _shape(body: Mapping[str, Any]) -> str:
@@ -206,17 +334,29 @@ def _shape(body: Mapping[str, Any]) -> str:
     return " ".join(filter(None, (kind, pairs_text(shape), pairs_text(body, skip=skip))))
 
 
-def _published(values: Mapping[str, Any]) -> Table:
+def published_table(
+    lines: Sequence[Mapping[str, Any]], *, title: str = "", note: str = NORMALIZED_NOTE, columns: Sequence[Column] = ()
+) -> Table:
+    """Return published scores as a table.
+
+    Args:
+        lines: The baselines.
+        title: Its title; empty for none.
+        note: Line below it.
+        columns: Columns before the metric.
+    """
+
     def trials(line: Mapping[str, Any]) -> str:
         return plus_minus_text(line["mean"], line["std"], line["unit"])
 
     return Table(
-        title="Published",
+        title=title,
         columns=(
+            *columns,
             Column("metric", "metric", METRIC_TITLES.__getitem__),
             Column("", "real trials", trials, is_number=True),
-            *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
+            *(Column(f"engines.{key}", engine, number_text, is_number=True) for key, engine in ENGINE_TITLES.items()),
         ),
-        rows=values["baselines"],
-        notes=(NORMALIZED_NOTE,),
+        rows=lines,
+        notes=(note,) if lines else (),
     )

@@ -5,22 +5,20 @@ from typing import TYPE_CHECKING
 from gauge_envs.tools import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.film.film import FilmOptions, Recording, save_film, save_strip
+    from gauge_envs.tools.film.film import FilmOptions, Recording, save_film
     from gauge_envs.tools.film.layout import Caption, PanelText, strip_picture
-    from gauge_envs.tools.film.panel import score_line
-    from gauge_envs.tools.film.writer import save_still
+    from gauge_envs.tools.film.writer import film_writer, save_still
 
 __all__ = [
     "Caption",
     "FilmOptions",
     "PanelText",
     "Recording",
+    "film_writer",
     "save_film",
     "save_still",
-    "save_strip",
-    "score_line",
     "strip_picture",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "film", "layout", "panel", "writer")
+    __getattr__ = door(__name__, "film", "layout", "writer")

@@ -1,0 +1,111 @@
+"""Action and observation spaces of an experiment as rows of tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+
+from gauge_envs.envs.episode import action_space_of, observation_space_of
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.observables.kinds import Observable
+from gauge_envs.pages.text import quantity_text, shortened
+from gauge_envs.scene.drivers import DriverMotion
+
+STATE = (
+    (slice(0, 3), "m", "position"),
+    (slice(3, 7), "1", "quaternion w x y z"),
+    (slice(7, 10), "m/s", "velocity"),
+    (slice(10, 13), "rad/s", "angular velocity"),
+)
+"""Columns of the state of a body, with their units."""
+
+OBSERVED = {
+    Observable.POSITION: "x y z of each recorded body",
+    Observable.CURVATURE: "angle deficit at each marker",
+    Observable.LINE_CURVATURE: "turning angle at each inner marker",
+    Observable.FACE_AREA: "area of each marker triangle",
+    Observable.MARKER_POSITION: "x y z of each marker",
+}
+
+
+def action_rows(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return a row for each entry of the action: name, shape, range, unit, meaning."""
+    space = action_space_of(experiment)
+    if isinstance(space, spaces.Discrete):
+        return [_row("action", (), 0.0, 0.0, "1", "nothing is driven")]
+    assert isinstance(space, spaces.Box)
+    motions = [(driver.body, motion) for driver in experiment.scene.drivers for motion in driver.motions]
+    return [
+        _row(f"action[{index}]", (), space.low[index], space.high[index], *_driven(body, motion))
+        for index, (body, motion) in enumerate(motions)
+    ]
+
+
+def _driven(body: str, motion: DriverMotion) -> tuple[str, str]:
+    """Return the unit of an entry of the action and its meaning."""
+    is_turn = motion.kind == "rotate"
+    scale = np.rad2deg(motion.residual_rate) if is_turn else motion.residual_rate
+    axis = " ".join(f"{value:.3g}" for value in motion.axis)
+    if not scale:
+        return "1", f"no effect on {body}"
+    kind = "rate about" if is_turn else "velocity along"
+    return f"times {scale:.3g} {'deg/s' if is_turn else 'm/s'}", f"{kind} ({axis}), added to the motion of {body}"
+
+
+def observation_rows(experiment: Experiment) -> list[dict[str, Any]]:
+    """Return a row for each entry of the observation: name, shape, range, unit, meaning."""
+    space = observation_space_of(experiment)
+    assert isinstance(space, spaces.Dict)
+    observable, drivers = experiment.score.observable, experiment.scene.drivers
+    bodies = {"bodies": experiment.recorded, "driver": tuple(driver.body for driver in drivers)}
+    markers = experiment.scene.markers
+    meanings = {
+        "observable": (observable.unit, f"g(t): {OBSERVED[observable]}"),
+        "markers": ("m", f"x y z of the markers on {', '.join(markers.bodies) if markers else ''}"),
+        "time": ("s", "time since the start"),
+    }
+    rows: list[dict[str, Any]] = []
+    for key in filter(space.keys().__contains__, ("observable", "bodies", "markers", "driver", "time")):
+        box = space[key]
+        assert isinstance(box, spaces.Box)
+        rows += (
+            _state_rows(key, box, bodies[key])
+            if key in bodies
+            else [_row(key, box.shape, box.low.min(), box.high.max(), *meanings[key])]
+        )
+    return rows
+
+
+def _state_rows(key: str, box: spaces.Box, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each part of the states of bodies."""
+    for columns, unit, meaning in STATE:
+        low, high = box.low[:, columns], box.high[:, columns]
+        name = f"{key}[:, {columns.start}:{columns.stop}]"
+        owner = f" of {shortened(names)}" if columns.start == 0 else ""
+        row = _row(name, low.shape, low.min(), high.max(), unit, meaning + owner)
+        yield row | {"entry": key, "whole": list(box.shape)}
+
+
+def _row(name: str, shape: Sequence[int], low: float, high: float, unit: str, meaning: str) -> dict[str, Any]:
+    values = {"low": float(low), "high": float(high), "unit": unit, "meaning": meaning}
+    return {"entry": name, "whole": list(shape), "name": name, "shape": list(shape), **values}
+
+
+def range_text(row: Mapping[str, Any]) -> str:
+    """Return the range of a row of a space, as `-1 to 1`; `any` without bounds."""
+    low, high = row["low"], row["high"]
+    if low is None or high is None or not np.isfinite([low, high]).all():
+        return "any"
+    return f"{_bound(low)} to {_bound(high)}" if low < high else _bound(low)
+
+
+def _bound(value: float) -> str:
+    return quantity_text(value) if abs(value) >= 1e-3 else "0"
+
+
+def shape_text(shape: Sequence[int]) -> str:
+    """Return a shape, as `[1, 3]`; a number has none."""
+    return str(list(shape)) if shape else ""

@@ -1,0 +1,252 @@
+"""Write a page for each family of experiments, `docs/environments/`, and draw the picture of each.
+
+    python scripts/build_environments.py                writes the pages
+    python scripts/build_environments.py --pictures     draws the pictures that are missing, then writes the pages
+    python scripts/build_environments.py --check        fails unless pages are current and pictures are there
+
+Pages need no engine. To draw a picture anew, delete it first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from environment_page import family_document
+from generated import ROOT, markdown_table, settle
+from gymnasium import spaces
+
+from gauge_envs import find_variant
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.evaluation.reference import band_grade
+from gauge_envs.evaluation.reference_path import reference_path, reference_text
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.variants import Variant, beyond_variants, variants
+from gauge_envs.pages.document import as_markdown
+from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.film import film_writer
+
+SCRIPT = Path(__file__).name
+PAGES = ROOT / "docs" / "environments"
+PICTURES = ROOT / "docs" / "images" / "environments"
+CAPTIONS = PICTURES / "captions.json"
+
+INTRODUCTION = """
+A page for each family of experiments: spaces, reward, reference, engines, constants, and what is known to be wrong.
+Below its picture stand the grades of the references of its ids. `gauge show ID` prints the facts of one id, and
+`gauge list` all ids. [Coverage](../coverage.md) has the references of all in one table. The [gallery](../gallery.md)
+shows engines side by side.
+""".strip()
+COLUMNS = 3
+"""Pictures beside each other in the list."""
+
+SIZE = (288, 216)
+"""Width and height of a picture [pixels]."""
+
+FPS = 10.0
+MOST_FRAMES = 36
+MOST_PICTURE_BYTES, MOST_BYTES = 300_000, 4_000_000
+"""Largest size of a picture, and of all."""
+
+
+@dataclass(frozen=True)
+class Entry:
+    """What the picture of a family shows, on MuJoCo.
+
+    Attributes:
+        name: Variant.
+        to_s: Time of the last frame [s]; None for the end of the episode.
+        use_withheld: Whether to draw a recording that is withheld from scores.
+    """
+
+    name: str
+    to_s: float | None = None
+    use_withheld: bool = False
+
+
+GROUPS: dict[str, tuple[Entry, ...]] = {
+    "Rigid bodies": (
+        Entry("SlopeSlider-2-wood"),
+        Entry("SlopeContact-wood"),
+        Entry("NonsmoothContact-1-wood"),
+        Entry("Turntable-3-metal"),
+        Entry("BouncingBall-rubber"),
+        Entry("NewtonsCradle-metal", 0.6),
+        Entry("Pendulum-metal", 0.9),
+        Entry("WallBreaking-wood", 1.5),
+    ),
+    "Rope and textiles": (
+        Entry("RopeWinding-rubber", 2.0),
+        Entry("TextileStretching-satin", 3.0),
+        Entry("TextileBending-oxford", 4.8),
+        Entry("TextileFlinging-oxford", 1.8),
+        Entry("Funnel-satin", 2.0),
+        Entry("RotatingBall-uniform", 2.0),
+        Entry("TableclothPulling-metal", 3.0, use_withheld=True),
+    ),
+    "Foam": (
+        Entry("FoamStretching-soft", 0.9, use_withheld=True),
+        Entry("FoamCompressing-soft", 0.9, use_withheld=True),
+        Entry("FoamShearing-soft", 1.2, use_withheld=True),
+        Entry("FoamTwisting-soft", 2.1, use_withheld=True),
+        Entry("FoamBending-soft", 1.1, use_withheld=True),
+        Entry("StickStack-soft", 4.0),
+        Entry("CantileverBeam-soft", 0.5, use_withheld=True),
+    ),
+    "Beyond the benchmark": (
+        Entry("CubeToss-acrylic"),
+        Entry("ElbowToss-blocks"),
+        Entry("SiliconeBeam-52g-silicone", 0.5),
+    ),
+}
+
+ENTRIES = {find_variant(entry.name).family: entry for entries in GROUPS.values() for entry in entries}
+"""What the picture of each family shows: the variant and the time of the gallery."""
+
+
+def picture_of(family: str) -> Path:
+    """Return the file of the picture of a family."""
+    return PICTURES / f"{family}.webp"
+
+
+def captions() -> dict[str, str]:
+    """Return what each picture shows, by family, as it was drawn."""
+    known: dict[str, str] = json.loads(CAPTIONS.read_text(encoding="utf-8")) if CAPTIONS.is_file() else {}
+    return known
+
+
+def stride_of(entry: Entry, frame_count: int) -> tuple[int, int]:
+    """Return the last frame that a picture shows, and the frames between two of its frames."""
+    last = frame_count - 1 if entry.to_s is None else min(round(FRAME_RATE_HZ * entry.to_s), frame_count - 1)
+    return last, math.ceil(last / MOST_FRAMES)
+
+
+def caption_of(entry: Entry, experiment: Experiment, band: Band | None) -> str:
+    """Return what the picture of an entry shows."""
+    last, stride = stride_of(entry, experiment.frame_count)
+    end_s = last / FRAME_RATE_HZ
+    reference = reference_text(band, reference_path(experiment, band), end_s=end_s, trial=experiment.trial)
+    red = f"; red: {reference}" if reference else ""
+    speed = stride * FPS / FRAME_RATE_HZ
+    return (
+        f"{entry.name} on MuJoCo with zero actions, {end_s:.2f} s, speed x {speed:.2g}. "
+        f"Blue: what is tracked, and its path{red}."
+    )
+
+
+def draw(entry: Entry, file: Path) -> str:
+    """Run an episode on MuJoCo with zero actions, draw it with its reference, and return the caption."""
+    width, height = SIZE
+    env = GaugeEnv(
+        entry.name,
+        render_mode="rgb_array",
+        width=width,
+        height=height,
+        render_overlay=True,
+        use_withheld=entry.use_withheld,
+    )
+    env.reset(seed=0)
+    last, stride = stride_of(entry, env.experiment.frame_count)
+    zero = 0 if isinstance(env.action_space, spaces.Discrete) else np.zeros(env.action_space.shape)
+    with film_writer(file, size=SIZE, fps=FPS) as writer:
+        for frame in range(last + 1):
+            if frame:
+                env.step(zero)
+            if frame % stride == 0:
+                picture = env.render()
+                assert picture is not None
+                writer.add(picture, times=round(FPS) if frame + stride > last else 1)
+    env.close()
+    return caption_of(entry, env.experiment, env.band)
+
+
+def draw_missing() -> None:
+    """Draw the pictures that are missing; one that is interrupted is drawn next time."""
+    for family, entry in ENTRIES.items():
+        file = picture_of(family)
+        if not file.is_file():
+            known = captions() | {family: draw(entry, file)}
+            CAPTIONS.write_text(json.dumps(known, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+            print(f"{file.name}: {file.stat().st_size // 1000} kB", file=sys.stderr)
+
+
+# --- pages -----------------------------------------------------------------------------------------------------------
+
+
+def enclosed(text: str) -> str:
+    """Return the text of a page between the marks of generated files."""
+    return f"<!-- page, written by scripts/{SCRIPT} -->\n\n{text}\n<!-- end of page -->\n"
+
+
+def pages() -> dict[Path, str]:
+    """Return every page with its text."""
+    families: dict[str, list[Variant]] = {}
+    for variant in (*variants(), *beyond_variants()):
+        families.setdefault(variant.family, []).append(variant)
+    shown = captions()
+    found = {PAGES / "index.md": enclosed(index_text(families))}
+    for family in families:
+        picture = f"../images/environments/{family}.webp"
+        document = family_document(family, picture=picture, caption=shown.get(family, ""))
+        found[PAGES / f"{family}.md"] = enclosed(as_markdown(document))
+    return found
+
+
+def index_text(families: Mapping[str, Sequence[Variant]]) -> str:
+    """Return the list of all families with their pictures."""
+    lines = ["# Experiments", "", INTRODUCTION, ""]
+    for title, entries in GROUPS.items():
+        lines += [f"## {title}", ""]
+        cells = [index_cell(find_variant(entry.name).family, families) for entry in entries]
+        rows = [cells[first : first + COLUMNS] for first in range(0, len(cells), COLUMNS)]
+        rows[-1] += [""] * (COLUMNS - len(rows[-1]))
+        lines += [*markdown_table([""] * COLUMNS, rows), ""]
+    return "\n".join([*lines, "```{toctree}", ":hidden:", "", *families, "```", ""])
+
+
+def index_cell(family: str, families: Mapping[str, Sequence[Variant]]) -> str:
+    """Return picture, name and numbers of a family, with a link to its page."""
+    grades = Counter(band_grade(variant.name) for variant in families[family])
+    count = ", ".join(f"{grades[grade]} x {grade.value}" for grade in BandGrade if grades[grade])
+    return f"[![{family}](../images/environments/{family}.webp)]({family}.md) [{family}]({family}.md): {count}"
+
+
+def faults() -> list[str]:
+    """Return what is missing or too large: pictures of families, and files that no family has."""
+    families = {variant.family for variant in (*variants(), *beyond_variants())}
+    files = {file.stem: file.stat().st_size for file in PICTURES.glob("*.webp")}
+    found = [f"{family}: no picture: add an entry, then run {SCRIPT} --pictures" for family in families - set(files)]
+    found += [f"{name}.webp: there is no such family: delete it" for name in set(files) - families]
+    found += [f"{family}: no caption: delete its picture and draw it again" for family in families - set(captions())]
+    found += [f"{name}.webp: {size} bytes" for name, size in files.items() if not 0 < size <= MOST_PICTURE_BYTES]
+    stray = {file.stem for file in PAGES.glob("*.md")} - families - {"index"}
+    found += [f"{name}.md: there is no such family: delete it" for name in stray]
+    if sum(files.values()) > MOST_BYTES:
+        found.append(f"all pictures: {sum(files.values())} bytes, at most {MOST_BYTES}")
+    return sorted(found)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Draw, write or check; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--check", action="store_true", help="write nothing; fail if a page is not current")
+    parser.add_argument("--pictures", action="store_true", help="draw the pictures that are missing")
+    options = parser.parse_args(arguments)
+    if options.pictures:
+        draw_missing()
+    status = settle(pages(), SCRIPT, check=options.check)
+    for fault in (found := faults()):
+        print(fault, file=sys.stderr)
+    return 1 if found else status
+
+
+if __name__ == "__main__":
+    sys.exit(main())

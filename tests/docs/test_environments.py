@@ -1,0 +1,238 @@
+"""Pages of families and `gauge show`: they name every id, fit, and say what environments do."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import build_environments
+import gymnasium
+import numpy as np
+import pytest
+from environment_page import family_document
+from numbers_of_pages import sourceless
+from places import ROOT
+from typer.testing import CliRunner
+
+from gauge_envs import load_experiment
+from gauge_envs.backends import backend_names, is_bundled, support_of
+from gauge_envs.backends.registry import uninstalled_backend
+from gauge_envs.cli.app import app
+from gauge_envs.envs.control.tasks import control_tasks
+from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.episode import reward_text
+from gauge_envs.errors import MissingExtraError
+from gauge_envs.experiments.resolve import resolve_experiment
+from gauge_envs.experiments.task_files import task_spec
+from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
+from gauge_envs.pages.document import as_markdown
+from gauge_envs.references.limits import all_limits, episode_costs, known_limits
+from gauge_envs.tools.catalog import listing
+from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
+
+PAGES = ROOT / "docs" / "environments"
+VARIANTS = (*variants(), *beyond_variants())
+MOST_LINES, WIDTH = 60, 100
+
+
+def shown(*arguments: str) -> str:
+    result = CliRunner(env={"COLUMNS": str(WIDTH)}).invoke(app, ["show", *arguments])
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+# --- every id --------------------------------------------------------------------------------------------------------
+
+
+def test_every_registered_experiment_has_a_page_that_names_it() -> None:
+    controls = {task.id for task in control_tasks()}
+    ids = {name for name in gymnasium.registry if name.startswith("GAUGE/")} - controls - {"GAUGE/Asset"}
+    assert ids == {variant.id for variant in VARIANTS}
+    absent = []
+    for variant in VARIANTS:
+        page = (PAGES / f"{variant.family}.md").read_text(encoding="utf-8")
+        if f"\n| {variant.id} |" not in page:
+            absent.append(variant.id)
+    assert absent == []
+
+
+@pytest.mark.parametrize("name", [*(one.name for one in VARIANTS), *(task.name for task in control_tasks())])
+def test_an_id_is_shown_on_a_page(name: str) -> None:
+    lines = shown(name).splitlines()
+    assert len(lines) <= MOST_LINES
+    assert max(map(len, lines)) <= WIDTH
+    (values,) = (json.loads(line) for line in shown(name, "--json").splitlines())
+    assert values["id"] == f"GAUGE/{name}"
+
+
+def test_a_page_has_what_gymnasium_pages_have() -> None:
+    for variant in VARIANTS:
+        page = (PAGES / f"{variant.family}.md").read_text(encoding="utf-8")
+        titles = re.findall(r"^## (.+)$", page, flags=re.MULTILINE)
+        needed = ["Ids", "Action space", "Observation space", "Reward", "Reference", "Published scores", "Engines"]
+        assert titles[: len(needed)] == needed
+        assert {"Known limits", "Constants", "Where the numbers are from"} <= set(titles)
+
+
+# --- what an environment does ----------------------------------------------------------------------------------------
+
+
+def part(observation: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """The part of an observation that a row names, as `bodies[:, 0:3]`."""
+    key, _, columns = name.partition("[:, ")
+    first, last = map(int, columns.rstrip("]").split(":")) if columns else (None, None)
+    return observation[key][:, first:last] if columns else observation[key]
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "Turntable-1-wood", "StickStack-soft", "ElbowToss-blocks"])
+def test_rows_of_spaces_describe_observations(name: str) -> None:
+    env = GaugeEnv(name)
+    observation, _ = env.reset(seed=0)
+    rows = observation_rows(env.experiment)
+    for row in rows:
+        values = part(observation, row["name"])
+        assert list(values.shape) == row["shape"]
+        assert np.isnan(row["low"]) or ((row["low"] <= values).all() and (values <= row["high"]).all())
+    named = {key: sum(row["shape"][-1] for row in rows if row["entry"] == key) for key in observation}
+    assert named == {key: values.shape[-1] for key, values in observation.items()}
+    env.close()
+
+
+@pytest.mark.parametrize("name", ["Turntable-1-wood", "StickStack-soft"])
+def test_an_action_moves_as_its_row_says(name: str) -> None:
+    """An action of 1 for one frame of 1/30 s adds a thirtieth of the stated rate."""
+    experiment = resolve_experiment(name)
+    (row,) = action_rows(experiment)
+    found = re.fullmatch(r"times ([\d.]+) (m/s|deg/s)", row["unit"])
+    assert found is not None
+    ends = []
+    for action in (0.0, 1.0):
+        env = GaugeEnv(name)
+        env.reset(seed=0)
+        observation, *_ = env.step(np.array([action]))
+        ends.append(observation["driver"][0])
+        env.close()
+    if found[2] == "m/s":
+        moved = float(np.linalg.norm(ends[1][:3] - ends[0][:3]))
+    else:
+        moved = np.rad2deg(2.0 * np.arccos(min(abs(float(ends[0][3:7] @ ends[1][3:7])), 1.0)))
+    assert moved == pytest.approx(float(found[1]) / 30.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "SlopeContact-wood", "WallBreaking-wood"])
+def test_rewards_are_where_their_sentence_says(name: str) -> None:
+    env = GaugeEnv(name)
+    text = reward_text(env.band)
+    found = re.search(r"at frames (\d+) to (\d+) of (\d+)", text)
+    env.reset(seed=0)
+    rewarded = []
+    for frame in range(1, min(env.experiment.frame_count, 30)):
+        if env.step(0)[1] != 0.0:
+            rewarded.append(frame)
+    env.close()
+    if found is None:
+        assert text.startswith("0 at every frame") and rewarded == []
+    else:
+        first, last, count = map(int, found.groups())
+        assert rewarded == list(range(max(first, 1), last + 1))
+        assert count == env.experiment.frame_count
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+def test_engines_answer_without_being_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = as_markdown(family_document("SlopeContact", picture="a.webp", caption=""))
+
+    def missing(name: str) -> None:
+        raise MissingExtraError(f"backend {name!r}", name, ImportError(name))
+
+    monkeypatch.setattr(listing, "backend", missing)
+    assert as_markdown(family_document("SlopeContact", picture="a.webp", caption="")) == before
+    row = listing.engine_rows(load_experiment("SlopeContact-wood"))[0]
+    assert row["missing"] == [] and "not installed" in row["fault"]
+
+
+@pytest.mark.parametrize("name", ["TextileBending-satin", "RopeWinding-rubber", "SlopeSlider-1-wood"])
+def test_an_engine_that_is_not_installed_answers_as_an_installed_one(name: str) -> None:
+    scene = load_experiment(name).scene
+    for engine in filter(is_bundled, backend_names()):
+        try:
+            answer = support_of(engine, scene)
+        except MissingExtraError:
+            continue
+        assert uninstalled_backend(engine).supports(scene) == answer
+
+
+# --- limits and costs ------------------------------------------------------------------------------------------------
+
+
+def test_limits_are_of_known_variants_and_studies(tmp_path: Path) -> None:
+    bare = []
+    for limit in all_limits():
+        assert [pattern for pattern in limit.variants if not matching_variants(pattern)] == []
+        if limit.study is None:
+            continue
+        assert (ROOT / "studies" / limit.study / "README.md").is_file()
+        page = tmp_path / "limit.md"
+        page.write_text(f"{limit.text} [study](../studies/{limit.study}/README.md)\n", encoding="utf-8")
+        bare += sourceless(page, [])
+    assert bare == []
+
+
+def test_limits_without_a_study_quote_the_task_files() -> None:
+    ratio = task_spec("StickStack").constants["rod"]["soft"]["poisson_ratio"]
+    modulus = task_spec("RopeWinding").constants["rope"]["rubber"]["young_modulus_pa"]
+    assert f"Poisson ratio of {ratio.calibrated:g} is not admissible; {ratio.used:g} is used" in texts(
+        "StickStack-soft"
+    )
+    assert f"modulus, {modulus:g} Pa, cannot" in texts("RopeWinding-rubber")
+    quoted = (f"{ratio.calibrated:g}", f"{ratio.used:g}", f"{modulus:g}")
+    numbers = {n for one in all_limits() if not one.study for n in re.findall(r"\d[\d.]*\d", one.text)}
+    assert numbers == set(quoted)
+
+
+def texts(variant: str) -> str:
+    return " ".join(limit.text for limit in known_limits(variant))
+
+
+def test_costs_are_of_engines_that_run_the_family() -> None:
+    measured = 0
+    for family in {variant.family for variant in VARIANTS}:
+        for engine, cost in episode_costs(family).items():
+            members = [variant for variant in VARIANTS if variant.family == family]
+            running = [
+                one for one in members if not uninstalled_backend(engine).supports(load_experiment(one).scene).missing
+            ]
+            assert cost.least <= cost.most and cost.ids <= len(members)
+            assert running, f"{engine} does not run {family}"
+            measured += 1
+        assert "mujoco" in episode_costs(family)
+    assert measured > 40
+
+
+# --- the script ------------------------------------------------------------------------------------------------------
+
+
+def test_what_is_missing_or_stale_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name in ("PAGES", "PICTURES"):
+        shutil.copytree(getattr(build_environments, name), tmp_path / name)
+        monkeypatch.setattr(build_environments, name, tmp_path / name)
+    assert build_environments.main(["--check"]) == 0
+    (tmp_path / "PICTURES" / "Funnel.webp").unlink()
+    (tmp_path / "PICTURES" / "StickStack.webp").write_bytes(bytes(build_environments.MOST_PICTURE_BYTES + 1))
+    (tmp_path / "PAGES" / "Stray.md").touch()
+    page = tmp_path / "PAGES" / "Pendulum.md"
+    page.write_text(page.read_text(encoding="utf-8").replace("3000", "300"), encoding="utf-8")
+    capsys.readouterr()
+    assert build_environments.main(["--check"]) == 1
+    assert capsys.readouterr().err.splitlines() == [
+        f"{page} is not current: run python scripts/build_environments.py",
+        "Funnel: no picture: add an entry, then run build_environments.py --pictures",
+        "StickStack.webp: 300001 bytes",
+        "Stray.md: there is no such family: delete it",
+    ]
