@@ -25,6 +25,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
 from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.models import POINT_SIGMA_MM
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
@@ -554,9 +555,11 @@ def reward_text(band: Band | None) -> str:
     elsewhere = "" if len(known) == len(band.mean) else "; 0 at the others"
     compared = band.points or band
     names = compared.coordinates if len(compared.coordinates) < 4 else (f"{len(compared.coordinates)} coordinates",)
+    scale = "sigma"
     if band.points is not None:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
+        scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"
     return (
-        f"minus the mean over {', '.join(names)} of |deviation from the reference's mean| / sigma, "
+        f"minus the mean over {', '.join(names)} of |deviation from the reference's mean| / {scale}, "
         f"at {span} of {len(band.mean)}{elsewhere}"
     )

@@ -117,7 +117,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
             if raw is None
             else with_unit(interval_text(raw, getattr(score, f"{key}_95", None)), metric.unit_of(score.unit)),
             "normalized": None if normalized is None else interval_text(normalized, score_interval(score, key)),
-            # Published scores are over the whole motion. Some laws hold for its first frames alone. A model is not real.
+            # Published scores are of the whole motion and of reality. Some laws hold for its first frames alone.
             "engines": None if line is None or is_partial or is_solved else line.engines,
         }
         if key == "rmse":

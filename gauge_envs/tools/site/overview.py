@@ -90,7 +90,12 @@ def overview_page(site: Site) -> str:
 
 
 def _grade_title(grade: GradeComparison) -> str:
-    titles = {"trials": "real trials", "recording": "one recorded trial", "law": "a law", "model": "the solved model, not reality"}
+    titles = {
+        "trials": "real trials",
+        "recording": "one recorded trial",
+        "law": "a law",
+        "model": "the solved model, not reality",
+    }
     return titles.get(grade.grade, grade.grade) + (", withheld band" if grade.withheld else "")
 
 
