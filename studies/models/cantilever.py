@@ -1,0 +1,112 @@
+"""Solve the cantilever test of fabrics on two engines, and extrapolate it as references of grade `model` are.
+
+    python studies/models/cantilever.py
+
+ASTM D1388 and ISO 9073-7 slide a strip over an edge until the line from the edge to its tip falls by 41.5 degrees. The
+overhang O is then twice the bending length, O^3 = 8 D / w, with the bending stiffness D and the weight w per area
+(Peirce 1930). So a strip with O^3 w / D = 8 must hang at 41.5 degrees. Air brings it to rest.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from gauge_envs.backends import backend
+from gauge_envs.scene import Air
+from gauge_envs.tools.conformance.cloth import BENT_FABRIC, BENT_FREE_M, BENT_GRAVITY, CLAMP_SHARE, cantilever_strip
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+from build_models import extrapolate
+
+STANDARD_DEG = 41.5
+"""Angle of the standards, at which the overhang is twice the bending length."""
+
+TIP_SLOPE = 0.04
+"""Slope of the tip at the gravity of `cantilever_strip`: O^3 w / (6 D)."""
+
+LOAD = 8.0
+"""O^3 w / D at the angle of the standards."""
+
+SECONDS = 20.0
+
+STATED_S = 6.0
+"""Duration of the scene, which bounds speeds and so the step that air allows."""
+
+AIR = Air(density_kg_per_m3=2.0, normal_coefficient=2.0)
+
+LEVELS = {
+    "mujoco": {
+        "cell": (({}, 1.0), ({"cell_m": 0.0125}, 0.5), ({"cell_m": 0.025 / 3.0}, 1.0 / 3.0)),
+        "step": (({}, 1.0), ({"timestep_s": 1 / 1800}, 0.5)),
+    },
+    "newton": {
+        "cell": (
+            ({}, 1.0),
+            ({"cell_m": 0.0125, "iterations": 12}, 0.5),
+            ({"cell_m": 0.025 / 3.0, "iterations": 27}, 1.0 / 3.0),
+        ),
+        "iterations": (({}, 1.0), ({"iterations": 6}, 0.5), ({"iterations": 12}, 0.25)),
+    },
+}
+"""Settings of the runs of each parameter, and its size over the default one."""
+
+
+def resting_angle_deg(engine: str, settings: dict[str, float | str]) -> tuple[float, float]:
+    """Return the angle of the line from the edge to the tip [deg], and half its range over the last five seconds.
+
+    The strip still swings a little. A mean under a Hann window over these seconds is the angle at rest.
+    """
+    # A softer fabric bends as far at the gravity of the check, and moves slowly enough for air to stop it.
+    softer = LOAD / (6.0 * TIP_SLOPE)
+    made_of = replace(BENT_FABRIC, bend_stiffness_n_m_per_rad=BENT_FABRIC.bend_stiffness_n_m_per_rad / softer)
+    scene = replace(cantilever_strip(made_of), gravity_m_per_s2=BENT_GRAVITY, air=AIR, duration_s=STATED_S)
+    base = {"solver": "CG"} if engine == "mujoco" else {}
+    simulation = backend(engine).build(scene, base | settings)
+    name = scene.deformables[0].name
+    start = simulation.nodes(name).copy()
+    edge = start[:, 0].min() + CLAMP_SHARE * BENT_FREE_M
+    tip = start[:, 0] > start[:, 0].max() - 1e-6
+    angles = []
+    for _ in range(round(SECONDS * 30)):
+        simulation.advance(1.0 / 30.0)
+        x, _, z = simulation.nodes(name)[tip].mean(axis=0)
+        angles.append(np.degrees(np.arctan2(start[0, 2] - z, x - edge)))
+    simulation.close()
+    last = np.array(angles[-150:])
+    return float(np.average(last, weights=np.hanning(152)[1:-1])), 0.5 * float(np.ptp(last))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the script and return its exit status."""
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(arguments)
+    rows = []
+    for engine, parameters in LEVELS.items():
+        base, still = resting_angle_deg(engine, {})
+        total, square = base, 0.0
+        rows.append([engine, "default", 1.0, f"{base:.3f}", f"{still:.3f}", "", ""])
+        for parameter, levels in parameters.items():
+            found = [(base, still) if not settings else resting_angle_deg(engine, settings) for settings, _ in levels]
+            factors = [factor for _, factor in levels]
+            result = extrapolate([np.array([[angle]]) for angle, _ in found], factors)
+            total, square = total + float(result.correction[0, 0]), square + float(result.uncertainty[0, 0]) ** 2
+            for (angle, moving), factor in zip(found, factors, strict=True):
+                order = "" if result.order is None else f"{result.order:.2f}"
+                rows.append([engine, parameter, f"{factor:.3g}", f"{angle:.3f}", f"{moving:.3f}", order, ""])
+        rows.append([engine, "solution", 0.0, f"{total:.3f}", "", "", f"{square**0.5:.3f}"])
+        print(f"{engine}: {total:.2f} +- {square**0.5:.2f} degrees, the standards {STANDARD_DEG}", flush=True)
+    with (Path(__file__).parent / "cantilever.csv").open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["engine", "refined", "factor", "angle_deg", "change_deg", "order", "uncertainty_deg"])
+        writer.writerows(rows)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
