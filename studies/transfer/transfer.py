@@ -1,6 +1,6 @@
 """Print the first two tables of the study, with the closed form and the simulated studies of the tests of `gauge transfer`.
 
-    python studies/transfer/transfer.py
+python studies/transfer/transfer.py
 """
 
 import sys

@@ -16,7 +16,7 @@ step and the iterations. All distances are those of `ErrorMeasure`, in the unit 
 - *Real scatter*: the mean distance of a real trial to the mean of the trials.
 - *Sufficient step*: the largest one from which on, down to the converged motion, the numerical error stays below the
   parametric floor and the real scatter.
-- *Error against reality*: the distance to the mean of real trials. It is not aligned to the release, as the others.
+- *Error against reality*: the first score, over that of real trials. If it is aligned to the release, so are they.
 
 Cost is the least CPU time over repeats per simulated second; it is wall time if a result states no CPU time.
 """

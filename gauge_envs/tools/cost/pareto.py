@@ -272,12 +272,20 @@ class ErrorMeasure:
         return trajectory_rmse(first[compared], second[compared])
 
     def to_reality(self, result: Result) -> float | None:
-        """Return the distance of a result to the mean of real trials; None without one."""
+        """Return the first score of a result; None without one.
+
+        With a real scatter it is the normalized score in units of it: an aligned error counts in those of trials that
+        are aligned too.
+        """
         score = result.score
         if self.metric != "rmse":
             value = raw_score(score, self.metric)
             return None if value is None else abs(value - self.experiment.baselines[self.metric].mean)
-        return score.rmse
+        if score.primary is None:
+            return None
+        normalized = getattr(score, f"{score.primary}_normalized")
+        is_counted = self.scatter is not None and normalized is not None
+        return normalized * self.scatter if is_counted else getattr(score, score.primary)
 
     def floor(self, backend: str | None) -> tuple[float, str] | None:
         """Return the parametric floor and its origin; None without stored sensitivities, or with other constants.
