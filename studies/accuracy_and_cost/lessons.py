@@ -87,8 +87,9 @@ def _slide(slide: Phenomenon) -> str:
     return (
         "- **A slide needs no finer step than 1/180 s, on any engine here.** There the numerical error is "
         f"{_range(errors)} of the real scatter, below the floor of {_range(floors)} that the uncertain friction, start "
-        f"and tilt set. The error against reality is {_range(real)} times that of a trial at every step of every "
-        f"engine. MuJoCo's default step of 1/{1 / (after.step_s or 1.0):.0f} s lowers the numerical error from {before.numerical:.2g} to "
+        f"and tilt set. The error against reality is {_range(real)} times that of a trial at every step of "
+        f"every engine. MuJoCo's default step of 1/{1 / (after.step_s or 1.0):.0f} s lowers the numerical error from "
+        f"{before.numerical:.2g} to "
         f"{after.numerical:.1g} for {after.cost / before.cost:.2g} times the time. The uncertain constants hide this "
         "difference."
     )

@@ -1,4 +1,4 @@
-"""Print the first two tables of the study, with the closed form and the simulated studies of the tests of `gauge transfer`.
+"""Print the first two tables of the study, with the closed form and the simulated studies of the tests of the command.
 
 python studies/transfer/transfer.py
 """
