@@ -268,7 +268,7 @@ def test_all_75_experiments_are_found_in_their_folders(tmp_path: Path) -> None:
     found = imported(tmp_path)
     assert list(found) == [variant.name for variant in gauge_envs.variants()]
     assert all(one.used == 2 and not one.left_out for one in found.values())
-    assert {band_grade(name) for name in found} == {BandGrade.TRIALS}
+    assert {band_grade(name, DataSource.IMPORTED) for name in found} == {BandGrade.TRIALS}
 
 
 # --- the published baselines, again ----------------------------------------------------------------------------------
