@@ -1,4 +1,4 @@
-"""Print slides and rebounds of an engine, for the studies of its contact: `python studies/rapier_contact/contact.py rapier`.
+"""Print slides and rebounds of an engine: `python studies/rapier_contact/contact.py rapier`.
 
 A cube of 50 mm slides for 0.4 s down 30 degrees with friction 0.2737: acceleration over g (sin - mu cos), and rise over
 the board. A ball falls onto a plane: square root of the first rebound's height, and energy, over that of the fall.
