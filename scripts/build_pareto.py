@@ -3,13 +3,13 @@
     python scripts/build_pareto.py --results DIR                  runs what DIR lacks, then writes all files
     python scripts/build_pareto.py --results DIR --engine rapier  runs this engine only, and writes nothing else
     python scripts/build_pareto.py --results DIR --no-runs        writes all files from what DIR has
-    python scripts/build_pareto.py --docs                         writes page and figure from `scoring/pareto.json`
+    python scripts/build_pareto.py --docs                         writes floors, page and figure from the stored errors
     python scripts/build_pareto.py --tables                       prints all statements and tables of the data
-    python scripts/build_pareto.py --check                        fails if the page is not current
+    python scripts/build_pareto.py --check                        fails if floors or page are not current
 
 DIR holds result files of `gauge run`, so the script can be stopped at any time, and goes on where it was. Engines that
 live in another environment run there, with `--engine` and the same DIR; `--no-runs` then takes all of them. Engines
-that are not installed are left out with a note.
+that are not installed are left out with a note. Phenomena that DIR lacks stay as `scoring/pareto.json` has them.
 
 Repeats differ in their seed alone, which changes no start without jitter, and so are the same episode. They run in
 rounds: each round runs every setting once, so that other work on the machine does not fall on one setting alone. A run
@@ -25,7 +25,7 @@ import os
 import platform
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -33,9 +33,10 @@ from typing import Any
 from generated import ROOT, SCORING, markdown_table, settle, with_part
 from pydantic import TypeAdapter
 
+from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
-from gauge_envs.files import json_ready, write_whole
+from gauge_envs.files import json_ready
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.pages.figures import save_png
 from gauge_envs.runs.batch import run_many
@@ -43,6 +44,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.cost import Family, Tradeoff, draw_pareto, pareto_document, tradeoff
+from gauge_envs.tools.cost.pareto import ErrorMeasure, with_floor
 from gauge_envs.tools.cost.words import step_words
 
 DATA = SCORING / "pareto.json"
@@ -189,12 +191,31 @@ def _predicted_s(before: Result | None, settings: Mapping[str, Any]) -> float:
     return before.cpu_s * float(before.settings["timestep_s"]) / float(settings["timestep_s"])
 
 
-def gathered(folder: Path) -> Tradeoff:
-    """Return error over cost of the results in a folder, rounded to four digits."""
+def gathered(folder: Path, stored: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the data with the phenomena of the results in a folder, the others as they are stored."""
     found = tradeoff([load_result(file) for file in sorted(folder.glob("*.json"))])
     for note in found.notes:
         print(f"note: {note}", file=sys.stderr)
-    return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(asdict(found))))
+    new, made = asdict(found), provenance()
+    names = {one.name for one in found.phenomena}
+    kept = [one for one in stored["tradeoff"]["phenomena"] if one["name"] not in names]
+    if kept:
+        made["date"] = " and ".join(sorted({*stored["provenance"]["date"].split(" and "), made["date"]}))
+    new["phenomena"] = sorted([*new["phenomena"], *kept], key=lambda one: str(one["name"]))
+    return {"provenance": made, "tradeoff": _rounded(json_ready(new))}
+
+
+def with_floors(found: Tradeoff) -> Tradeoff:
+    """Return stored errors with the parametric floors of today, and the steps that are sufficient for them."""
+    phenomena = []
+    for one in found.phenomena:
+        parameters = one.name.partition(", ")[2] or "calibrated"
+        measures = [ErrorMeasure.of(load_experiment(name, parameters=parameters)) for name in one.ids]
+        over_scatter = one.unit == "scatter"
+        families = [with_floor(family, measures, over_scatter=over_scatter) for family in one.families]
+        phenomena.append(replace(one, families=tuple(families)))
+    values = asdict(replace(found, phenomena=tuple(phenomena)))
+    return TypeAdapter(Tradeoff).validate_python(_rounded(json_ready(values)))
 
 
 def _rounded(value: Any) -> Any:
@@ -268,29 +289,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument("--docs", action="store_true", help="write page and figure from the data file")
+    mode.add_argument("--docs", action="store_true", help="write floors, page and figure from the stored errors")
     mode.add_argument("--tables", action="store_true", help="print all statements and tables")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
     parser.add_argument("--engine", action="append", help="run this engine only, and write nothing; repeatable")
     parser.add_argument("--no-runs", action="store_true", help="take the results as they are")
     parser.add_argument("--limit-s", type=float, default=10.0, help="CPU time of an episode at most [s]")
     options = parser.parse_args(arguments)
+    values = json.loads(DATA.read_text(encoding="utf-8"))
     if options.results:
         for engine in () if options.no_runs else options.engine or DEFAULT_STEPS:
             measure(engine, options.results, options.limit_s)
         if options.engine:
             return 0
-        values = {"provenance": provenance(), "tradeoff": json_ready(asdict(gathered(options.results)))}
-        write_whole(DATA, (json.dumps(values, separators=(",", ":")) + "\n").encode())
-    values = json.loads(DATA.read_text(encoding="utf-8"))
-    found = TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
+        values = gathered(options.results, values)
+    found = with_floors(TypeAdapter(Tradeoff).validate_python(values["tradeoff"]))
+    data = json.dumps(values | {"tradeoff": json_ready(asdict(found))}, separators=(",", ":")) + "\n"
     if options.tables:
         print(f"{measured(found)}\n\n{as_markdown(pareto_document(found))}")
         return 0
     text = with_part(PAGE.read_text(encoding="utf-8"), "pareto", SCRIPT, page(values["provenance"], found))
     if not options.check:
         save_png(draw_pareto(found), FIGURE)
-    return settle({PAGE: text}, f"{SCRIPT} --docs", check=options.check)
+    return settle({DATA: data, PAGE: text}, f"{SCRIPT} --docs", check=options.check)
 
 
 if __name__ == "__main__":

@@ -81,15 +81,16 @@ def _slide(slide: Phenomenon) -> str:
     floors = _known(family.floor for family in slide.families)
     _check(len(errors) == len(coarse) and max(errors) < min(floors), "a slide needs no finer step than 1/180 s")
     real = _known(point.to_reality for point in _line(slide.families))
-    _check(max(real) < 1.0, "every slide is within the real scatter")
+    _check(min(real) > 1.0, "no step brings a slide as near as a trial")
     mujoco = _family(slide, "mujoco")
     before, after = _at(mujoco, INTERVAL_S), next(p for p in _line([mujoco]) if "timestep_s" not in p.settings_given)
     return (
         "- **A slide needs no finer step than 1/180 s, on any engine here.** There the numerical error is "
         f"{_range(errors)} of the real scatter, below the floor of {_range(floors)} that the uncertain friction, start "
-        f"and tilt set. The error against reality is {_range(real)} at every step of every engine. MuJoCo's default "
-        f"step of 1/{1 / (after.step_s or 1.0):.0f} s lowers the numerical error from {before.numerical:.2g} to "
-        f"{after.numerical:.1g} for {after.cost / before.cost:.2g} times the time. Real trials cannot show this "
+        f"and tilt set. The error against reality is {_range(real)} times that of a trial at every step of "
+        f"every engine. MuJoCo's default step of 1/{1 / (after.step_s or 1.0):.0f} s lowers the numerical error from "
+        f"{before.numerical:.2g} to "
+        f"{after.numerical:.1g} for {after.cost / before.cost:.2g} times the time. The uncertain constants hide this "
         "difference."
     )
 
@@ -137,8 +138,8 @@ def _step_decides_nothing(phenomena: dict[str, Phenomenon]) -> str:
     default = [family for family in drop.families if family.is_default]
     drops = _known(point.to_reality for point in _line(default))
     _check(min(drops) > 1.0, "no step brings the ball drop within the scatter")
-    enough = [_at(family, family.sufficient_step_s) for family in recorded.families if family.sufficient_step_s]
-    mended = _known(point.to_reality for point in enough)
+    finest = [min(_line([family]), key=lambda point: point.step_s or 0.0) for family in recorded.families]
+    mended = _known(point.to_reality for point in finest)
     _check(max(mended) < 1.0, "recorded heights mend the ball drop")
     return (
         "- **No step brings the cradle near reality.** In the cradle, MuJoCo, PhysX and "
@@ -147,7 +148,7 @@ def _step_decides_nothing(phenomena: dict[str, Phenomenon]) -> str:
         "number of iterations at which they did not diverge. The error of Rapier increases from "
         f"{rapier[0].to_reality:.2g} to {rapier[-1].to_reality:.2g} between {_step(rapier[0])} and {_step(rapier[-1])}"
         ", and these steps do not resolve a limit. The error of the ball drop is "
-        f"{_range(drops)} at every step of the default presets, and {max(mended):.2g} or less at a sufficient step "
+        f"{_range(drops)} at every step of the default presets, and {max(mended):.2g} or less at the finest step "
         "with the recorded restitution and heights (parameters "
         "`recorded`)."
     )

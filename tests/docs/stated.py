@@ -356,6 +356,7 @@ def readers() -> dict[str, list[str]]:
         ],
         "docs/dataset.md": [
             f"{download_size}) is not in the package",
+            f"{download_size} of disk in all, at 100 Mbit/s {80 * float(download_size.split()[0]) / 60:.0f} minutes",
             f"more than {of('tools.dataset.trial.LARGEST_MM') / 1e3:g} m from the origin",
             f"by more than {of('tools.dataset.trial.NORM_TOLERANCE'):g}",
             f"more than {of('tools.dataset.observation.START_RANGE_MM'):g} mm from its calibrated start",

@@ -12,9 +12,11 @@ step and the iterations. All distances are those of `ErrorMeasure`, in the unit 
 - *Model error* of a family: the distance of its converged motion to the exact motion of the scene's own constants. It
   is what no finer step removes.
 - *Parametric floor*: the distance by which the uncertain inputs of the scene move the motion, one standard uncertainty
-  each, added in squares. An error below it cannot be seen in a comparison with reality.
+  each, added in squares. An error below it cannot be told from that of the published constants.
 - *Real scatter*: the mean distance of a real trial to the mean of the trials.
-- *Error against reality*: the first score, in its unit. It is aligned to the release where the score is.
+- *Sufficient step*: the largest one from which on, down to the converged motion, the numerical error stays below the
+  parametric floor and the real scatter.
+- *Error against reality*: the first score, over that of real trials. If it is aligned to the release, so are they.
 
 Cost is the least CPU time over repeats per simulated second; it is wall time if a result states no CPU time.
 """
@@ -96,10 +98,9 @@ class Family:
         resolution: Largest distance of the converged motion to its coarser neighbour and to any finer run; infinite if
             a finer run diverged, None with less than two steps.
         model: Model error; None without a closed form or a converged motion.
-        floor: Parametric floor; None without sensitivities.
+        floor: Parametric floor, the smallest of the experiments; None without sensitivities.
         floor_source: Origin of the floor.
-        sufficient_step_s: Largest step from which on, down to the converged motion, the numerical error stays below the
-            floor, or below the real scatter without a floor; None if there is no such step.
+        sufficient_step_s: Sufficient step; None if there is none.
     """
 
     backend: str
@@ -110,9 +111,9 @@ class Family:
     points: tuple[Point, ...]
     resolution: float | None
     model: float | None
-    floor: float | None
-    floor_source: str
-    sufficient_step_s: float | None
+    floor: float | None = None
+    floor_source: str = ""
+    sufficient_step_s: float | None = None
 
     @property
     def name(self) -> str:

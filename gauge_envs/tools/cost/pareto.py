@@ -9,6 +9,7 @@ import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -120,10 +121,9 @@ def _family(group: Sequence[ExperimentFamily], kind: str, unit_cost: float | Non
     units = [member.unit_error if over_scatter else 1.0 for member in group]
     by_effort = ([run for m in group for run in m.runs if run.effort == one.effort] for one in group[0].runs)
     points = [_point(runs, units, kind, unit_cost) for runs in by_effort if len(runs) == len(group)]
-    limits = [member.floor or member.measure.scatter for member in group]
     presets = dict.fromkeys(str(run.results[0].settings.get("preset", "")) for m in group for run in m.runs)
     given = other_settings(first)
-    return Family(
+    family = Family(
         backend=first.backend or "file",
         preset=", ".join(presets),
         is_default="preset" not in given,
@@ -132,9 +132,21 @@ def _family(group: Sequence[ExperimentFamily], kind: str, unit_cost: float | Non
         points=tuple(sorted(points, key=lambda point: point.cost)),
         resolution=_worst([m.resolution for m in group], units),
         model=_worst([m.model for m in group], units),
-        floor=_worst([m.floor for m in group], units),
-        floor_source="; ".join(dict.fromkeys(m.floor_source for m in group if m.floor_source)),
-        sufficient_step_s=_sufficient_step_s(group, limits),
+    )
+    return with_floor(family, [member.measure for member in group], over_scatter=over_scatter)
+
+
+def with_floor(family: Family, measures: Sequence[ErrorMeasure], *, over_scatter: bool) -> Family:
+    """Return a family with the parametric floor of its experiments, and the step that is sufficient for it."""
+    found = [measure.floor(family.backend) for measure in measures]
+    units = [one.scatter or 1.0 if over_scatter else 1.0 for one in measures]
+    floors = [floor[0] / unit for floor, unit in zip(found, units, strict=True) if floor is not None]
+    limits = floors + [one.scatter / unit for one, unit in zip(measures, units, strict=True) if one.scatter]
+    return replace(
+        family,
+        floor=min(floors) if len(floors) == len(found) else None,
+        floor_source="; ".join(dict.fromkeys(floor[1] for floor in found if floor is not None)),
+        sufficient_step_s=_sufficient_step_s(family, min(limits)) if limits else None,
     )
 
 
@@ -165,24 +177,16 @@ def _worst(values: Sequence[float | None], units: Sequence[float]) -> float | No
     return max(known) if len(known) == len(values) else None
 
 
-def _sufficient_step_s(group: Sequence[ExperimentFamily], limits: Sequence[float | None]) -> float | None:
-    """Return the largest step from which on the numerical error of every experiment stays below its limit."""
-    steps: list[float] = []
-    for member, limit in zip(group, limits, strict=True):
-        line = sorted((run for run in member.runs if run.is_main and run.step_s), key=lambda run: run.step_s or 0.0)
-        start = next((index for index, run in enumerate(line) if run.is_reference), None)
-        if limit is None or start is None:
-            return None
-        enough = None
-        for run in line[start:]:
-            if run.numerical is None or run.numerical > limit:
-                break
-            enough = run.step_s
-        # The converged motion itself proves nothing where its own resolution is above the limit.
-        if enough is None or (member.resolution or 0.0) > limit:
-            return None
-        steps.append(enough)
-    return min(steps)
+def _sufficient_step_s(family: Family, limit: float) -> float | None:
+    """Return the largest step from which on the numerical error stays below a limit; None if there is none."""
+    line = sorted(
+        (one for one in family.points if one.is_on_main_line and one.step_s), key=lambda one: one.step_s or 0.0
+    )
+    # The converged motion itself proves nothing where its own resolution is above the limit.
+    if family.resolution is None or family.resolution > limit:
+        return None
+    enough = takewhile(lambda one: one.numerical is not None and one.numerical <= limit, line)
+    return max((one.step_s or 0.0 for one in enough), default=None)
 
 
 def _with_fronts(families: Sequence[Family]) -> list[Family]:
@@ -268,31 +272,40 @@ class ErrorMeasure:
         return trajectory_rmse(first[compared], second[compared])
 
     def to_reality(self, result: Result) -> float | None:
-        """Return the distance of a result to the mean of real trials: its first score; None without one."""
+        """Return the first score of a result; None without one.
+
+        With a real scatter it is the normalized score in units of it: an aligned error counts in those of trials that
+        are aligned too.
+        """
         score = result.score
         if self.metric != "rmse":
             value = raw_score(score, self.metric)
             return None if value is None else abs(value - self.experiment.baselines[self.metric].mean)
-        return None if score.primary is None else getattr(score, score.primary)
+        if score.primary is None:
+            return None
+        normalized = getattr(score, f"{score.primary}_normalized")
+        is_counted = self.scatter is not None and normalized is not None
+        return normalized * self.scatter if is_counted else getattr(score, score.primary)
 
     def floor(self, backend: str | None) -> tuple[float, str] | None:
-        """Return the parametric floor and its origin; None without stored sensitivities.
+        """Return the parametric floor and its origin; None without stored sensitivities, or with other constants.
 
         It is the root sum of squares, over the uncertain inputs, of the distance by which one standard uncertainty of
-        the input moves the simulated motion.
+        the input moves the simulated motion: the root mean square of up and down, where these differ.
         """
         table = None if self.metric != "rmse" else experiment_sensitivities(self.experiment, backend)
-        if table is None:
+        if table is None or self.experiment.overrides:
             return None
         is_exact = self.band is not None and not self.band.grade.is_real
         # A law keeps the body where it starts, so another start moves simulation and law alike.
         kinds = [kind for kind in INPUT_KINDS if not (is_exact and kind == "start")]
         count = self.experiment.frame_count
-        changes = [one.change[:count] for one in table.inputs if one.kind in kinds and len(one.change) >= count]
-        if not changes:
+        inputs = [one for one in table.inputs if one.kind in kinds and len(one.change) >= count]
+        if not inputs:
             return None
-        total = math.sqrt(sum(self.distance(change, np.zeros_like(change)) ** 2 for change in changes))
-        return total, f"{len(changes)} inputs, sensitivities of {table.backend}"
+        pairs = [(one.change, one.change if one.change_below is None else one.change_below) for one in inputs]
+        squares = [self.distance(side[:count], np.zeros_like(side[:count])) ** 2 for pair in pairs for side in pair]
+        return math.sqrt(sum(squares) / 2.0), f"{len(inputs)} inputs, sensitivities of {table.backend}"
 
 
 # --- runs ---
@@ -348,8 +361,6 @@ class ExperimentFamily:
         runs: Its settings.
         resolution: Largest distance of the converged motion to its coarser neighbour and to any finer run.
         model: Model error.
-        floor: Parametric floor.
-        floor_source: Origin of the floor.
     """
 
     key: str
@@ -358,8 +369,6 @@ class ExperimentFamily:
     runs: list[SettingRun] = field(default_factory=list)
     resolution: float | None = None
     model: float | None = None
-    floor: float | None = None
-    floor_source: str = ""
 
     @property
     def unit_error(self) -> float:
@@ -433,8 +442,6 @@ def _analyse(member: ExperimentFamily, notes: list[str]) -> None:
             )
         run.real = measure.to_reality(run.results[0])
         run.closed = None if exact is None else _finite(measure.distance(run.frames, exact))
-    backend = member.runs[0].results[0].backend
-    member.floor, member.floor_source = measure.floor(backend) or (None, "")
     reference = _converged(member)
     if reference is None or reference.frames is None:
         return

@@ -83,18 +83,21 @@ def _is_model_limited(family: Family) -> bool:
     """Return whether the converged motion is off by more than its own resolution and than what can be seen."""
     if family.model is None or family.resolution is None:
         return False
-    visible = SCATTER if family.floor is None else family.floor
-    return family.model > 2.0 * family.resolution and family.model > visible
+    return family.model > 2.0 * family.resolution and family.model > _visible(family)
+
+
+def _visible(family: Family) -> float:
+    """Return the error that can be seen, in real scatters: the smaller of parametric floor and real scatter."""
+    return SCATTER if family.floor is None else min(family.floor, SCATTER)
 
 
 def _limit(families: Iterable[Family]) -> str:
     """Return what the numerical error of families is compared with."""
-    floors = [family.floor for family in families]
-    if all(floor is None for floor in floors):
+    limits = [_visible(family) for family in families]
+    low, high = _number(min(limits)), _number(max(limits))
+    if min(limits) == SCATTER:
         return "the real scatter"
-    known = [floor for floor in floors if floor is not None]
-    low, high = _number(min(known)), _number(max(known))
-    return f"the parametric floor, {low if low == high else f'{low} to {high}'} of the real scatter"
+    return f"the parametric floor and the real scatter, {low if low == high else f'{low} to {high}'} of the scatter"
 
 
 def _heading(phenomenon: Phenomenon) -> str:

@@ -2,7 +2,9 @@
 
 - `download`: download the dataset.
 - `layout`: find the trial files of a dataset folder and the variant of each.
+- `forms`: bring a trial file of another form into that of the published ones.
 - `trial`: read and check one trial file.
+- `findings`: what is wrong with a file or folder.
 - `observation`: compute g(t) and the driver's coordinates of a trial, by the observers of simulations.
 - `statistics`: compute mean, scatter and baselines over trials, with one trial in memory at a time.
 - `importer`: import a dataset folder, one variant after another.

@@ -43,12 +43,15 @@ def data_import(
     only: Annotated[
         list[str] | None, typer.Argument(metavar="[PATTERN]...", help="Experiments; all by default.")
     ] = None,
+    unit: Annotated[str | None, typer.Option(help="Unit of files that state none: mm, cm or m.")] = None,
+    rate: Annotated[float | None, typer.Option(help="Frames in a second of files that state none.")] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Make bands and drivers of real trials, beside the published baselines; offline.
 
     A damaged file is reported and left out. Exit code 1 when any file was left out.
     """
+    from gauge_envs.tools.dataset.forms import Stated
     from gauge_envs.tools.dataset.importer import import_trials
     from gauge_envs.tools.dataset.layout import find_trials
     from gauge_envs.tools.dataset.words import import_document
@@ -56,7 +59,11 @@ def data_import(
     layout = find_trials(folder, only=only or ["*"])
     imports, findings = [], list(layout.findings)
     with Progress("trials", layout.count) as progress:
-        for one in import_trials(layout, advance=lambda path: progress.advance(layout.relative(path))):
+        for one in import_trials(
+            layout,
+            stated=Stated(unit=unit, rate_hz=rate),
+            advance=lambda path: progress.advance(layout.relative(path)),
+        ):
             imports.append(one)
             findings += one.findings
             if form is Format.JSON:

@@ -32,6 +32,8 @@ from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.dataset.findings import ImportFinding, TrialError
+from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.layout import Layout
 from gauge_envs.tools.dataset.observation import (
     CoordinateMean,
@@ -43,7 +45,7 @@ from gauge_envs.tools.dataset.observation import (
     trial_markers_m,
     trial_trajectory,
 )
-from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, ImportFinding, Trial, TrialError, parse_trial
+from gauge_envs.tools.dataset.trial import MOST_TRIAL_BYTES, Trial, parse_trial
 
 FLAGGED_DIFFERENCE = 0.05
 """Relative difference between own and published baselines above which they are flagged."""
@@ -139,11 +141,14 @@ class ImportedTrials:
         }
 
 
-def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = None) -> Iterator[ImportedTrials]:
+def import_trials(
+    layout: Layout, *, stated: Stated | None = None, advance: Callable[[Path], None] | None = None
+) -> Iterator[ImportedTrials]:
     """Import the trials of a dataset into the user's data folder; each variant is stored before it is yielded.
 
     Args:
         layout: Result of `find_trials`.
+        stated: Unit and rate of files that do not state them.
         advance: Function that is called with each file after it was read.
 
     Returns:
@@ -152,7 +157,7 @@ def import_trials(layout: Layout, *, advance: Callable[[Path], None] | None = No
     remove_leftovers()
     seen: dict[str, str] = {}
     for variant, files in layout.files.items():
-        importer = _VariantImporter(variant, layout, seen)
+        importer = _VariantImporter(variant, layout, seen, stated)
         with closing(importer.spool):
             for path in files:
                 importer.read(path)
@@ -168,9 +173,11 @@ class _VariantImporter:
         variant: The variant.
         layout: Files of the dataset.
         seen: Path of each file that was read before, by the hash of its content; `read` adds to it.
+        stated: Unit and rate of files that do not state them.
     """
 
-    def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str]) -> None:
+    def __init__(self, variant: Variant, layout: Layout, seen: dict[str, str], stated: Stated | None) -> None:
+        self._stated = stated
         # Recorded motion is projected on the motions of the task file, not on those of an earlier import.
         self._experiment = load_experiment(variant)
         self._layout = layout
@@ -198,7 +205,7 @@ class _VariantImporter:
             digest = hashlib.sha256(content).hexdigest()
             if digest in self._seen:
                 raise TrialError("(file)", f"it is a copy of {self._seen[digest]}", "each trial counts once")
-            trial = parse_trial(content)
+            trial = parse_trial(content, path.suffix.lower(), self._stated)
             trajectory = trial_trajectory(trial, self._experiment)
             is_rigid = self._experiment.score.observable is Observable.POSITION
             starts = [start_quaternions(trial, self._experiment)] if is_rigid else []

@@ -10,6 +10,11 @@ Its irregularities are read too:
 - Materials have the metadata's names (`cotton` is the rayon of this package).
 - A task with one material may have no material folder (bouncing ball).
 - The nonsmooth contacts are in `task-1` to `task-3`, which the metadata calls task-3 to task-5: subtasks 1 to 3.
+
+Other layouts are read by the names of folders, in any order and depth: a task, a material, a subtask, and words that
+say nothing about a trial (`NEUTRAL`). A folder of any other name is left out and reported, as its trials may not be
+real ones; a user who knows better gives it as the dataset's folder. A trial that is there in several forms counts once,
+in the published form if that is there.
 """
 
 from __future__ import annotations
@@ -17,8 +22,8 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from functools import cache
@@ -29,13 +34,28 @@ from gauge_envs.experiments.task_files import task_file_faults, task_spec
 from gauge_envs.experiments.task_format import Group, TaskSpec
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.files import MEGABYTE, json_document, printable, read_regular
-from gauge_envs.tools.dataset.trial import ImportFinding
+from gauge_envs.tools.dataset.findings import ImportFinding
+from gauge_envs.tools.dataset.forms import FORMS
 
 REVISION_FILE = "gauge-dataset.json"
 """File at the top of a downloaded dataset that states its revision."""
 
 FOLDER_SPELLINGS = {"foam compression": "foam compressing"}
 """Task folders whose spelling differs from the metadata's."""
+
+NEUTRAL = {*Group, "data", "json", "csv", "npz", "mocap", "motion", "trial", "trials", "trajectory", "trajectories"}
+"""Names of folders that say nothing about a trial."""
+
+TRIAL_FOLDER = re.compile(r"(trial|run|take)\W*_?\d+", re.IGNORECASE)
+DOCUMENTS = ("", ".md", ".txt")
+MOST_FILES = 200_000
+
+UNREAD = {
+    **dict.fromkeys((".mp4", ".avi", ".mov", ".webm", ".png", ".jpg"), "pictures hold no positions"),
+    **dict.fromkeys((".obj", ".stl", ".usd", ".xml"), "models hold no motion"),
+    ".parquet": "pandas.read_parquet(file).to_csv makes a CSV file of it",
+}
+"""Why files of a suffix are not read, or what makes them readable."""
 
 SUBTASK_FOLDER = re.compile(r"task\W*_?(\w+)", re.IGNORECASE)
 
@@ -83,22 +103,19 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
     wanted = _wanted(only)
     found: dict[Variant, list[Path]] = {}
     findings: list[ImportFinding] = []
+    if not root.is_dir():
+        raise DatasetError(f"{root}: is not a folder; the folder of the dataset is expected")
     try:
-        data = _data_folder(root)
-        for group in _folders(data):
-            if not _is_group(group):
-                findings.append(_finding(root, group, "it is not a group of experiments", f"one of {', '.join(Group)}"))
-                continue
-            for task in _folders(group):
-                _read_task(root, task, found, findings)
+        _read_folders(root, found, findings)
         revision = _revision(root)
     except OSError as error:
         raise DatasetError(f"{error.filename or root}: cannot be read: {error.strerror or error}") from error
-    files = {variant: tuple(sorted(found[variant], key=_natural)) for variant in wanted if variant in found}
+    files = {v: _one_form(root, v, found[v], findings) for v in wanted if v in found}
     if not files:
         of = "" if len(wanted) == len(variants()) else f" of {', '.join(only)}"
+        why = "".join(f"\n  {finding}" for finding in findings[:5])
         raise DatasetError(
-            f"{data}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected"
+            f"{root}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected{why}"
         )
     return Layout(
         root=root,
@@ -133,60 +150,87 @@ def _wanted(patterns: Sequence[str]) -> list[Variant]:
     return [v for v in known if any(fnmatchcase(v.name, pattern.removeprefix("GAUGE/")) for pattern in patterns)]
 
 
-def _data_folder(root: Path) -> Path:
-    if not root.is_dir():
-        raise DatasetError(f"{root}: is not a folder; the folder of the dataset, which contains 'data', is expected")
-    for folder in (root / "data", root):
-        if folder.is_dir() and any(map(_is_group, folder.iterdir())):
-            return folder
-    raise DatasetError(f"{root}: is not a GAUGE dataset; data/{'|'.join(Group)} is expected below it")
-
-
-def _is_group(folder: Path) -> bool:
-    return _plain(folder.name) in list(Group)
-
-
-def _folders(folder: Path) -> list[Path]:
-    return sorted(entry for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith("."))
-
-
-def _read_task(root: Path, task: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]) -> None:
-    families = _families()
-    family = families.get(_plain(task.name))
-    if family is None:
-        near = get_close_matches(_plain(task.name), families, n=1)
-        hint = f"did you mean that of {families[near[0]]}?" if near else "see the folders of the published dataset"
-        findings.append(_finding(root, task, "it is not a known task", hint))
-        return
-    sources = [folder for folder in _folders(task) if folder.name.lower() == "json"]
-    if not sources:
-        findings.append(_finding(root, task, "it has no folder 'json'", "trials are in <task>/json/<material>"))
-    for source in sources:
-        for path in _json_files(root, source, findings):
-            place = _variant(task_spec(family), path.relative_to(source).parts[:-1])
-            if isinstance(place, Variant):
-                found.setdefault(place, []).append(path)
-            elif not any(f.file == _finding(root, path.parent, "", "").file for f in findings):
-                findings.append(_finding(root, path.parent, *place))
-
-
-def _json_files(root: Path, folder: Path, findings: list[ImportFinding]) -> Iterator[Path]:
-    """Yield the JSON files below a folder; add a finding for each folder that cannot be read."""
+def _read_folders(root: Path, found: dict[Variant, list[Path]], findings: list[ImportFinding]) -> None:
+    """Find the trial files in a folder; add a finding for each other folder, and for each suffix that is not read."""
 
     def unreadable(error: OSError) -> None:
         problem = f"it cannot be read: {error.strerror or error}"
         findings.append(_finding(root, Path(error.filename), problem, "a readable folder is expected"))
 
-    found: list[Path] = []
-    for parent, folders, files in os.walk(folder, onerror=unreadable):
-        folders[:] = [name for name in folders if not name.startswith(".")]
-        names = [*files, *folders]
-        found += [Path(parent, name) for name in names if name.lower().endswith(".json") and not name.startswith(".")]
-    yield from sorted(found)
+    places: dict[Path, Variant | ImportFinding] = {}
+    others: dict[str, list[Path]] = {}
+    count = 0
+    for parent, folders, names in os.walk(root, onerror=unreadable):
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+        count += len(names)
+        if count > MOST_FILES:
+            raise DatasetError(f"{root}: has more than {MOST_FILES} files; the folder of the dataset is expected")
+        for path in sorted(Path(parent, name) for name in [*names, *folders] if not name.startswith(".")):
+            suffix, is_folder = path.suffix.lower(), path.name in folders
+            if suffix in FORMS and path.name != REVISION_FILE:
+                place = places.setdefault(path.parent, _place(root, path.parent))
+                if isinstance(place, Variant):
+                    found.setdefault(place, []).append(path)
+            elif not is_folder and suffix not in DOCUMENTS:
+                others.setdefault(suffix, []).append(path)
+    findings += [place for place in places.values() if not isinstance(place, Variant)]
+    for suffix, files in sorted(others.items()):
+        why = UNREAD.get(suffix, f"trials are {', '.join(FORMS)}")
+        problem = f"{len(files)} files {suffix} are not read"
+        findings.append(replace(_finding(root, files[0].parent, problem, why), left_out=False))
+
+
+def _place(root: Path, folder: Path) -> Variant | ImportFinding:
+    """Return the variant of the trials in a folder, or why they are left out."""
+    families = _families()
+    parts = list(folder.relative_to(root).parts)
+    if not any(_plain(part) in families for part in parts):
+        # The folder of a task, or one below it, was given as that of the dataset.
+        above = root.resolve().parts
+        task = next((number for number, part in enumerate(above) if _plain(part) in families), len(above))
+        parts = [*(part for part in above[task:] if _is_known(part)), *parts]
+    family = next((families[_plain(part)] for part in parts if _plain(part) in families), None)
+    if family is not None:
+        others = [part for part in parts if families.get(_plain(part)) != family]
+        variant = _variant(task_spec(family), [part for part in others if _plain(part) not in NEUTRAL])
+        if isinstance(variant, Variant):
+            return variant
+        # Where the published form is, folders of unknown names beside it are extra ones.
+        is_named = all(_plain(part) in NEUTRAL or _is_known(part) for part in others)
+        is_extra = not is_named and "json" not in map(_plain, parts) and (root / "data").is_dir()
+        return replace(_finding(root, folder, *variant), left_out=not is_extra)
+    near = [hit for part in parts for hit in get_close_matches(_plain(part), families, n=1)]
+    hint = f"did you mean that of {families[near[0]]}?" if near else f"that of a task below {', '.join(Group)}"
+    is_data = bool(parts) and _plain(parts[0]) in NEUTRAL
+    return replace(_finding(root, folder, "no folder above it is a known task", hint), left_out=is_data)
+
+
+def _is_known(part: str) -> bool:
+    """Return whether a folder's name is that of a task, a material or a subtask."""
+    plain = _plain(part)
+    specs = [task_spec(family) for family in set(_families().values())]
+    materials = {_plain(name) for spec in specs for name in (*spec.materials, *spec.metadata_materials.values())}
+    return plain in _families() or plain in materials or SUBTASK_FOLDER.fullmatch(part) is not None
+
+
+def _one_form(root: Path, variant: Variant, files: list[Path], findings: list[ImportFinding]) -> tuple[Path, ...]:
+    """Return the files of the first form and place of a variant's trials; add a finding for each other one."""
+    places: dict[tuple[bool, int, tuple[str, ...]], list[Path]] = {}
+    for path in files:
+        words = tuple(part for part in path.parent.relative_to(root).parts if _plain(part) in NEUTRAL)
+        is_published = path.suffix.lower() == ".json" and "json" in map(_plain, words)
+        places.setdefault((not is_published, FORMS.index(path.suffix.lower()), words), []).append(path)
+    first, *others = sorted(places)
+    for place in others:
+        problem = f"{len(places[place])} files {places[place][0].suffix} of {variant.name} are not read"
+        kept = printable(places[first][0].relative_to(root).parent.as_posix())
+        finding = _finding(root, places[place][0].parent, problem, f"its trials in {kept} count")
+        findings.append(replace(finding, left_out=False))
+    return tuple(sorted(places[first], key=_natural))
 
 
 def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str]:
-    """Return the variant of the folders between `json` and a trial, or what is wrong and what is expected."""
+    """Return the variant of the folders around a trial, or what is wrong and what is expected."""
     material, subtask = None, None
     names = {_plain(name): name for name in spec.materials}
     names |= {_plain(theirs): ours for ours, theirs in spec.metadata_materials.items()}
@@ -196,9 +240,10 @@ def _variant(spec: TaskSpec, folders: Sequence[str]) -> Variant | tuple[str, str
             material = names[_plain(folder)]
         elif (match := SUBTASK_FOLDER.fullmatch(folder)) and subtask is None:
             subtask = match[1]
-        else:
+        elif not TRIAL_FOLDER.fullmatch(folder):
             return f"{folder!r} is neither a material nor a subtask of {spec.family}", (
-                f"materials are {', '.join(names.values())}; subtasks: {subtasks}"
+                f"materials are {', '.join(names.values())}; subtasks: {subtasks}; "
+                "if its trials are real ones, give the folder itself"
             )
     if material is None and len(spec.materials) == 1:
         material = spec.materials[0]

@@ -23,7 +23,8 @@ from gauge_envs.scene import Pose
 from gauge_envs.scene.driver_fit import motion_coordinates
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.dataset.trial import PoseTrack, Trial, TrialError
+from gauge_envs.tools.dataset.findings import TrialError
+from gauge_envs.tools.dataset.trial import PoseTrack, Trial
 
 START_RANGE_MM = 300.0
 """Largest distance of a start from the calibrated start; beyond it frame, unit or body is another one."""

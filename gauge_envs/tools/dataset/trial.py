@@ -1,8 +1,9 @@
 """Read and check one trial file of the GAUGE dataset.
 
-A trial is a JSON object with `FPS`, `translation unit` and one object per asset. A rigid body has lists `x`, `y`, `z`
-and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has an object with `x`, `y`, `z` per
-marker id. Each list has one sample per frame; `null` or NaN is a sample that was not captured.
+A trial is a JSON object with `FPS`, `translation unit` and one object per asset, into which `forms` brings other files.
+A rigid body has lists `x`, `y`, `z` and usually `qx`, `qy`, `qz`, `qw`; `ex`, `ey`, `ez` are not used. A marker set has
+an object with `x`, `y`, `z` per marker id. Each list has one sample per frame; `null` or NaN is a sample that was not
+captured.
 """
 
 from __future__ import annotations
@@ -15,16 +16,19 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import MEGABYTE, check_json_size, printable
+from gauge_envs.files import MEGABYTE, check_json_size
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.dataset.findings import TrialError
+from gauge_envs.tools.dataset.forms import RATE, UNIT, Stated, from_csv, from_json, from_npz
 
 Lengths = dict[str, int]
 """Number of samples of each list of an asset, by its place; all have as many as the first."""
 
 POSITION_KEYS = ("x", "y", "z")
 QUATERNION_KEYS = ("qx", "qy", "qz", "qw")
-UNIT = "mm"
+MILLIMETRES = {"mm": 1.0, "millimeter": 1.0, "millimetre": 1.0, "cm": 10.0, "m": 1e3, "meter": 1e3, "metre": 1e3}
+"""Millimetres in a unit of length, by its spelling without a plural s."""
 
 NORM_TOLERANCE = 0.01
 """Largest error of the norm of a unit quaternion; files round to three digits or more."""
@@ -34,48 +38,6 @@ MOST_TRIAL_BYTES = 64 * MEGABYTE
 
 LARGEST_MM = 1e5
 """Largest coordinate; the capture volume is a few metres wide, and squares of larger values may overflow."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportFinding:
-    """Problem of a file or folder of a dataset.
-
-    Attributes:
-        file: Path below the dataset's folder.
-        key: Place in the file, as `foam.17.x`; `(file)` for the whole file, `(folder)` for a folder.
-        problem: What is wrong.
-        expected: What is expected.
-        left_out: Whether the file is left out of the statistics.
-    """
-
-    file: str
-    key: str
-    problem: str
-    expected: str
-    left_out: bool = True
-
-    def __str__(self) -> str:
-        return f"{self.file}: {self.key}: {self.problem}; {self.expected}"
-
-
-class TrialError(Exception):
-    """A trial cannot be used; the importer turns the error into an `ImportFinding`.
-
-    Args:
-        key: Place in the file.
-        problem: What is wrong.
-        expected: What is expected.
-    """
-
-    def __init__(self, key: str, problem: str, expected: str) -> None:
-        super().__init__(f"{key}: {problem}; {expected}")
-        self.key = printable(key)
-        self.problem = printable(problem)
-        self.expected = expected
-
-    def finding(self, file: str, *, left_out: bool) -> ImportFinding:
-        """Return the problem as one of a file."""
-        return ImportFinding(file=file, key=self.key, problem=self.problem, expected=self.expected, left_out=left_out)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,18 +68,25 @@ class Trial:
     faults: Mapping[str, TrialError]
 
 
-def parse_trial(content: bytes) -> Trial:
+def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = None) -> Trial:
     """Read and check one trial file.
 
     Args:
         content: The file's bytes.
+        suffix: Suffix of the file, in lower case: one of `FORMS`.
+        stated: Unit and rate of files that do not state them.
     """
-    values = _json_object(content)
-    rate, unit = values.get("FPS"), values.get("translation unit")
+    stated = stated or Stated()
+    readers = {".csv": from_csv, ".npz": from_npz}
+    values = readers[suffix](content, stated) if suffix in readers else from_json(_json_object(content), stated)
+    rate, unit = values.pop(RATE), values.pop(UNIT)
     if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
-        raise TrialError("FPS", f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected")
-    if unit != UNIT:
-        raise TrialError("translation unit", f"it is {_shown(unit)}", f"{UNIT!r} is expected")
+        says = "; --rate says that of files without one" if rate is None else ""
+        raise TrialError(RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}")
+    scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
+    if scale is None:
+        says = "; --unit says that of files without one" if unit is None else ""
+        raise TrialError(UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}")
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
@@ -127,9 +96,11 @@ def parse_trial(content: bytes) -> Trial:
         lengths: Lengths = {}
         try:
             if any(isinstance(entry, dict) for entry in asset.values()):
-                markers[name] = {marker: _marker(f"{name}.{marker}", entry, lengths) for marker, entry in asset.items()}
+                markers[name] = {
+                    marker: _marker(f"{name}.{marker}", entry, lengths, scale) for marker, entry in asset.items()
+                }
             else:
-                poses[name] = _pose(name, asset, lengths)
+                poses[name] = _pose(name, asset, lengths, scale)
         except TrialError as error:
             faults[name] = error
     if not (poses or markers or faults):
@@ -162,8 +133,8 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return values
 
 
-def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths) -> FloatArray:
-    positions = _table(name, asset, POSITION_KEYS, lengths)
+def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -> FloatArray:
+    positions = scale * _table(name, asset, POSITION_KEYS, lengths)
     far = np.abs(positions) > LARGEST_MM
     if far.any():
         frame, axis = np.argwhere(far)[0]
@@ -175,8 +146,8 @@ def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths) -> FloatAr
     return positions
 
 
-def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths) -> PoseTrack:
-    positions = _positions(name, asset, lengths)
+def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -> PoseTrack:
+    positions = _positions(name, asset, lengths, scale)
     given = [key for key in QUATERNION_KEYS if key in asset]
     if not given:
         return PoseTrack(positions, None)
@@ -189,10 +160,10 @@ def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths) -> PoseTrack:
     return PoseTrack(positions, quaternions / norms[:, None])
 
 
-def _marker(key: str, entry: Any, lengths: Lengths) -> FloatArray:
+def _marker(key: str, entry: Any, lengths: Lengths, scale: float) -> FloatArray:
     if not isinstance(entry, dict):
         raise TrialError(key, f"it is {_shown(entry)}", "a marker is an object with x, y, z")
-    positions = _positions(key, entry, lengths)
+    positions = _positions(key, entry, lengths, scale)
     # A marker is captured in all three coordinates or not at all.
     positions[np.isnan(positions).any(axis=1)] = np.nan
     return positions

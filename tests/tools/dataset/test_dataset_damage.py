@@ -29,10 +29,11 @@ from gauge_envs import load_experiment
 from gauge_envs.cli.app import app
 from gauge_envs.evaluation.reference import load_band
 from gauge_envs.references.imported import DataSource, load_imported
+from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
-from gauge_envs.tools.dataset.trial import Trial, TrialError, parse_trial
+from gauge_envs.tools.dataset.trial import Trial, parse_trial
 
 SLIDER, FOAM, PLATE = "SlopeSlider-1-wood", "FoamBending-soft", "Turntable-2-wood"
 NUMBER = 99
@@ -109,7 +110,13 @@ DAMAGES: dict[str, tuple[str, Change, str, str, str]] = {
     "wrong rate": (SLIDER, setting("FPS", to=60), "FPS", "it is 60", "30 is expected"),
     "no rate": (SLIDER, without("FPS"), "FPS", "it is missing", "30 is expected"),
     "rate as text": (SLIDER, setting("FPS", to="30"), "FPS", "it is '30'", "30 is expected"),
-    "wrong unit": (SLIDER, setting("translation unit", to="m"), "translation unit", "it is 'm'", "'mm' is expected"),
+    "wrong unit": (
+        SLIDER,
+        setting("translation unit", to="inch"),
+        "translation unit",
+        "it is 'inch'",
+        "'mm' is expected",
+    ),
     "no unit": (SLIDER, without("translation unit"), "translation unit", "it is missing", "'mm' is expected"),
     "in metres": (SLIDER, in_metres, "cube", "mm from its calibrated start", "in mm, is expected"),
     "no asset": (SLIDER, without("cube"), "(file)", "it holds no asset", "'cube'"),

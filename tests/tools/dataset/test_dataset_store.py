@@ -18,9 +18,10 @@ from dataset_writer import synthetic_trials, trial_folder, write_synthetic, writ
 from gauge_envs.errors import DatasetError
 from gauge_envs.references import imported
 from gauge_envs.references.imported import load_imported, user_data_folder
+from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
-from gauge_envs.tools.dataset.trial import TrialError, parse_trial
+from gauge_envs.tools.dataset.trial import parse_trial
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood")
 NAME = NAMES[0]

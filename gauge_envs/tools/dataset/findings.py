@@ -1,0 +1,49 @@
+"""What is wrong with a file or folder of a dataset."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from gauge_envs.files import printable
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportFinding:
+    """Problem of a file or folder of a dataset.
+
+    Attributes:
+        file: Path below the dataset's folder.
+        key: Place in the file, as `foam.17.x`; `(file)` for the whole file, `(folder)` for a folder.
+        problem: What is wrong.
+        expected: What is expected.
+        left_out: Whether the file is left out of the statistics.
+    """
+
+    file: str
+    key: str
+    problem: str
+    expected: str
+    left_out: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.file}: {self.key}: {self.problem}; {self.expected}"
+
+
+class TrialError(Exception):
+    """A trial cannot be used; the importer turns the error into an `ImportFinding`.
+
+    Args:
+        key: Place in the file.
+        problem: What is wrong.
+        expected: What is expected.
+    """
+
+    def __init__(self, key: str, problem: str, expected: str) -> None:
+        super().__init__(f"{key}: {problem}; {expected}")
+        self.key = printable(key)
+        self.problem = printable(problem)
+        self.expected = expected
+
+    def finding(self, file: str, *, left_out: bool) -> ImportFinding:
+        """Return the problem as one of a file."""
+        return ImportFinding(file=file, key=self.key, problem=self.problem, expected=self.expected, left_out=left_out)
