@@ -308,7 +308,7 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
 
     With an observed order the value is extrapolated. Its 95 % uncertainty is 1.25 times the distance to the finest run,
     at most by order 1, because errors of several orders may look like one of a high order. Else the finest run stands,
-    with 3 times the change to the next one, as for order 1.
+    with 3 times what is left by order 1 after the change from the default settings.
 
     Args:
         runs: The quantity in each run, coarse to fine, each of shape [T, C]; one of them has the factor 1.
@@ -317,12 +317,15 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
     base, fine = runs[list(factors).index(1.0)], runs[-1]
     order = observed_order(runs[-3:], factors[-3:]) if len(runs) > 2 else None
 
-    def left(power: float) -> FloatArray:
-        middle, last = factors[-2] ** power, factors[-1] ** power
-        return (fine - runs[-2]) * last / (middle - last)
+    def left(power: float, other: int = -2) -> FloatArray:
+        coarse, last = factors[other] ** power, factors[-1] ** power
+        return (fine - runs[other]) * last / (coarse - last)
 
     if order is None:
-        return Extrapolated(correction=fine - base, uncertainty=0.5 * LONE_SAFETY * smoothed(left(1.0)), order=None)
+        # Of close runs the difference is small by chance; the default one is the farthest that is not coarse.
+        other = next((place for place, factor in enumerate(factors[:-1]) if factor <= 1.0), len(factors) - 2)
+        spread = 0.5 * LONE_SAFETY * smoothed(left(1.0, other))
+        return Extrapolated(correction=fine - base, uncertainty=spread, order=None)
     uncertainty = 0.5 * SAFETY * smoothed(left(min(order, 1.0)))
     return Extrapolated(correction=fine - base + left(order), uncertainty=uncertainty, order=order)
 

@@ -24,7 +24,7 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FOLDER = data_folder("scoring") / "models"
 SOLVED = sorted(file.stem for file in FOLDER.glob("*.npz"))
-FOAM = "FoamStretching-soft"
+FOAM = "FoamTwisting-soft"
 
 
 def converging(order, *, factors=(2.0, 1.0, 0.5), scale=0.3):

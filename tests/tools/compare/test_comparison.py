@@ -41,7 +41,7 @@ SLIDER, PLASTIC, FOAM, CRADLE = (
 GRADES = {SLIDER: "trials", PLASTIC: "trials", FOAM: "none", CRADLE: "none"}
 RATE_HZ = 180
 
-HOLD, DRIVEN, SOLVED = "SlopeSlider-1-wood", "SlopeSlider-3-metal", "FoamStretching-soft"
+HOLD, DRIVEN, SOLVED = "SlopeSlider-1-wood", "SlopeSlider-3-metal", "FoamTwisting-soft"
 """Experiments of the grades law, recording and model."""
 
 
