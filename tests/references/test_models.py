@@ -20,7 +20,6 @@ from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM, interpolated, packed, solved_model, unpacked
-from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FOLDER = data_folder("scoring") / "models"
 SOLVED = sorted(file.stem for file in FOLDER.glob("*.npz"))
@@ -242,13 +241,3 @@ def test_a_reward_divides_by_the_larger_of_sigma_and_uncertainty():
 def test_another_scene_has_no_model():
     assert reference_band(load_experiment(FOAM)).grade is BandGrade.MODEL
     assert reference_band(load_experiment(FOAM, {"foam.young_modulus_pa": 1e5})) is None
-
-
-def test_gym_make_says_where_a_reference_ends(monkeypatch):
-    from gauge_envs.envs import arguments
-
-    monkeypatch.setattr(arguments, "_warned", set())
-    partial = next((name for name in SOLVED if solved_model(name).sidecar.ends), "SlopeContact-wood")
-    with pytest.warns(arguments.NoRewardWarning, match=r"ends at [\d.]+ of [\d.]+ s\. Later rewards are 0"):
-        gymnasium.make(f"GAUGE/{partial}").close()
-    assert FRAME_RATE_HZ == 30.0

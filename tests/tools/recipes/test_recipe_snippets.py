@@ -19,7 +19,8 @@ MODULES = {
     "drake": "pydrake",
     "newton": "newton",
     "mujoco_warp": "mujoco_warp",
-    "genesis": "genesis",
+    # A folder of tests is a namespace package `genesis`.
+    "genesis": "genesis.version",
 }
 HEAVY = ("pybullet", "drake", "newton", "mujoco_warp", "genesis")
 ENGINES = [pytest.param(name, marks=[pytest.mark.slow] if name in HEAVY else []) for name in MODULES]
