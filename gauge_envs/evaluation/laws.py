@@ -11,6 +11,8 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.pendulum_laws import chain_motion, swing_motion
+from gauge_envs.references.published import ChainLaw, FlightLaw, SlideLaw, SwingLaw, published_baselines
 from gauge_envs.scene import Plane, RigidBody, Scene
 from gauge_envs.scene.contact_faces import TOUCHING_M
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -46,6 +48,23 @@ class Straight:
         positions = 1e3 * (self.start_m + travel_m[:, None] * self.direction)
         positions[times_s >= self.end_s] = np.nan
         return positions
+
+
+def law_motion(
+    law: FlightLaw | SlideLaw | SwingLaw | ChainLaw, scene: Scene, *, variant: str, frame_count: int
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the motion that a law gives a body, and what is uncertain of it beside the measurement.
+
+    Returns:
+        Positions [mm], shape [frame_count, 3], NaN where the law has ended; and their standard uncertainty [mm], same
+        shape, or None for a law that states none.
+    """
+    if isinstance(law, SwingLaw):
+        return swing_motion(law, scene, frame_count)
+    if isinstance(law, ChainLaw):
+        return chain_motion(law, scene, frame_count, published_baselines(variant)["mte"])
+    motion = free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
+    return motion.positions_mm(frame_count), None
 
 
 def free_flight(scene: Scene, body: str) -> Straight:

@@ -172,20 +172,57 @@ class SlideLaw(UncontactedLaw):
     support: str
 
 
+class PendulumLaw(UncontactedLaw):
+    """A motion of rigid pendulums whose length and start are known to some uncertainty.
+
+    Attributes:
+        length_sigma_mm: 1-sigma uncertainty of the distance from the axis [mm].
+        angle_sigma_deg: 1-sigma uncertainty of the angle at the start [deg].
+    """
+
+    length_sigma_mm: Positive
+    angle_sigma_deg: Positive
+
+
+class SwingLaw(PendulumLaw):
+    """The body swings on a hinge without losses, until its phase is not known any more.
+
+    Attributes:
+        kind: Name of the law in the file.
+        damping_per_s: Rate at which the real amplitude decays [1/s], which the law leaves out.
+    """
+
+    kind: Literal["swing"]
+    damping_per_s: Positive
+
+
+class ChainLaw(PendulumLaw):
+    """The body is the last ball of a row that passes on a blow with the published share of the speed.
+
+    Attributes:
+        kind: Name of the law in the file.
+        first: Name of the ball that is released.
+    """
+
+    kind: Literal["chain"]
+    first: str
+
+
+AnyLaw = CarriedLaw | FlightLaw | SlideLaw | SwingLaw | ChainLaw
+
+
 class _Laws(FileModel):
     """The file `laws.toml`."""
 
-    law: Annotated[
-        tuple[Annotated[CarriedLaw | FlightLaw | SlideLaw, Field(discriminator="kind")], ...], Field(min_length=1)
-    ]
+    law: Annotated[tuple[Annotated[AnyLaw, Field(discriminator="kind")], ...], Field(min_length=1)]
 
 
-def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
+def law_for(variant: str) -> AnyLaw | None:
     """Return the law that gives the real outcome of a variant, or None.
 
-    A law needs the published scatter of the variant's trials. A new material, which nobody has measured, has no law.
+    A law needs published scores of the variant's trials. A new material, which nobody has measured, has no law.
     """
-    if "rmse" not in published_baselines(variant):
+    if not published_baselines(variant):
         return None
     laws = read_toml(scoring_folder("bands") / "laws.toml", _Laws).law
     return next((law for law in laws if fnmatchcase(variant, law.variants)), None)
@@ -232,22 +269,27 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     )
 
 
-def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
+def uncontacted_band(
+    law: UncontactedLaw, *, positions_mm: ArrayLike, uncertainty_mm: ArrayLike | None = None
+) -> Band:
     """Return the band of a motion that a law gives until an event, and that is not known from then on.
 
     Sigma is the uncertainty of a measured coordinate, as the scatter of real trials before the event is not published.
-    The published baseline covers the whole motion, so that distances are not divided by it.
+    That of the law adds in quadrature. The published baseline covers the whole motion, so that distances are not
+    divided by it.
 
     Args:
         law: The law.
         positions_mm: Position of the body by the law [mm], shape [frame_count, 3]; NaN from the event on.
+        uncertainty_mm: Standard uncertainty of the law at each frame [mm], same shape; None for 0.
 
     Returns:
         Band of grade `law` over x, y and z [mm]. Frames before the event count as measured.
     """
     positions = np.asarray(positions_mm, dtype=np.float64)
-    sigma = np.full(positions.shape, law.sigma_mm)
+    sigma = np.hypot(law.sigma_mm, np.zeros(positions.shape) if uncertainty_mm is None else uncertainty_mm)
     known = np.isfinite(positions)
+    nominal = "the nominal uncertainty of motion capture"
     return Band(
         grade=BandGrade.LAW,
         sigma_source=SigmaSource.MEASUREMENT,
@@ -258,7 +300,7 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
         sigma=sigma,
         measured=np.asarray(known.all(axis=1)),
         trial_count=None,
-        source=f"{law.body}: {law.condition}; sigma is the nominal uncertainty of motion capture",
+        source=f"{law.body}: {law.condition}; sigma is {nominal}{'' if uncertainty_mm is None else ' and of the law'}",
         uncertainty=np.where(known, sigma, np.nan),
         normalized_by_baseline=False,
     )
