@@ -54,12 +54,14 @@ class Slider:
     Attributes:
         material: Material of the cube.
         point_m: Distance of the four points of pressure from the middle of the base, along its axes [m].
+        height_m: Height of the cube's centre above the plate [m].
         friction_ratio: Friction over the calibrated one.
         shift_m: Shift of the start [m], shape [2].
     """
 
     material: str
     point_m: float = 0.025 / np.sqrt(3.0)
+    height_m: float = 0.025
     friction_ratio: float = 1.0
     shift_m: tuple[float, float] = (0.0, 0.0)
 
@@ -84,7 +86,7 @@ class Slider:
             sliding = velocity + spin * across(points) - omega * across(arm)
             direction = sliding / np.sqrt(np.square(sliding).sum(axis=1) + RAMP_M_PER_S**2)[:, None]
             # Pressure is linear in the place, with its centre at height * friction force / weight. The force depends on it.
-            lever = friction * half_m
+            lever = friction * self.height_m
             moment = lever * (direction.T @ points) / (4.0 * self.point_m**2)
             centre = np.linalg.solve(np.eye(2) - moment, lever * direction.mean(axis=0))
             shares = 0.25 * (1.0 + points @ centre / self.point_m**2)
@@ -118,7 +120,10 @@ def uncertainty_mm(material: str, mean: FloatArray) -> FloatArray:
     inputs = input_uncertainties()
     friction, start_m = inputs.friction.relative[material], inputs.start.std
     changed = [
-        (Slider(material=material, friction_ratio=1.0 + friction), Slider(material=material, friction_ratio=1.0 - friction)),
+        (
+            Slider(material=material, friction_ratio=1.0 + friction),
+            Slider(material=material, friction_ratio=1.0 - friction),
+        ),
         (Slider(material=material, shift_m=(start_m, 0.0)),),
         (Slider(material=material, shift_m=(0.0, start_m)),),
         (Slider(material=material, point_m=0.025),),

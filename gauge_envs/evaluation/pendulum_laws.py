@@ -115,8 +115,8 @@ def swing_motion(law: SwingLaw, scene: Scene, frame_count: int) -> tuple[FloatAr
     """Return the undamped swing of a body and its uncertainty, until the phase is not known any more.
 
     The uncertainty is that of length and angle at the start, and the whole effect of the damping that is left out. The
-    law ends where it reaches the root mean square distance of the swing from its middle. There it says no more than that
-    the body is somewhere on its arc.
+    law ends where it reaches the root mean square distance of the swing from its middle. From there on it says no more
+    than that the body is somewhere on its arc.
 
     Returns:
         Positions [mm], shape [frame_count, 3], NaN from the end on; and their standard uncertainty [mm], same shape.
@@ -193,9 +193,9 @@ def _check_row(scene: Scene) -> None:
         if isinstance(body.shape, Sphere):
             radii.append(body.shape.radius_m)
             places.append(pendulum.anchor_m + pendulum.hanging_m)
-    apart = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1) - np.add(radii[1:], radii[:-1])
-    if np.abs(apart).max() > TOUCHING_M:
-        raise ShapeError(f"the balls hang {1e3 * np.abs(apart).max():.3f} mm apart: the last one does not leave at once")
+    gaps = np.linalg.norm(np.diff(np.array(places), axis=0), axis=1) - np.add(radii[1:], radii[:-1])
+    if np.abs(gaps).max() > TOUCHING_M:
+        raise ShapeError(f"the balls hang {1e3 * np.abs(gaps).max():.3f} mm apart: the last one does not leave at once")
 
 
 def _grown(motion: FloatArray, *changed: tuple[FloatArray, ...]) -> FloatArray:

@@ -47,9 +47,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
 
     # Parameters change friction, restitution and start, on which these laws depend.
     scene = calibrated if not experiment.overrides else load_experiment(experiment.name).scene
-    positions_mm, uncertainty_mm = law_motion(
-        law, scene, variant=experiment.name, frame_count=experiment.frame_count
-    )
+    positions_mm, uncertainty_mm = law_motion(law, scene, variant=experiment.name, frame_count=experiment.frame_count)
     return uncontacted_band(law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm)
 
 

@@ -116,7 +116,7 @@ class Law(FileModel):
     """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
 
     Attributes:
-        variants: Shell-style pattern of the variants that it covers.
+        variants: Shell-style patterns of the variants that it covers, separated by spaces.
         body: Name of the body whose motion the law gives.
         condition: Condition under which the law holds, with its numbers.
         evidence: Measurements or published results that support it.
@@ -208,7 +208,26 @@ class ChainLaw(PendulumLaw):
     first: str
 
 
-AnyLaw = CarriedLaw | FlightLaw | SlideLaw | SwingLaw | ChainLaw
+class PulledLaw(UncontactedLaw):
+    """The body keeps its place on a cloth that a driven body pulls off a table.
+
+    Attributes:
+        kind: Name of the law in the file.
+        carrier: Name of the body that pulls.
+        cloth: Name of the cloth.
+        table: Name of the body on which the cloth lies.
+        speed_sigma_mm_per_s: 1-sigma uncertainty of the speed of the pull [mm/s].
+    """
+
+    kind: Literal["pulled"]
+    carrier: str
+    cloth: str
+    table: str
+    speed_sigma_mm_per_s: Positive
+
+
+AnyUncontactedLaw = FlightLaw | SlideLaw | SwingLaw | ChainLaw | PulledLaw
+AnyLaw = CarriedLaw | AnyUncontactedLaw
 
 
 class _Laws(FileModel):
@@ -220,12 +239,15 @@ class _Laws(FileModel):
 def law_for(variant: str) -> AnyLaw | None:
     """Return the law that gives the real outcome of a variant, or None.
 
-    A law needs published scores of the variant's trials. A new material, which nobody has measured, has no law.
+    A law needs published scores of the variant's trials, or names the variant in full. A new material, which nobody has
+    measured, has no law.
     """
-    if not published_baselines(variant):
-        return None
-    laws = read_toml(scoring_folder("bands") / "laws.toml", _Laws).law
-    return next((law for law in laws if fnmatchcase(variant, law.variants)), None)
+    is_published = bool(published_baselines(variant))
+    for law in read_toml(scoring_folder("bands") / "laws.toml", _Laws).law:
+        names = law.variants.split()
+        if variant in names or (is_published and any(fnmatchcase(variant, name) for name in names)):
+            return law
+    return None
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
@@ -269,9 +291,7 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     )
 
 
-def uncontacted_band(
-    law: UncontactedLaw, *, positions_mm: ArrayLike, uncertainty_mm: ArrayLike | None = None
-) -> Band:
+def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertainty_mm: ArrayLike | None = None) -> Band:
     """Return the band of a motion that a law gives until an event, and that is not known from then on.
 
     Sigma is the uncertainty of a measured coordinate, as the scatter of real trials before the event is not published.
