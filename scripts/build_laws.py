@@ -4,8 +4,8 @@
     python scripts/build_laws.py --check     fails if a band differs from what the law gives
 
 The cube is rigid, and the plate turns as the scene's driver says. At each point of the base, friction is mu times the
-pressure, against the sliding there. A rigid base does not say how pressure spreads, but its moment does where its centre
-is: mu times the height of the cube's centre away from the middle, towards the sliding. The mean has four points with the
+pressure, against the sliding there. How pressure spreads under a rigid base is not known. Its moment gives its centre:
+mu times the height of the cube's centre away from the middle, towards the sliding. The mean has four points with the
 second moment of a uniform pressure, half the width / sqrt(3) from the middle. What four corners would change is part of
 the uncertainty. The law ends when a corner of the base leaves the plate.
 
@@ -66,7 +66,7 @@ class Slider:
     shift_m: tuple[float, float] = (0.0, 0.0)
 
     def positions_mm(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """Return the positions of the cube's centre [mm], shape [frame_count, 3], and where its base is on the plate."""
+        """Return the positions of the cube's centre [mm], shape [frame_count, 3], and when its base is on the plate."""
         experiment = load_experiment(f"Turntable-2-{self.material}", drivers="bundled")
         scene = experiment.scene
         cube, plate, (driver,) = scene.body("cube"), scene.body("plate"), scene.drivers
@@ -85,7 +85,7 @@ class Slider:
             omega, arm = turning.rate(time_s), place + points - axle
             sliding = velocity + spin * across(points) - omega * across(arm)
             direction = sliding / np.sqrt(np.square(sliding).sum(axis=1) + RAMP_M_PER_S**2)[:, None]
-            # Pressure is linear in the place, with its centre at height * friction force / weight. The force depends on it.
+            # Pressure is linear in the place. Its centre is at height * friction / weight, and friction depends on it.
             lever = friction * self.height_m
             moment = lever * (direction.T @ points) / (4.0 * self.point_m**2)
             centre = np.linalg.solve(np.eye(2) - moment, lever * direction.mean(axis=0))

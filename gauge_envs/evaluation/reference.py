@@ -9,7 +9,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
-from gauge_envs.references.published import CarriedLaw, carried_band, law_for, uncontacted_band
+from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -43,6 +43,10 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     if isinstance(law, CarriedLaw):
         positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
         return carried_band(variant=experiment.name, positions_mm=positions_mm)
+    if isinstance(law, UniaxialLaw):
+        from gauge_envs.evaluation.bar_law import bar_band
+
+        return bar_band(law, calibrated, variant=experiment.name, frame_count=experiment.frame_count)
     from gauge_envs.evaluation.laws import law_motion
 
     # Parameters change friction, restitution and start, on which these laws depend.

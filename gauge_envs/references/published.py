@@ -226,8 +226,24 @@ class PulledLaw(UncontactedLaw):
     speed_sigma_mm_per_s: Positive
 
 
+class UniaxialLaw(Law):
+    """The body is an elastic bar that its ends stretch or compress; the law gives the areas of its marked faces.
+
+    Attributes:
+        kind: Name of the law in the file.
+        carrier: Name of the body that moves one end.
+        sigma_mm: 1-sigma uncertainty of a measured marker [mm], for a variant without a published scatter.
+        left_out_share: 1-sigma share by which the real strain differs from that of a linear bar between its grips.
+    """
+
+    kind: Literal["uniaxial"]
+    carrier: str
+    sigma_mm: Positive
+    left_out_share: Positive
+
+
 AnyUncontactedLaw = FlightLaw | SlideLaw | SwingLaw | ChainLaw | PulledLaw
-AnyLaw = CarriedLaw | AnyUncontactedLaw
+AnyLaw = CarriedLaw | UniaxialLaw | AnyUncontactedLaw
 
 
 class _Laws(FileModel):
@@ -323,6 +339,40 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertaint
         source=f"{law.body}: {law.condition}; sigma is {nominal}{'' if uncertainty_mm is None else ' and of the law'}",
         uncertainty=np.where(known, sigma, np.nan),
         normalized_by_baseline=False,
+    )
+
+
+def uniaxial_band(
+    law: UniaxialLaw, *, variant: str, areas_mm2: ArrayLike, uncertainty_mm2: ArrayLike, measurement_mm2: float
+) -> Band:
+    """Return the band of the face areas of a strained bar.
+
+    Sigma is from the published baseline where there is one, as in `carried_band`, else that of the measurement.
+
+    Args:
+        law: The law.
+        variant: Name of the variant.
+        areas_mm2: Area of each face by the law [mm^2], shape [frame_count, face_count].
+        uncertainty_mm2: Standard uncertainty of the law [mm^2], same shape.
+        measurement_mm2: 1-sigma uncertainty of a measured area [mm^2].
+    """
+    areas, baseline = np.asarray(areas_mm2, dtype=np.float64), published_baselines(variant).get("rmse")
+    if baseline is None:
+        sigma = np.hypot(measurement_mm2, uncertainty_mm2)
+    else:
+        sigma = np.full(areas.shape, math.hypot(baseline.mean, baseline.std or 0.0) / math.sqrt(areas.shape[1]))
+    return Band(
+        grade=BandGrade.LAW,
+        sigma_source=SigmaSource.MEASUREMENT if baseline is None else SigmaSource.BASELINE,
+        unit="mm^2",
+        coordinates=tuple(f"face-{face}" for face in range(areas.shape[1])),
+        projection=np.eye(areas.shape[1]),
+        mean=areas,
+        sigma=sigma,
+        measured=np.ones(len(areas), dtype=bool),
+        trial_count=None,
+        source=f"{law.body} strained by {law.carrier}: {law.condition}",
+        uncertainty=np.asarray(uncertainty_mm2),
     )
 
 

@@ -238,7 +238,7 @@ def test_balls_with_gaps_have_no_such_law() -> None:
 def test_scores_end_with_the_law() -> None:
     experiment = load_experiment(CRADLE)
     band = band_of(experiment)
-    values = np.where(np.isfinite(band.mean), band.mean + [3.0, 0.0, 4.0], 1e3)
+    values = np.where(np.isfinite(band.mean), band.mean + np.array([3.0, 0.0, 4.0]), 1e3)
     score = score_trajectory(experiment, band, times_s=np.arange(len(values)) / 30, values=values)
     assert (score.grade, score.compared_frames, score.rmse) == (BandGrade.LAW, 20, pytest.approx(5.0))
     assert (score.rmse_normalized, score.rmse_aligned) == (None, None)
