@@ -36,10 +36,10 @@ HEAD = """
 | driver | source of the motion of the driven body; `-` where nothing is driven |
 | normalized | scores that are divided by the published score of real trials; `no` without a band or a published score |
 
-`known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried or held
-body covers every frame. A law of a free flight ends at the first contact, that of a slide where the body tips over.
-Scores against these two are not normalized, because the published baseline covers the whole motion. `statistics` are
-the statistics of deformation of foam, which are not scored.
+`known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried, held or
+strained body covers every frame. Other laws end at an event, as the first contact of a free flight. Scores against
+these are not normalized, because the published baseline covers the whole motion. `statistics` are the statistics of
+deformation of foam, which are not scored.
 """
 GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.MODEL, BandGrade.NONE)
 

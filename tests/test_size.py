@@ -12,7 +12,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 83_200, 53_650
+MOST_LINES, MOST_CODE_LINES = 83_251, 53_641
 """Of the package with its instruments."""
 MOST_CORE_LINES = 45_000
 """Of the package without `tools/`."""

@@ -1,4 +1,4 @@
-"""Closed forms of rigid motions until an event: free flight to a contact, a slide until it tips over; and its fit."""
+"""Closed forms of rigid motions until an event: free flight to a contact, a slide, a ride on a cloth; and its fit."""
 
 from __future__ import annotations
 
@@ -11,7 +11,16 @@ from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene import Plane, RigidBody, Scene
+from gauge_envs.evaluation.pendulum_laws import chain_motion, swing_motion
+from gauge_envs.references.published import (
+    AnyUncontactedLaw,
+    ChainLaw,
+    FlightLaw,
+    PulledLaw,
+    SwingLaw,
+    published_baselines,
+)
+from gauge_envs.scene import Box, Cloth, Plane, RigidBody, Scene
 from gauge_envs.scene.contact_faces import TOUCHING_M
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -46,6 +55,25 @@ class Straight:
         positions = 1e3 * (self.start_m + travel_m[:, None] * self.direction)
         positions[times_s >= self.end_s] = np.nan
         return positions
+
+
+def law_motion(
+    law: AnyUncontactedLaw, scene: Scene, *, variant: str, frame_count: int
+) -> tuple[FloatArray, FloatArray | None]:
+    """Return the motion that a law gives a body, and what is uncertain of it beside the measurement.
+
+    Returns:
+        Positions [mm], shape [frame_count, 3], NaN where the law has ended; and their standard uncertainty [mm], same
+        shape, or None for a law that states none.
+    """
+    if isinstance(law, SwingLaw):
+        return swing_motion(law, scene, frame_count)
+    if isinstance(law, ChainLaw):
+        return chain_motion(law, scene, frame_count, published_baselines(variant)["mte"])
+    if isinstance(law, PulledLaw):
+        return pulled(law, scene, frame_count)
+    motion = free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
+    return motion.positions_mm(frame_count), None
 
 
 def free_flight(scene: Scene, body: str) -> Straight:
@@ -107,6 +135,50 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     others = [other for other in scene.bodies if other.name not in (body, support)]
     free = [distance_to_contact_m(sliding, other, direction) for other in others]
     return Straight(start, direction, acceleration, float(min(*to_edge, *free)))
+
+
+def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, FloatArray]:
+    """Return the motion of a body on a cloth that is pulled off a table, and its uncertainty.
+
+    The body moves as the puller does. Left out is how the cloth deforms. Between puller and table it hangs as a
+    catenary at the tension of its friction on the table, which draws the body on; the stretch at that tension, and the
+    slip until friction has brought the body to the speed of the pull, hold it back.
+
+    Args:
+        law: The law.
+        scene: The scene; the puller moves along a straight line, level with the table.
+        frame_count: Number of frames.
+
+    Returns:
+        Positions [mm], shape [frame_count, 3]; and their standard uncertainty [mm] along the pull, same shape.
+    """
+    body, puller, table = scene.body(law.body), scene.body(law.carrier), scene.body(law.table)
+    cloth = next(one for one in scene.deformables if one.name == law.cloth)
+    (driver,) = (one for one in scene.drivers if one.body == law.carrier)
+    if not isinstance(cloth, Cloth) or not isinstance(table.shape, Box):
+        raise ShapeError(f"{law.cloth} is no cloth, or {law.table} no box: the law needs a cloth on a box")
+    gravity, times_s = scene.gravity_m_per_s2, np.arange(frame_count) / FRAME_RATE_HZ
+    moved = np.array([driver.pose(puller.pose, time_s).position_m for time_s in times_s])
+    moved -= np.array(puller.pose.position_m)
+    along = moved[-1] / np.linalg.norm(moved[-1])
+    speed = float(np.linalg.norm(driver.state(puller.pose, 0.5 * times_s[-1])[1][:3]))
+    length_m, width_m = cloth.size_m
+    edge_m = float((table.pose.to_world(table.shape.corners_m) @ along).max())
+    span = np.maximum((np.array(puller.pose.position_m) + moved) @ along - edge_m, 1e-9)
+    friction = {
+        name: next(one.friction for one in scene.contacts if {name, law.cloth} in map(set, scene.colliding_pairs(one)))
+        for name in (law.body, law.table)
+    }
+    lying_kg = cloth.mass_kg * np.clip(1.0 - span / length_m, 0.0, 1.0)
+    tension = friction[law.table] * gravity * (lying_kg + body.mass_kg) / width_m
+    scale = tension * length_m * width_m / (cloth.mass_kg * gravity)
+    sag = 2.0 * scale * np.sinh(0.5 * span / scale) - span
+    apart_m = float((np.array(puller.pose.position_m) - np.array(body.pose.position_m)) @ along)
+    stretch = tension / cloth.stretch_stiffness_n_per_m * apart_m
+    slip = np.minimum(speed * times_s, 0.5 * speed**2 / (friction[law.body] * gravity))
+    drive = 1e-3 * law.speed_sigma_mm_per_s * times_s
+    uncertainty = np.sqrt(sag**2 + stretch**2 + slip**2 + drive**2)
+    return 1e3 * (np.array(body.pose.position_m) + moved), 1e3 * np.abs(uncertainty[:, None] * along)
 
 
 def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatArray) -> float:

@@ -10,7 +10,7 @@ from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.models import solved_model
-from gauge_envs.references.published import CarriedLaw, FlightLaw, carried_band, law_for, uncontacted_band
+from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -46,12 +46,16 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     if isinstance(law, CarriedLaw):
         positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
         return carried_band(variant=experiment.name, positions_mm=positions_mm)
-    from gauge_envs.evaluation.laws import free_flight, slide
+    if isinstance(law, UniaxialLaw):
+        from gauge_envs.evaluation.bar_law import bar_band
 
-    # Parameters change friction and start, on which these laws depend.
+        return bar_band(law, calibrated, variant=experiment.name, frame_count=experiment.frame_count)
+    from gauge_envs.evaluation.laws import law_motion
+
+    # Parameters change friction, restitution and start, on which these laws depend.
     scene = calibrated if not experiment.overrides else load_experiment(experiment.name).scene
-    motion = free_flight(scene, law.body) if isinstance(law, FlightLaw) else slide(scene, law.body, law.support)
-    return uncontacted_band(law, positions_mm=motion.positions_mm(experiment.frame_count))
+    positions_mm, uncertainty_mm = law_motion(law, scene, variant=experiment.name, frame_count=experiment.frame_count)
+    return uncontacted_band(law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm)
 
 
 def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:

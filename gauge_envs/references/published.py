@@ -116,7 +116,7 @@ class Law(FileModel):
     """A closed form that gives the real outcome of some variants (`scoring/bands/laws.toml`).
 
     Attributes:
-        variants: Shell-style pattern of the variants that it covers.
+        variants: Shell-style patterns of the variants that it covers, separated by spaces.
         body: Name of the body whose motion the law gives.
         condition: Condition under which the law holds, with its numbers.
         evidence: Measurements or published results that support it.
@@ -172,23 +172,98 @@ class SlideLaw(UncontactedLaw):
     support: str
 
 
+class PendulumLaw(UncontactedLaw):
+    """A motion of rigid pendulums whose length and start are known to some uncertainty.
+
+    Attributes:
+        length_sigma_mm: 1-sigma uncertainty of the distance from the axis [mm].
+        angle_sigma_deg: 1-sigma uncertainty of the angle at the start [deg].
+    """
+
+    length_sigma_mm: Positive
+    angle_sigma_deg: Positive
+
+
+class SwingLaw(PendulumLaw):
+    """The body swings on a hinge without losses, until its phase is not known any more.
+
+    Attributes:
+        kind: Name of the law in the file.
+        damping_per_s: Rate at which the real amplitude decays [1/s], which the law leaves out.
+    """
+
+    kind: Literal["swing"]
+    damping_per_s: Positive
+
+
+class ChainLaw(PendulumLaw):
+    """The body is the last ball of a row that passes on a blow with the published share of the speed.
+
+    Attributes:
+        kind: Name of the law in the file.
+        first: Name of the ball that is released.
+    """
+
+    kind: Literal["chain"]
+    first: str
+
+
+class PulledLaw(UncontactedLaw):
+    """The body keeps its place on a cloth that a driven body pulls off a table.
+
+    Attributes:
+        kind: Name of the law in the file.
+        carrier: Name of the body that pulls.
+        cloth: Name of the cloth.
+        table: Name of the body on which the cloth lies.
+        speed_sigma_mm_per_s: 1-sigma uncertainty of the speed of the pull [mm/s].
+    """
+
+    kind: Literal["pulled"]
+    carrier: str
+    cloth: str
+    table: str
+    speed_sigma_mm_per_s: Positive
+
+
+class UniaxialLaw(Law):
+    """The body is an elastic bar that its ends stretch or compress; the law gives the areas of its marked faces.
+
+    Attributes:
+        kind: Name of the law in the file.
+        carrier: Name of the body that moves one end.
+        sigma_mm: 1-sigma uncertainty of a measured marker [mm], for a variant without a published scatter.
+        left_out_share: 1-sigma share by which the real strain differs from that of a linear bar between its grips.
+    """
+
+    kind: Literal["uniaxial"]
+    carrier: str
+    sigma_mm: Positive
+    left_out_share: Positive
+
+
+AnyUncontactedLaw = FlightLaw | SlideLaw | SwingLaw | ChainLaw | PulledLaw
+AnyLaw = CarriedLaw | UniaxialLaw | AnyUncontactedLaw
+
+
 class _Laws(FileModel):
     """The file `laws.toml`."""
 
-    law: Annotated[
-        tuple[Annotated[CarriedLaw | FlightLaw | SlideLaw, Field(discriminator="kind")], ...], Field(min_length=1)
-    ]
+    law: Annotated[tuple[Annotated[AnyLaw, Field(discriminator="kind")], ...], Field(min_length=1)]
 
 
-def law_for(variant: str) -> CarriedLaw | FlightLaw | SlideLaw | None:
+def law_for(variant: str) -> AnyLaw | None:
     """Return the law that gives the real outcome of a variant, or None.
 
-    A law needs the published scatter of the variant's trials. A new material, which nobody has measured, has no law.
+    A law needs published scores of the variant's trials, or names the variant in full. A new material, which nobody has
+    measured, has no law.
     """
-    if "rmse" not in published_baselines(variant):
-        return None
-    laws = read_toml(scoring_folder("bands") / "laws.toml", _Laws).law
-    return next((law for law in laws if fnmatchcase(variant, law.variants)), None)
+    is_published = bool(published_baselines(variant))
+    for law in read_toml(scoring_folder("bands") / "laws.toml", _Laws).law:
+        names = law.variants.split()
+        if variant in names or (is_published and any(fnmatchcase(variant, name) for name in names)):
+            return law
+    return None
 
 
 def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
@@ -232,22 +307,25 @@ def carried_band(*, variant: str, positions_mm: ArrayLike) -> Band:
     )
 
 
-def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
+def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike, uncertainty_mm: ArrayLike | None = None) -> Band:
     """Return the band of a motion that a law gives until an event, and that is not known from then on.
 
     Sigma is the uncertainty of a measured coordinate, as the scatter of real trials before the event is not published.
-    The published baseline covers the whole motion, so that distances are not divided by it.
+    That of the law adds in quadrature. The published baseline covers the whole motion, so that distances are not
+    divided by it.
 
     Args:
         law: The law.
         positions_mm: Position of the body by the law [mm], shape [frame_count, 3]; NaN from the event on.
+        uncertainty_mm: Standard uncertainty of the law at each frame [mm], same shape; None for 0.
 
     Returns:
         Band of grade `law` over x, y and z [mm]. Frames before the event count as measured.
     """
     positions = np.asarray(positions_mm, dtype=np.float64)
-    sigma = np.full(positions.shape, law.sigma_mm)
+    sigma = np.hypot(law.sigma_mm, np.zeros(positions.shape) if uncertainty_mm is None else uncertainty_mm)
     known = np.isfinite(positions)
+    nominal = "the nominal uncertainty of motion capture"
     return Band(
         grade=BandGrade.LAW,
         sigma_source=SigmaSource.MEASUREMENT,
@@ -258,9 +336,43 @@ def uncontacted_band(law: UncontactedLaw, *, positions_mm: ArrayLike) -> Band:
         sigma=sigma,
         measured=np.asarray(known.all(axis=1)),
         trial_count=None,
-        source=f"{law.body}: {law.condition}; sigma is the nominal uncertainty of motion capture",
+        source=f"{law.body}: {law.condition}; sigma is {nominal}{'' if uncertainty_mm is None else ' and of the law'}",
         uncertainty=np.where(known, sigma, np.nan),
         normalized_by_baseline=False,
+    )
+
+
+def uniaxial_band(
+    law: UniaxialLaw, *, variant: str, areas_mm2: ArrayLike, uncertainty_mm2: ArrayLike, measurement_mm2: float
+) -> Band:
+    """Return the band of the face areas of a strained bar.
+
+    Sigma is from the published baseline where there is one, as in `carried_band`, else that of the measurement.
+
+    Args:
+        law: The law.
+        variant: Name of the variant.
+        areas_mm2: Area of each face by the law [mm^2], shape [frame_count, face_count].
+        uncertainty_mm2: Standard uncertainty of the law [mm^2], same shape.
+        measurement_mm2: 1-sigma uncertainty of a measured area [mm^2].
+    """
+    areas, baseline = np.asarray(areas_mm2, dtype=np.float64), published_baselines(variant).get("rmse")
+    if baseline is None:
+        sigma = np.hypot(measurement_mm2, uncertainty_mm2)
+    else:
+        sigma = np.full(areas.shape, math.hypot(baseline.mean, baseline.std or 0.0) / math.sqrt(areas.shape[1]))
+    return Band(
+        grade=BandGrade.LAW,
+        sigma_source=SigmaSource.MEASUREMENT if baseline is None else SigmaSource.BASELINE,
+        unit="mm^2",
+        coordinates=tuple(f"face-{face}" for face in range(areas.shape[1])),
+        projection=np.eye(areas.shape[1]),
+        mean=areas,
+        sigma=sigma,
+        measured=np.ones(len(areas), dtype=bool),
+        trial_count=None,
+        source=f"{law.body} strained by {law.carrier}: {law.condition}",
+        uncertainty=np.asarray(uncertainty_mm2),
     )
 
 

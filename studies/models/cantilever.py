@@ -85,7 +85,8 @@ def resting_angle_deg(engine: str, settings: dict[str, float | str]) -> tuple[fl
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the script and return its exit status."""
-    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args(arguments)
+    plain = argparse.RawDescriptionHelpFormatter
+    argparse.ArgumentParser(description=__doc__, formatter_class=plain).parse_args(arguments)
     rows = []
     for engine, parameters in LEVELS.items():
         base, still = resting_angle_deg(engine, {})

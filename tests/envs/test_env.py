@@ -80,7 +80,8 @@ def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
     observation, reward, terminated, _, info = env.step(action)
     assert observation in env.observation_space
     assert np.isfinite(observation["observable"]).all()
-    assert (reward, terminated, info["reference"]) == (0.0, False, "none")
+    assert not terminated
+    assert (reward == 0.0) == (info["reference"] == "none")
 
 
 def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
@@ -177,7 +178,7 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
 
 
 def test_reward_is_zero_without_a_reference() -> None:
-    env = gymnasium.make("GAUGE/Pendulum-metal")
+    env = gymnasium.make("GAUGE/WallBreaking-wood")
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
     assert env.step(0)[1] == 0.0

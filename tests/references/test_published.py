@@ -35,6 +35,8 @@ FLIGHT_VARIANTS = tuple(
     f"NonsmoothContact-{subtask}-{material}" for subtask in "123" for material in ("wood", "plastic")
 )
 SLIDE_VARIANTS = ("SlopeContact-wood", "SlopeContact-plastic")
+PENDULUM_VARIANTS = ("Pendulum-metal", "NewtonsCradle-metal")
+THROWN_VARIANTS = tuple(f"Turntable-2-{material}" for material in ("wood", "plastic", "metal"))
 
 
 @pytest.fixture
@@ -256,10 +258,17 @@ def test_a_material_without_published_scores_has_no_law() -> None:
     assert band_grade("SlopeSlider-1-glass") is BandGrade.NONE
 
 
+def test_a_law_without_published_scores_names_its_materials() -> None:
+    assert not published_baselines("TableclothPulling-wood")
+    assert band_grade("TableclothPulling-wood") is BandGrade.LAW
+    assert law_for("TableclothPulling-glass") is None
+
+
 def test_grades_of_all_published_variants() -> None:
     grades = {variant: band_grade(variant) for variant in published_variants()}
     assert {variant for variant, grade in grades.items() if grade is BandGrade.TRIALS} == set(TRIAL_VARIANTS)
-    laws = {*CARRIED_VARIANTS, *FLIGHT_VARIANTS, *SLIDE_VARIANTS}
+    laws = {*CARRIED_VARIANTS, *FLIGHT_VARIANTS, *SLIDE_VARIANTS, *PENDULUM_VARIANTS, *THROWN_VARIANTS}
+    laws |= {"FoamStretching-soft", "FoamStretching-hard"}
     assert {variant for variant, grade in grades.items() if grade is BandGrade.LAW} == laws
     assert band_grade("WallBreaking-wood") is BandGrade.NONE
 

@@ -31,12 +31,12 @@ from gauge_envs.scene.drivers import Driver
 GRAVITY = 9.80665
 SCORED = ("SlopeSlider-3-metal", "Turntable-3-metal")
 UNTOLD = ("CantileverBeam", "FoamStretching", "FoamCompressing", "FoamShearing", "FoamTwisting", "FoamBending")
-BESIDE_A_LAW = ("SlopeContact-wood", "NonsmoothContact-1-plastic")
-WITHHELD = (
-    "Pendulum-metal",
-    "TableclothPulling-metal",
-    *(f"{family}-{foam}" for family in UNTOLD for foam in ("soft", "hard")),
+STRAINED = ("FoamStretching-soft", "FoamStretching-hard", "FoamCompressing-soft", "FoamCompressing-hard")
+BESIDE_A_LAW = (
+    *("SlopeContact-wood", "NonsmoothContact-1-plastic", "Pendulum-metal", "TableclothPulling-metal"),
+    *STRAINED,
 )
+WITHHELD = tuple(name for family in UNTOLD for foam in ("soft", "hard") if (name := f"{family}-{foam}") not in STRAINED)
 
 
 def facts_folder() -> Path:

@@ -10,17 +10,15 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
-from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.laws import distance_to_contact_m, slide
+from gauge_envs.evaluation.pendulum_laws import Pendulum
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.scene import Hinge, Motion, Plane, RigidBody, Scene, Sphere
-from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]
@@ -35,7 +33,7 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
     - Where the package states a law in place of trials, as for a carried body, it is that law.
     - A body that starts on the face of a fixed one slides with g (sin - mu cos), until it tips over the edge.
     - A ball above a level plane falls, and each rebound has `e` times the speed of the impact, in no time.
-    - A body on a hinge that touches nothing swings as a physical pendulum, integrated to 1e-11.
+    - A body on a hinge that touches nothing swings as a physical pendulum, for all frames.
 
     Args:
         experiment: The experiment; its constants are those of its parameters.
@@ -43,18 +41,18 @@ def closed_form(experiment: Experiment) -> FloatArray | None:
     Returns:
         Positions [mm], shape [frame_count, 3], NaN where the form has ended; None without a form.
     """
-    if experiment.score.observable is not Observable.POSITION or len(experiment.recorded) != 1:
+    scene = experiment.scene
+    is_alone = len(scene.dynamic_bodies) == 1 and not scene.deformables
+    if experiment.score.observable is not Observable.POSITION or len(experiment.recorded) != 1 or not is_alone:
         return None
+    body = scene.body(experiment.recorded[0])
+    if any(isinstance(joint, Hinge) for joint in scene.joints):
+        return None if scene.contacts or scene.drivers else _swing(scene, body.name, experiment.frame_count)
     stated = _stated(experiment)
     if stated is not None:
         return stated
-    scene, body = experiment.scene, experiment.scene.body(experiment.recorded[0])
-    is_alone = len(scene.dynamic_bodies) == 1 and not scene.drivers and not scene.deformables
-    if not is_alone or body.motion is not Motion.DYNAMIC or not body.starts_at_rest:
+    if scene.drivers or body.motion is not Motion.DYNAMIC or not body.starts_at_rest:
         return None
-    hinges = [joint for joint in scene.joints if isinstance(joint, Hinge)]
-    if hinges:
-        return None if scene.contacts else _swing(scene, body, hinges[0], experiment.frame_count)
     if isinstance(body.shape, Sphere):
         return _rebounds(scene, body, experiment.frame_count)
     return _slide(scene, body, experiment.frame_count)
@@ -66,6 +64,11 @@ def _stated(experiment: Experiment) -> FloatArray | None:
     if band is None or band.grade is not BandGrade.LAW or band.projection.shape != (3, 3):
         return None
     return np.asarray(band.mean @ np.linalg.inv(band.projection).T)
+
+
+def _swing(scene: Scene, body: str, frame_count: int) -> FloatArray:
+    pendulum = Pendulum.of(scene, body)
+    return pendulum.positions_mm(pendulum.released_rad(np.arange(frame_count) / FRAME_RATE_HZ))
 
 
 def _slide(scene: Scene, body: RigidBody, frame_count: int) -> FloatArray | None:
@@ -101,23 +104,3 @@ def _rebounds(scene: Scene, ball: RigidBody, frame_count: int) -> FloatArray | N
         begin_s += 2.0 * speed / gravity
         speed *= restitution
     return 1e3 * (start + np.outer(heights_m - drop_m, [0.0, 0.0, 1.0]))
-
-
-def _swing(scene: Scene, body: RigidBody, hinge: Hinge, frame_count: int) -> FloatArray:
-    """Return the motion of a body on a hinge, by the equation of the physical pendulum."""
-    axis, anchor = np.asarray(hinge.axis) / np.linalg.norm(hinge.axis), np.asarray(hinge.anchor_m)
-    centre, inertia = body_mass_properties(body)
-    arm = body.pose.to_world(centre) - anchor
-    own_axis = body.pose.rotation.inv().apply(axis)
-    across = arm - (arm @ axis) * axis
-    moment = float(own_axis @ inertia @ own_axis) + body.mass_kg * float(across @ across)
-    weight = np.array([0.0, 0.0, -scene.gravity_m_per_s2 * body.mass_kg])
-
-    def rate(_: float, state: FloatArray) -> list[float]:
-        torque = np.cross(Rotation.from_rotvec(state[0] * axis).apply(arm), weight)
-        return [state[1], float(torque @ axis) / moment]
-
-    times_s = np.arange(frame_count) / FRAME_RATE_HZ
-    found = solve_ivp(rate, (0.0, times_s[-1]), [0.0, 0.0], "DOP853", times_s, rtol=1e-11, atol=1e-12)
-    turns = Rotation.from_rotvec(found.y[0][:, None] * axis)
-    return np.asarray(1e3 * (anchor + turns.apply(np.asarray(body.pose.position_m) - anchor)))

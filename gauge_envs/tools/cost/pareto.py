@@ -246,7 +246,9 @@ class ErrorMeasure:
         """Return the measure of an experiment."""
         band, baselines = reference_band(experiment), experiment.baselines
         event = next((name for name in EVENTS if name in experiment.score.metrics), None)
-        if band is None and event is not None and event in baselines:
+        # A law until an event covers less than the published event.
+        is_partial = band is None or not band.normalized_by_baseline
+        if is_partial and event is not None and event in baselines:
             line = baselines[event]
             return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
         rmse, unit = baselines.get("rmse"), experiment.score.observable.unit

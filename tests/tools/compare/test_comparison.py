@@ -723,7 +723,7 @@ def write(folder, *results):
 
 def test_two_settings_of_a_real_engine(gauge, tmp_path):
     fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
-    write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-2-wood")), replace(fine, backend="newton", seed=4))
+    write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-3-wood")), replace(fine, backend="newton", seed=4))
     assert gauge("plot", "--kind", "compare").exit_code == 0
     result = gauge("compare")
     assert result.exit_code == 0
@@ -733,7 +733,7 @@ def test_two_settings_of_a_real_engine(gauge, tmp_path):
         assert text in result.stdout
     assert sorted(path.name for path in (tmp_path / "plots").iterdir()) == [
         f"{SLIDER}.png",
-        "Turntable-2-wood.png",
+        "Turntable-3-wood.png",
         "overview.png",
     ]
     record = by_kind(map(json.loads, gauge("compare", "--json", "metric=rmse").stdout.splitlines()))

@@ -507,7 +507,7 @@ def gauge(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="module")
 def unscored():
-    return run_episode(RunRequest("Turntable-2-plastic"))
+    return run_episode(RunRequest("Turntable-3-plastic"))
 
 
 def test_what_is_missing_is_reported(ball, unscored):
@@ -516,7 +516,7 @@ def test_what_is_missing_is_reported(ball, unscored):
     with pytest.raises(DiagnosisError, match="diverged, so there is no score"):
         diagnose(replace(ball, outcome=Outcome.DIVERGED, diverged=True, diverged_reason="it left"))
     with pytest.raises(DiagnosisError, match="withheld"):
-        experiment = load_experiment("Pendulum-metal")
+        experiment = load_experiment("CantileverBeam-soft")
         diagnose_trajectory(experiment, reference_band(experiment), times_s=np.zeros(1), values=np.zeros((1, 3)))
     other = replace(
         ball,
@@ -599,7 +599,7 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
     both = gauge("diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
     assert both.exit_code == 0
     assert "is let go" in both.stdout
-    assert "left out: GAUGE/Turntable-2-plastic: there is no reference band" in both.stderr
+    assert "left out: GAUGE/Turntable-3-plastic: there is no reference band" in both.stderr
     drawn = gauge("plot", "--kind", "diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
     assert (drawn.exit_code, drawn.stdout) == (0, "plots/diagnosis.png\n")
     assert (tmp_path / "plots" / "diagnosis.png").exists()
