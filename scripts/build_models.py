@@ -76,7 +76,7 @@ MOTION_SHARE = 0.1
 """Share of the root mean square motion at which a reference ends where no scatter is published."""
 
 LEAST_SPAN = 0.25
-"""Share of the episode that a reference covers at least."""
+"""Share of the episode that a reference covers at least, in g(t) or in the points that rewards are of."""
 
 PICTURED = (
     "TextileFlinging-satin",
@@ -332,7 +332,8 @@ def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapo
 
 def smoothed(values: FloatArray) -> FloatArray:
     """Return the root mean square over `WINDOW` frames, so that a passage through zero is no certainty."""
-    return np.sqrt(uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"))
+    # The running sum of the filter may end a little below zero.
+    return np.sqrt(np.maximum(uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -390,16 +391,20 @@ def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray,
 
 
 def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean of solutions, its standard uncertainty, and the distance of the families from it.
+    """Return the weighted mean of solutions, its standard uncertainty, and the distance of the families from it.
 
-    Engines share meshes and the map of constants, so their uncertainties do not shrink in the mean. Half the range of
-    the solutions is added in quadrature.
+    A weight is the inverse of the mean square of an engine's uncertainty plus that of the distance of the families, as
+    in a meta-analysis with random effects. Engines share meshes and the map of constants, so their uncertainties do not
+    shrink in the mean, and the largest distance of a family from it is added in quadrature.
     """
     values = np.array([value for value, _ in each])
-    mean = values.mean(axis=0)
+    squares = np.array([np.square(uncertainty) for _, uncertainty in each])
+    between = np.square(values - values.mean(axis=0)).max(axis=0).mean()
+    weights = 1.0 / np.maximum(squares.mean(axis=(1, 2)) + between, np.finfo(float).tiny)
+    weights /= weights.sum()
+    mean = np.tensordot(weights, values, axes=1)
     apart = smoothed(np.abs(values - mean).max(axis=0))
-    numerical = np.mean([np.square(uncertainty) for _, uncertainty in each], axis=0)
-    return mean, np.sqrt(numerical + np.square(apart)), apart
+    return mean, np.sqrt(np.tensordot(weights, squares, axes=1) + np.square(apart)), apart
 
 
 def known_frames(uncertainty: FloatArray, limit: float) -> int:
@@ -421,7 +426,19 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     count = known_frames(uncertainty, limit)
     unit = experiment.score.observable.unit
     ends = "" if count == len(mean) else f"its uncertainty exceeds {limit:.3g} {unit}"
-    if count < LEAST_SPAN * len(mean):
+    points = solutions(runs, "points_m") if unit != "mm" else {}
+    points = {engine: found for engine, found in points.items() if engine in each}
+    point_count, point_arrays = None, {}
+    if points:
+        places, spread, _ = combined([(value, left) for value, left, _ in points.values()])
+        # One number for each marker: the uncertainty of a coordinate of it.
+        spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
+        point_count = max(known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])), 1)
+        point_arrays = {
+            "points": packed(places[:point_count], POINT_QUANTUM_MM),
+            "points_uncertainty": spread[:point_count:STRIDE].astype(np.float16),
+        }
+    if count < 2 or max(count, point_count or 0) < LEAST_SPAN * len(mean):
         return (
             f"the solutions of {' and '.join(each)} part after {count / FRAME_RATE_HZ:.2f} of "
             f"{len(mean) / FRAME_RATE_HZ:.2f} s: {ends}"
@@ -430,19 +447,10 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     values = [value[:count] - mean[:count] for value, _, _ in each.values()]
     arrays = {
         "mean": packed(mean[:count], quantum),
-        "offsets": np.array([packed(value, quantum) for value in values[:-1]]).reshape(-1, count, mean.shape[1]),
+        "offsets": np.array([packed(value, quantum) for value in values]),
         "uncertainty": uncertainty[:count:STRIDE].astype(np.float16),
+        **point_arrays,
     }
-    points = solutions(runs, "points_m") if experiment.score.observable.unit != "mm" else {}
-    points = {engine: found for engine, found in points.items() if engine in each}
-    point_count = None
-    if points:
-        places, spread, _ = combined([(value, left) for value, left, _ in points.values()])
-        # One number for each marker: the uncertainty of a coordinate of it.
-        spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
-        point_count = max(known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])), 1)
-        arrays["points"] = packed(places[:point_count], POINT_QUANTUM_MM)
-        arrays["points_uncertainty"] = spread[:point_count:STRIDE].astype(np.float16)
     sidecar = ModelSidecar(
         unit=unit,
         coordinates=coordinate_names(experiment, mean.shape[1]),
@@ -549,6 +557,8 @@ def write_all(options: argparse.Namespace) -> int:
     for experiment in wanted_experiments(options.ids):
         runs = read_runs(options.runs / experiment.name, experiment.frame_count)
         if not runs:
+            if not (folder / f"{experiment.name}.npz").is_file():
+                reasons.setdefault(experiment.name, {"reason": "not solved yet", "statistics": {}})
             continue
         reason = write_model(experiment, runs, folder)
         reasons.pop(experiment.name, None)

@@ -117,7 +117,7 @@ class SolvedModel:
 
     Attributes:
         sidecar: What it rests on.
-        band: Mean of the engines' solutions and its uncertainty, of grade `model`.
+        band: Weighted mean of the engines' solutions and its uncertainty, of grade `model`.
         others: Mean of the solutions without one engine, by that engine, shape [T, C]; empty with one engine.
     """
 
@@ -140,7 +140,7 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
     with faults_of(file):
         arrays = npz_arrays(read_content(file, MOST_BYTES), ARRAYS, MOST_BYTES)
     count, width = sidecar.solved_frames, len(sidecar.coordinates)
-    expected = {"mean": (count, width), "offsets": (len(sidecar.engines) - 1, count, width)}
+    expected = {"mean": (count, width), "offsets": (len(sidecar.engines), count, width)}
     shapes = {name: array.shape for name, array in arrays.items() if name in expected}
     if shapes != expected:
         raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
@@ -160,8 +160,7 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
         sigma = np.hypot(baseline.mean, baseline.std or 0.0) / np.sqrt(width)
         band = replace(band, sigma=np.full_like(band.mean, sigma), sigma_source=SigmaSource.BASELINE)
         band = replace(band, normalized_by_baseline=sidecar.solved_frames == sidecar.frames)
-    offsets = unpacked(arrays["offsets"].swapaxes(0, 1), sidecar.quantum).swapaxes(0, 1)
-    solutions = mean + np.concatenate([offsets, -offsets.sum(axis=0, keepdims=True)])
+    solutions = mean + unpacked(arrays["offsets"].swapaxes(0, 1), sidecar.quantum).swapaxes(0, 1)
     engines = [one.engine for one in sidecar.engines]
     others = {
         name: padded(np.delete(solutions, place, axis=0).mean(axis=0), sidecar.frames)
