@@ -49,8 +49,8 @@ LEVELS = {
     "newton": {
         "cell": (
             ({}, 1.0),
+            ({"cell_m": 0.05 / 3.0, "iterations": 7}, 2.0 / 3.0),
             ({"cell_m": 0.0125, "iterations": 12}, 0.5),
-            ({"cell_m": 0.025 / 3.0, "iterations": 27}, 1.0 / 3.0),
         ),
         "iterations": (({}, 1.0), ({"iterations": 6}, 0.5), ({"iterations": 12}, 0.25)),
     },

@@ -170,7 +170,7 @@ def test_info_and_result_hold_the_statistics(episode: tuple[Trajectory, dict[str
     trajectory, info = episode
     found = info["deformation"]
     assert found == score_deformation(EXPERIMENT, trajectory.markers_m)
-    assert info["score"].grade == "none"
+    assert info["score"].grade == "law"
     result = run_episode(RunRequest(NAME, marker_proxy="material", settings=COARSE))
     assert result.deformation == found
     write_result(result, tmp_path / "result.json")

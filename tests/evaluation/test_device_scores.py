@@ -74,7 +74,7 @@ def assert_same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> Non
 
 
 def test_the_ids_are_those_of_passive_rigid_bodies() -> None:
-    assert len(scored_ids()) == 15
+    assert len(scored_ids()) == 17
 
 
 @pytest.mark.parametrize("name", scored_ids())
