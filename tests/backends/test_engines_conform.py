@@ -75,11 +75,11 @@ ENGINES = (
     Engine(
         name="newton",
         module="newton",
-        lacks=("air",),
+        lacks=("air", "tether"),
         quick=(*CORE, "cloth-stretch", "cloth-slide"),
     ),
     Engine(name="drake", module="pydrake", lacks=DEFORMABLE, quick=CORE),
-    Engine(name="genesis", module="torch", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")),
+    Engine(name="genesis", module="genesis.version", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")),
 )
 RUNS = [
     *(pytest.param(one, one.chosen(), id=one.name) for one in ENGINES),
