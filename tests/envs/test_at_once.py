@@ -191,7 +191,7 @@ def test_worlds_that_diverged_have_no_scores(together: None) -> None:
 def test_arrays_need_a_native_environment_and_a_reference(together: None) -> None:
     with pytest.raises(ParameterError, match="expected a GaugeVectorEnv"):
         ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv("SlopeSlider-2-wood")]), arrays=True)
-    envs = gymnasium.make_vec("GAUGE/Turntable-3-wood", num_envs=1)
+    envs = gymnasium.make_vec("GAUGE/RopeWinding-rubber", num_envs=1)
     with pytest.raises(EpisodeError, match="no reference"):
         envs.unwrapped.score_arrays()
 
