@@ -19,8 +19,8 @@ from gauge_envs.scene.timing import FRAME_RATE_HZ
 def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Band | None:
     """Return the band that an experiment is scored against: its trial or measured band, that of a law, or a model's.
 
-    A model is the solution of the calibrated scene alone: other parameters or an asset have none. `reference_source` of
-    the experiment selects the bundled band or that of the imported trials.
+    A model is the solution of the calibrated scene alone: other parameters, drivers or an asset have none.
+    `reference_source` of the experiment selects the bundled band or that of the imported trials.
 
     Args:
         experiment: The experiment.
@@ -39,7 +39,8 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         return band
     law = law_for(experiment.name)
     if law is None:
-        solved = None if experiment.edited or experiment.overrides else solved_model(experiment.name)
+        is_another = experiment.edited or experiment.overrides or experiment.drivers is not DataSource.BUNDLED
+        solved = None if is_another else solved_model(experiment.name)
         return None if solved is None else solved.band
     # An asset changes the simulated scene. The law holds for the calibrated one.
     calibrated = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene

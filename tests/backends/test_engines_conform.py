@@ -79,7 +79,9 @@ ENGINES = (
         quick=(*CORE, "cloth-stretch", "cloth-slide"),
     ),
     Engine(name="drake", module="pydrake", lacks=DEFORMABLE, quick=CORE),
-    Engine(name="genesis", module="genesis.version", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")),
+    Engine(
+        name="genesis", module="genesis.version", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")
+    ),
 )
 RUNS = [
     *(pytest.param(one, one.chosen(), id=one.name) for one in ENGINES),

@@ -312,19 +312,19 @@ def test_published_baselines_come_out_of_the_importer(tmp_path: Path) -> None:
 
 def test_an_import_is_used_when_asked_for_and_shown(tmp_path: Path, gauge) -> None:
     name = "SlopeSlider-3-wood"
-    assert band_grade(name) is BandGrade.NONE
+    assert not band_grade(name).is_real
     synthetic = write_synthetic(tmp_path, name)
     write_revision(tmp_path, "9e0acb7" + 33 * "0")
     result = gauge("data", "import", tmp_path)
     assert result.exit_code == 0
     assert "1.00" in result.stdout or "1 (0.456) mm" in result.stdout
     assert "gauge run ID --use imported" in result.stderr.replace("\n", " ")
-    assert (band_grade(name), band_grade(name, DataSource.IMPORTED)) == (BandGrade.NONE, BandGrade.TRIALS)
+    assert (band_grade(name), band_grade(name, DataSource.IMPORTED)) == (BandGrade.MODEL, BandGrade.TRIALS)
     row = json.loads(gauge("list", name, "--json").stdout)
-    assert (row["grade"], row["imported"]) == ("none", True)
+    assert (row["grade"], row["imported"]) == ("model", True)
     assert "trials imported" in gauge("list", name).stdout
     bundled = json.loads(gauge("show", name, "--json").stdout)["reference"]
-    assert (bundled["grade"], bundled["imported"], bundled["is_import_available"]) == ("none", False, True)
+    assert (bundled["grade"], bundled["imported"], bundled["is_import_available"]) == ("model", False, True)
     options = ("--use", "imported")
     shown = json.loads(gauge("show", name, "--json", *options).stdout)
     assert shown["reference"]["imported"] and shown["reference"]["trial_count"] == 4
@@ -505,7 +505,7 @@ def test_info_states_where_drivers_and_reference_are_from(tmp_path: Path) -> Non
     name = "SlopeSlider-3-wood"
     write_synthetic(tmp_path, name)
     imported(tmp_path)
-    for options, expected in (({}, ("bundled", "bundled", "none")), (IMPORTED, ("imported", "imported", "trials"))):
+    for options, expected in (({}, ("bundled", "bundled", "model")), (IMPORTED, ("imported", "imported", "trials"))):
         _, info = gymnasium.make(f"GAUGE/{name}", **options).reset(seed=0)
         assert (info["drivers"], info["reference_source"], info["reference"]) == expected
 
