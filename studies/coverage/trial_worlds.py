@@ -190,8 +190,8 @@ def rms(deviations: FloatArray) -> FloatArray:
     return np.asarray(np.sqrt(np.mean(np.square(deviations), axis=-1)))
 
 
-def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the deviation of an engine that is shifted in time to fit best, and its velocity.
+def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the deviation of an engine that is shifted in time to fit best, its velocity [mm/s], and the shift [s].
 
     Args:
         world: The world.
@@ -199,7 +199,7 @@ def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, Flo
         means: Means of trials, shape [reality_count, frame_count].
 
     Returns:
-        Both of the shape of `means`.
+        Two of the shape of `means`, and one of shape [reality_count].
     """
     grid_s = np.arange(-MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S + 1e-9, OFFSET_STEP_S)
     moved = world.engine(engine, grid_s)
@@ -209,7 +209,7 @@ def align(world: World, engine: int, means: FloatArray) -> tuple[FloatArray, Flo
     before, here, after = (squares[rows, best + side] for side in (-1, 0, 1))
     shift_s = grid_s[best] + 0.5 * OFFSET_STEP_S * (before - after) / (before - 2.0 * here + after)
     velocity = (world.engine(engine, shift_s - 5e-4) - world.engine(engine, shift_s + 5e-4)) / 1e-3
-    return world.engine(engine, shift_s) - means, velocity
+    return world.engine(engine, shift_s) - means, velocity, shift_s
 
 
 def aligned_distances(trials: FloatArray, means: FloatArray) -> FloatArray:
