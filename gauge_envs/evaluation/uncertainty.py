@@ -222,13 +222,10 @@ class BandErrors:
         curves = moved(np.clip(late_s, -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S))
         away = left(np.array([self.flat(one) for one in np.nan_to_num(curves - curves[0])]))
         of_trials, smears = away[1 : count + 1], away[count + 1 :].reshape(len(SMEARS), len(RELEASES), -1).mean(axis=1)
-        # What a release explains of a trial is no error of its own.
-        (sampling,) = (one.columns for one in self.sources if one.kind == "sampling")
-        aligned.shapes[sampling] += of_trials - of_trials.mean(axis=0)
-        # The variance of a sample has the law of chi-squared; more kurtosis takes degrees of freedom.
+        # The variance of a sample has the law of chi-squared. Kurtosis and trials that are alike take degrees of freedom.
         squares = np.square(releases_s / std_s)
         kurtosis = max(float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0)
-        degrees = 2.0 * (count - 1) / kurtosis
+        degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
         drawn = np.sqrt(degrees / _random("smear").chisquare(degrees, DRAW_COUNT))
         source = _Source(
             name="smear of the mean by releases",
