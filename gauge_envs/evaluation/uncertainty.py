@@ -191,8 +191,9 @@ class BandErrors:
     influence: FloatArray
 
     def flat(self, deviation: FloatArray) -> FloatArray:
-        """Return a deviation of shape [T, C] as a vector whose norm is its root mean square over frames."""
-        return np.asarray(np.where(self.known, deviation, 0.0).ravel() / _root_of_frames(self.known))
+        """Return deviations of shape [..., T, C] as vectors whose norm is their root mean square over frames."""
+        known = np.where(self.known, deviation, 0.0)
+        return np.asarray(known.reshape(*known.shape[:-2], -1) / _root_of_frames(self.known))
 
     def aligned(self, velocity: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> BandErrors:
         """Return the errors that a shift in time leaves, with that of the smear of the mean.
@@ -220,9 +221,9 @@ class BandErrors:
         std_s = float(np.linalg.norm(releases_s)) / math.sqrt(count - 1)
         late_s = np.concatenate([[0.0], releases_s, np.outer(SMEARS, std_s * RELEASES).ravel()])
         curves = moved(np.clip(late_s, -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S))
-        away = left(np.array([self.flat(one) for one in np.nan_to_num(curves - curves[0])]))
+        away = left(self.flat(np.nan_to_num(curves - curves[0])))
         of_trials, smears = away[1 : count + 1], away[count + 1 :].reshape(len(SMEARS), len(RELEASES), -1).mean(axis=1)
-        # The variance of a sample has the law of chi-squared. Kurtosis and trials that are alike take degrees of freedom.
+        # The variance of a sample has the law of chi-squared. Kurtosis and trials that are alike take degrees of it.
         squares = np.square(releases_s / std_s)
         kurtosis = max(float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0)
         degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
@@ -234,7 +235,8 @@ class BandErrors:
             source=f"scatter of {count} trials",
             columns=slice(len(self.shapes), len(self.shapes) + len(SMEARS)),
         )
-        factors = np.array([np.interp(drawn, SMEARS, unit) for unit in np.eye(len(SMEARS))]).T
+        place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
+        factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
         return replace(
             aligned,
             shapes=np.vstack([aligned.shapes, smears - of_trials.mean(axis=0)]),

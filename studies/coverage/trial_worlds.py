@@ -131,7 +131,7 @@ class Swing:
     frame_count: int = 60
 
     def positions_mm(self, constant: FloatArray, release_s: FloatArray, start_mm: FloatArray) -> FloatArray:
-        """Return displacements [mm], shape [..., frame_count], of arrays of one shape; `start_mm` is added to 200 mm."""
+        """Return displacements [mm], shape [..., frame_count], of arrays of one shape; the amplitude is 200 mm."""
         times_s = np.arange(self.frame_count) / FRAME_RATE_HZ
         since_s = np.maximum(times_s - release_s[..., None], 0.0)
         phase = 2.0 * math.pi * constant[..., None] * since_s
