@@ -15,13 +15,13 @@ factor:
 
 Single trials. A drawn e is a random combination of the trials, such that its component in each direction has the law of
 Student's t with N - 1 degrees of freedom. That is exact for normal scatter, and robust for other scatter. The logarithm
-of B has the same combination of the trials' relative distances. Trials in recorded order may be alike. So an interval
-is widened by the correlation that they show in the direction of the error, and a margin (`widening`). Nothing is cut
-off: an outlier widens an interval as it moves the mean. Fewer than three trials, or too few independent ones, have no
-interval (`refusal`).
+of B has the same combination of the trials' effects on it: by their distances, and by the mean, which they move. Trials
+in recorded order may be alike. So an interval is widened by the correlation that they show in the direction of the
+error, and a margin (`widening`). Nothing is cut off: an outlier widens an interval as it moves the mean. Fewer than
+three trials, or too few independent ones, have no interval (`refusal`).
 
 Interval. With a unit vector u, a true distance L would have been observed as |L u + e|. For each draw of e, the L that
-gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d plus another draw of e.
+gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d minus another draw of e.
 The 95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count
 the error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a
 root (CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e
