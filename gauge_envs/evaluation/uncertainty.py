@@ -64,7 +64,7 @@ LEAST_TRIALS = 3
 LEAST_SCATTER = math.sqrt(0.5 * math.pi - 1.0)
 """Relative standard deviation of the distances of trials that scatter normally in one direction, 0.76."""
 
-PRIOR_TRIALS = 3
+PRIOR_TRIALS = 10
 """Number of trials that this scatter counts as, where that of the trials is smaller."""
 
 SMEARS = np.array([0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0])
