@@ -147,7 +147,13 @@ def band_deviations(
     projected = band.project(values)
     offset_s, rmse = release_offset(times_s, projected, band.mean, frame_rate_hz=FRAME_RATE_HZ)
     shifted, velocity = _shifted(times_s, projected, offset_s, len(band.mean))
-    errors, baseline = errors.aligned(velocity), aligned_baseline(band)
+
+    def moved(late_s: FloatArray) -> FloatArray:
+        queries_s = np.arange(len(band.mean)) / FRAME_RATE_HZ - offset_s - late_s[:, None]
+        columns = [np.interp(queries_s, times_s, column, right=np.nan) for column in projected.T]
+        return np.stack(columns, axis=2)
+
+    errors, baseline = errors.aligned(velocity, moved), aligned_baseline(band)
     if baseline is not None and (trials := trial_distances(band)) is not None:
         errors = errors.with_baseline(trials.aligned)
     return Deviations(

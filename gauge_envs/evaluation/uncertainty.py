@@ -8,19 +8,20 @@ factor:
 
 - `sampling`: r and B are from a sample of trials, whose errors are correlated.
 - `release`: the part of the sampling that shifts the mean in time, because trials are released at different times.
+- `smear`: trials with different releases smear r, above all at impacts, and a sample of few smears less.
 - `extrapolation`: frames of r that no trial shows.
 - `measurement`: the uncertainty of the measured mean, where it is stated.
 - `projection`: motion across the measured coordinates, which a small error of their direction mixes in.
 
 Single trials. A drawn e is a random combination of the trials, such that its component in each direction has the law of
 Student's t with N - 1 degrees of freedom. That is exact for normal scatter, and robust for other scatter. The logarithm
-of B has the same combination of the trials' relative distances. Trials in recorded order may be alike. So an interval
-is widened by the correlation that they show in the direction of the error, and a margin (`widening`). Nothing is cut
-off: an outlier widens an interval as it moves the mean. Fewer than three trials, or too few independent ones, have no
-interval (`refusal`).
+of B has the same combination of the trials' effects on it: by their distances, and by the mean, which they move. Trials
+in recorded order may be alike. So an interval is widened by the correlation that they show in the direction of the
+error, and a margin (`widening`). Nothing is cut off: an outlier widens an interval as it moves the mean. Fewer than
+three trials, or too few independent ones, have no interval (`refusal`).
 
 Interval. With a unit vector u, a true distance L would have been observed as |L u + e|. For each draw of e, the L that
-gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d plus another draw of e.
+gives the observed distance is the root of a quadratic; u is drawn too, as the direction of d minus another draw of e.
 The 95 % interval is between percentiles of these roots. This inverts the test of each L (Neyman), so it does not count
 the error of the mean twice, as adding e to d would. The upper percentile is divided by the share of draws that have a
 root (CLs), so that a distance below its own errors gives no empty interval. The mean of a law is not observed; there e
@@ -30,14 +31,15 @@ is added to d. `studies/coverage` measures how often the intervals hold the trut
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import stdtrit
+from scipy.special import ndtri, stdtrit
 
+from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
@@ -60,15 +62,24 @@ LEAST_TRIALS = 3
 """Number of trials from which their scatter gives an interval."""
 
 LEAST_SCATTER = math.sqrt(0.5 * math.pi - 1.0)
-"""Smallest relative standard deviation of the distances of trials: that of one normal coordinate, 0.76."""
+"""Relative standard deviation of the distances of trials that scatter normally in one direction, 0.76."""
 
-LAG_MARGIN = 0.75
+PRIOR_TRIALS = 10
+"""Number of trials that this scatter counts as, where that of the trials is smaller."""
+
+SMEARS = np.array([0.0, 0.5, 0.7, 0.85, 1.0, 1.2, 1.5, 2.0, 3.0, 5.0])
+"""Standard deviations of releases, over that of the trials, between which the smear of the mean is interpolated."""
+
+RELEASES = ndtri((np.arange(9) + 0.5) / 9.0) / np.std(ndtri((np.arange(9) + 0.5) / 9.0))
+"""Nine releases that stand for normal ones, over their standard deviation."""
+
+LAG_MARGIN = 0.6
 """Standard errors by which the correlation of consecutive trials may be larger than measured."""
 
 GROUPS = 4
 """Number of groups of consecutive trials whose means are compared."""
 
-GROUP_SHARE = 0.8
+GROUP_SHARE = 0.75
 """Factor on the width from these means. It is exact with 1; with the margin above, 0.8 holds in the tested worlds."""
 
 WIDEST = 5.0
@@ -135,17 +146,19 @@ class _Components:
         shapes: Orthonormal shapes, shape [component_count, entry_count].
         of_trials: Components of the error of the sample of trials in each draw, shape [draw_count, component_count].
         of_others: Those of all other errors, same shape.
-        variance: Mean square of the error, unbiased.
+        of_smear: Those of the smear of the mean, same shape; their mean is not 0.
+        variance: Mean square of the error but for the smear, unbiased.
     """
 
     shapes: FloatArray
     of_trials: FloatArray
     of_others: FloatArray
+    of_smear: FloatArray
     variance: float
 
     def drawn(self, wider: float) -> FloatArray:
         """Return the components of each draw, with a widening for trials that depend on each other."""
-        return wider * self.of_trials + self.of_others
+        return wider * self.of_trials + self.of_others + self.of_smear
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -181,20 +194,58 @@ class BandErrors:
     influence: FloatArray
 
     def flat(self, deviation: FloatArray) -> FloatArray:
-        """Return a deviation of shape [T, C] as a vector whose norm is its root mean square over frames."""
-        return np.asarray(np.where(self.known, deviation, 0.0).ravel() / _root_of_frames(self.known))
+        """Return deviations of shape [..., T, C] as vectors whose norm is their root mean square over frames."""
+        known = np.where(self.known, deviation, 0.0)
+        return np.asarray(known.reshape(*known.shape[:-2], -1) / _root_of_frames(self.known))
 
-    def aligned(self, velocity: FloatArray) -> BandErrors:
-        """Return the errors that a shift in time leaves, to first order.
+    def aligned(self, velocity: FloatArray, moved: Callable[[FloatArray], FloatArray]) -> BandErrors:
+        """Return the errors that a shift in time leaves, with that of the smear of the mean.
+
+        To first order, a shift takes away all errors along the velocity. Beyond it, a mean of trials with different
+        releases is smeared, most of all at an impact. How much depends on their standard deviation. It is drawn from
+        its law for normal releases, and the simulation is smeared as much.
 
         Args:
-            velocity: Velocity of the shifted simulation at the frames, shape [T, C], any scale.
+            velocity: Velocity of the shifted simulation at the frames [unit/s], shape [T, C].
+            moved: The shifted simulation at the frames, later by K times [s], shape [K, T, C]; NaN where not known.
         """
         direction = self.flat(velocity)
         size = float(direction @ direction)
         if size == 0.0:
             return self
-        return replace(self, shapes=self.shapes - np.outer(self.shapes @ direction, direction) / size)
+
+        def left(shapes: FloatArray) -> FloatArray:
+            return np.asarray(shapes - np.outer(shapes @ direction, direction) / size)
+
+        aligned = replace(self, shapes=left(self.shapes))
+        count, releases_s = self.trial_count, self._trials @ direction / size
+        if count < LEAST_TRIALS or not releases_s.any():
+            return aligned
+        std_s = float(np.linalg.norm(releases_s)) / math.sqrt(count - 1)
+        late_s = np.concatenate([[0.0], releases_s, np.outer(SMEARS, std_s * RELEASES).ravel()])
+        curves = moved(np.clip(late_s, -MAX_RELEASE_OFFSET_S, MAX_RELEASE_OFFSET_S))
+        away = left(self.flat(np.nan_to_num(curves - curves[0])))
+        of_trials, smears = away[1 : count + 1], away[count + 1 :].reshape(len(SMEARS), len(RELEASES), -1).mean(axis=1)
+        # The variance of a sample has the law of chi-squared. Kurtosis and trials that are alike take degrees of it.
+        squares = np.square(releases_s / std_s)
+        kurtosis = max(float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0)
+        degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
+        drawn = np.sqrt(degrees / _random("smear").chisquare(degrees, DRAW_COUNT))
+        source = _Source(
+            name="smear of the mean by releases",
+            kind="smear",
+            evaluation="A",
+            source=f"scatter of {count} trials",
+            columns=slice(len(self.shapes), len(self.shapes) + len(SMEARS)),
+        )
+        place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
+        factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
+        return replace(
+            aligned,
+            shapes=np.vstack([aligned.shapes, smears - of_trials.mean(axis=0)]),
+            factors=np.hstack([self.factors, factors]),
+            sources=(*self.sources, source),
+        )
 
     def with_baseline(self, distances: FloatArray) -> BandErrors:
         """Return the errors with the mean distance of the trials, each from the mean of the others, as the baseline.
@@ -205,7 +256,7 @@ class BandErrors:
         count = len(distances)
         if count < LEAST_TRIALS:
             return self
-        influence = _relative_influence(distances)
+        influence = _relative_influence(distances, -self._trials)
         return replace(
             self,
             baseline=_trial_weights(count) @ influence,
@@ -251,9 +302,15 @@ class BandErrors:
     def _components(self) -> _Components:
         """The errors by their components."""
         count = self.trial_count
-        others = [one for one in self.sources if not (count and one.kind in TRIAL_KINDS)]
-        shapes = np.concatenate([self._trials, *(self.shapes[one.columns] for one in others)])
-        factors = [np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one.columns] for one in others)]
+        of_trials = TRIAL_KINDS if count else ()
+        others, smears = (
+            [one for one in self.sources if one.kind not in of_trials and (one.kind == "smear") == is_smear]
+            for is_smear in (False, True)
+        )
+        columns = [*(one.columns for one in others), *(one.columns for one in smears)]
+        shapes = np.concatenate([self._trials, *(self.shapes[one] for one in columns)])
+        factors = np.concatenate([np.zeros((DRAW_COUNT, 0)), *(self.factors[:, one] for one in columns)], axis=1)
+        smear = count + sum(one.columns.stop - one.columns.start for one in others)
         left, sizes, right = np.linalg.svd(shapes, full_matrices=False)
         kept = sizes > NEGLIGIBLE * sizes[0]
         along = left[:, kept] * sizes[kept]
@@ -261,8 +318,9 @@ class BandErrors:
         return _Components(
             shapes=right[kept],
             of_trials=_trial_weights(count) @ along[:count],
-            of_others=np.concatenate(factors, axis=1) @ along[count:],
-            variance=float(squares[:count].sum() / max(count * (count - 1), 1) + squares[count:].sum()),
+            of_others=factors[:, : smear - count] @ along[count:smear],
+            of_smear=factors[:, smear - count :] @ along[smear:],
+            variance=float(squares[:count].sum() / max(count * (count - 1), 1) + squares[count:smear].sum()),
         )
 
     @cached_property
@@ -322,16 +380,16 @@ class BandErrors:
         ratio = self._ratio(wider, over_baseline=over_baseline)
         drawn = self._components.drawn(wider)
         size, squares = float(np.linalg.norm(vector)), np.square(drawn).sum(axis=1)
-        # e . d and |d + e| of each draw
+        # e . d and |d - e| of each draw
         along = drawn @ (self._components.shapes @ vector)
-        added = np.sqrt(np.maximum(size**2 + 2.0 * along + squares, 0.0))
+        added = np.sqrt(np.maximum(size**2 - 2.0 * along + squares, 0.0))
         if not self.is_observed:
             low, high = np.quantile(added / ratio, [tail, 1.0 - tail])
             # The law itself is one of the possible truths.
             return min(float(low), size), float(high)
         # The direction of the true deviation is not that of the observed one: it has the errors of the next draw.
         products = np.einsum("kc,kc->k", drawn[:-1], drawn[1:])
-        along = (along[:-1] + products) / np.maximum(added[1:], 1e-150)
+        along = (along[:-1] - products) / np.maximum(added[1:], 1e-150)
         excess = np.square(along) - squares[:-1] + size**2
         roots = np.where(excess >= 0.0, ratio[:-1] * (np.sqrt(np.maximum(excess, 0.0)) - along), -np.inf)
         reached = float(np.mean(squares <= size**2))
@@ -384,12 +442,13 @@ class BandErrors:
             deviation: Simulation minus mean, shape [T, C].
         """
         vector, drawn = self.flat(deviation), self._components.drawn(1.0)
+        expected = float(np.square(drawn - self._components.of_smear).sum(axis=1).mean()) + self._components.variance
         ratio, square = self._ratio(1.0, over_baseline=True), float(vector @ vector)
         along = 2.0 * drawn @ (self._components.shapes @ vector)
         squares = np.square(drawn).sum(axis=1)
         if not self.is_observed:
             return np.asarray(np.sqrt(np.maximum(square + along + squares, 0.0)) / ratio)
-        lengths = square - along + squares - squares.mean() - self._components.variance
+        lengths = square - along + squares - expected
         return np.asarray(np.sign(lengths) * np.sqrt(np.abs(lengths)) * ratio)
 
     def budget(self, deviation: FloatArray, *, baseline: float) -> tuple[BudgetEntry, ...]:
@@ -410,6 +469,8 @@ class BandErrors:
             shapes = self.shapes[source.columns]
             effects = shapes @ (vector / size) if size > 0.0 and self.is_observed else shapes
             freedom = count * (count - 1) if count and source.kind in TRIAL_KINDS else 1
+            if source.kind == "smear":
+                effects = np.std(self.factors[:, source.columns] @ effects, axis=0)
             stds.append((source, float(np.linalg.norm(effects)) / math.sqrt(freedom) / baseline))
         own = _Source(
             name="baseline", kind="baseline", evaluation="A", source=self.baseline_source, columns=slice(0, 0)
@@ -553,20 +614,33 @@ def _from_trials(band: Band, trials: FloatArray, shapes: _Shapes) -> FloatArray:
     # The mean is subtracted, so an error of the mean enters with the other sign.
     shapes.add("release time of the mean", "release", "A", source, list(-shift), weights)
     shapes.add("mean of the trials", "sampling", "A", source, list(shift - residuals), weights)
-    return _relative_influence(np.linalg.norm(residuals, axis=1))
+    return _relative_influence(np.linalg.norm(residuals, axis=1), residuals)
 
 
-def _relative_influence(distances: FloatArray) -> FloatArray:
+def _relative_influence(distances: FloatArray, residuals: FloatArray) -> FloatArray:
     """Return the relative effect of each trial on the mean distance of trials, shape [trial_count].
 
-    Few trials scatter less about their own mean than trials do, and may lack the outlier that one trial in twenty is.
-    So their relative standard deviation counts as `LEAST_SCATTER` if it is smaller.
+    A trial has two effects: by its own distance, and by the mean, which it moves towards itself and away from others.
+    The second one matters if more trials lie on one side, as with an outlier. Few trials may scatter little by chance.
+    So their variance has `PRIOR_TRIALS` further degrees of freedom with that of normal scatter in as many directions,
+    if it is smaller.
+
+    Args:
+        distances: Distance of each trial, shape [trial_count].
+        residuals: Trials minus their mean, any scale, shape [trial_count, entry_count].
     """
-    count = len(distances)
+    count, mean = len(distances), float(distances.mean())
     std = float(distances.std(ddof=1)) if count >= LEAST_TRIALS else 0.0
     if std <= 0.0:
         return np.zeros(count)
-    return np.asarray((distances - distances.mean()) * max(1.0 / distances.mean(), LEAST_SCATTER / std))
+    products = residuals @ residuals.T
+    lengths = np.sqrt(np.diag(products))
+    # A common number of directions: that of equally large variances with the same sum and the same sum of squares.
+    directions = max(float(np.trace(products)) ** 2 / max(float(np.square(products).sum()), 1e-300), 1.0)
+    least = max(LEAST_SCATTER / math.sqrt(directions) * mean / std, 1.0) ** 2
+    own = (distances / mean - 1.0) * math.sqrt((count - 1 + PRIOR_TRIALS * least) / (count - 1 + PRIOR_TRIALS))
+    units = products / np.maximum(lengths, 1e-150)
+    return np.asarray(own - units.mean(axis=1) / max(float(lengths.mean()), 1e-150))
 
 
 def widening(series: FloatArray) -> float:

@@ -11,7 +11,7 @@ import gymnasium
 import numpy as np
 import pytest
 from scipy.special import betaincinv, stdtrit
-from scipy.stats import binomtest
+from scipy.stats import binomtest, chi2
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_for
@@ -304,6 +304,62 @@ def test_an_interval_of_a_distance_in_one_direction_is_that_of_student():
     wider = widening(values)
     half = wider * stdtrit(21, 0.975) * values.std(ddof=1) / math.sqrt(22)
     assert (high - 1e3, 1e3 - low) == pytest.approx((half, half), rel=0.05)
+
+
+def test_the_effect_of_a_trial_on_the_baseline_is_that_of_its_weight():
+    """By its own distance, and by the mean that it moves: here an outlier moves it away from all others."""
+    values = np.array([0.1, -0.4, 0.9, -1.3, 0.6, 7.0, -0.8, 0.3])
+
+    def baseline(weights: np.ndarray) -> float:
+        return float(weights @ np.abs(values - weights @ values))
+
+    equal = np.full(8, 1.0 / 8.0)
+    # Weight that one trial gains, all others lose.
+    changes = [baseline(0.999 * equal + 0.001 * unit) / baseline(equal) - 1.0 for unit in np.eye(8)]
+    band = bundled_band(BALL)
+    trials = band.mean + values[:, None, None] * np.ones_like(band.mean)
+    errors = band_errors(replace(band, trials=trials, mean=trials.mean(axis=0), uncertainty=None), None)
+    assert errors.influence == pytest.approx(np.array(changes) / 0.001, abs=0.01)
+
+
+def test_an_exact_simulation_is_as_far_from_trials_as_their_releases_smear_them():
+    """A fall that starts at different times has a mean above that of the mean start: half the variance times g."""
+    frames_s = np.arange(12) / 30.0
+    releases_s = 0.03 * np.array([-1.2, 0.9, -0.5, 1.1, -0.3])
+    late_s = 0.1 + releases_s - releases_s.mean()
+
+    def fall(release_s: np.ndarray) -> np.ndarray:
+        return 500.0 * GRAVITY * np.square(1.0 + frames_s - np.asarray(release_s)[..., None])[..., None]
+
+    trials = fall(late_s)
+    band = replace(
+        bundled_band(BALL),
+        trials=trials,
+        mean=trials.mean(axis=0),
+        sigma=trials.std(axis=0),
+        measured=np.ones(12, dtype=bool),
+        uncertainty=None,
+    )
+    errors = band_errors(band, None)
+    velocity = fall(np.array(0.0995)) - fall(np.array(0.1005))
+    own = errors.aligned(1e3 * velocity, lambda more_s: fall(0.1 + more_s))
+    deviation = fall(np.array(0.1)) - band.mean
+    # Along the velocity is a shift; the rest is an offset that no shift takes away.
+    flat = own.flat(velocity) / np.linalg.norm(own.flat(velocity))
+    offset = 500.0 * GRAVITY * releases_s.var() * np.sqrt(1.0 - flat.sum() ** 2 / len(flat))
+    vector = own.flat(deviation)
+    assert np.linalg.norm(vector - (vector @ flat) * flat) == pytest.approx(offset, rel=1e-6)
+    smear = own.sources[-1]
+    assert smear.kind == "smear"
+    # Drawn smears, less the observed one, have the law of the variance of five normal numbers.
+    squares = np.square(releases_s - releases_s.mean())
+    degrees = 4.0 / widening(squares) ** 2
+    drawn = own.factors[:, smear.columns] @ own.shapes[smear.columns]
+    sizes = np.sort(np.sign(drawn @ (np.ones(12) - flat.sum() * flat)) * np.linalg.norm(drawn, axis=1))
+    for share in (0.1, 0.5, 0.9):
+        ratio = 1.25 * degrees / chi2.ppf(1.0 - share, degrees)
+        expected = offset * (ratio - 1.0)
+        assert sizes[int(share * 4000)] == pytest.approx(expected, abs=0.12 * offset * ratio)
 
 
 def test_a_widening_is_that_of_its_definition():

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from interval_coverage import aligned_errors
 from numpy.typing import NDArray
 from scipy.stats import t as student
 from trial_worlds import Slide, World, align, band_of, leave_one_out
@@ -46,8 +47,9 @@ def observed(world: World, *, aligned: bool, random: np.random.Generator, name: 
     for engine in range(len(world.engine_errors)):
         deviation, own = world.engine(engine, np.zeros(()))[:, None] - band.mean, of_band
         if aligned:
-            shifted, velocity = align(world, engine, band.mean.T)
-            deviation, own = shifted.T, of_band.aligned(velocity.T).with_baseline(distances)
+            shifted, velocities, shifts_s = align(world, engine, band.mean.T)
+            deviation = shifted.T
+            own = aligned_errors(world, engine, of_band, velocities, shifts_s, 0).with_baseline(distances)
             baseline = float(distances.mean())
         score = np.array([np.linalg.norm(own.flat(deviation))]) / baseline
         drawn = own.draws(deviation)[None, order] / baseline
