@@ -35,10 +35,10 @@ def test_only_what_fails_no_check_is_ranked(data: dict[str, Any]) -> None:
     assert all(bool(one["fails"]) == bool(one["preset"]) for one in data["configurations"])
 
 
-def test_newton_is_closer_than_all_but_mujoco_with_two_errors_that_cancel(data: dict[str, Any]) -> None:
+def test_newton_is_closer_than_all_but_two_with_two_errors_that_cancel(data: dict[str, Any]) -> None:
     published = grade(data, "calibrated")
     assert sorted(published["ids"]) == sorted((BALL, *SLIDES))
-    others = {"physx", "pybullet", "rapier", "drake", "genesis"}
+    others = {"physx", "pybullet", "rapier", "drake"}
     assert {tuple(pair) for pair in published["apart"]} == {("newton", other) for other in others}
     (newton,) = (one for one in data["configurations"] if (one["engine"], one["preset"]) == ("newton", ""))
     assert newton["laws"]["slide wood"] > 1.005 and newton["laws"]["slide plastic"] > 1.005
@@ -53,7 +53,7 @@ def test_with_the_constants_of_the_trials_only_the_ball_tells_apart(data: dict[s
         for constants in ("calibrated", "effective")
     ]
     assert ranks[1]["genesis"] == pytest.approx([1, 1], abs=0.01)
-    assert ranks[0]["genesis"] == pytest.approx([5, 5], abs=0.01)
+    assert ranks[0]["genesis"] == pytest.approx([2, 6], abs=0.01)
 
 
 def test_constants_change_the_score_of_the_ball_by_more_than_engines_differ(data: dict[str, Any]) -> None:
