@@ -145,7 +145,8 @@ def model_text(score: Score, backend: str | None) -> str:
         ends = " to ".join(number_text(end) for end in score.rmse_95)
         text += f" (95 % interval {with_unit(ends, score.unit)})"
     if backend in score.rmse_without:
-        others = " and ".join(sorted(set(score.rmse_without) - {backend}))
+        *first, last = sorted(set(score.rmse_without) - {backend})
+        others = f"{', '.join(first)} and {last}" if first else last
         own = amount(score.rmse_without[backend])
         text += f"; it helped to make this reference: to the solution of {others} alone {own}"
     return text
