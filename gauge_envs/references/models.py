@@ -105,7 +105,8 @@ class ModelSidecar(FileModel):
     @property
     def source(self) -> str:
         """The reference in one sentence."""
-        names = " and ".join(one.engine for one in self.engines)
+        *first, last = (one.engine for one in self.engines)
+        names = f"{', '.join(first)} and {last}" if first else last
         return (
             f"the calibrated scene as {names} solve it, extrapolated to zero step and cell; it says nothing of reality"
         )
