@@ -34,6 +34,7 @@ from scipy.optimize import brentq
 from scipy.spatial import ConvexHull
 
 from gauge_envs.backends import backend
+from gauge_envs.backends.base import Simulation
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import band_grade
@@ -144,6 +145,7 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
     scene = experiment.scene
     simulation = backend(engine).build(scene, {})
     default = dict(simulation.settings)
+    cell_m = default_cell_m(experiment, simulation)
     simulation.close()
     base: dict[str, Any] = {}
     only_cloth = all(isinstance(body, Cloth) for body in scene.deformables) and not scene.dynamic_bodies
@@ -166,7 +168,7 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
         else:
             tighter = {"tolerance": 1e-2 * default["tolerance"], "iterations": 4 * default["iterations"]}
             levels.append(Level(parameter="iterations", factor=0.25, settings=base | tighter))
-    if cell_m := default_cell_m(experiment, default):
+    if cell_m is not None:
         is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
         for factor in COSTLY_CELL_FACTORS if is_soft or vbd else CELL_FACTORS:
             cell: dict[str, Any] = {"cell_m": factor * cell_m}
@@ -177,13 +179,19 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
     return levels
 
 
-def default_cell_m(experiment: Experiment, default: Mapping[str, Any]) -> float | None:
-    """Return the edge of the default cells [m]; None for a scene without cells that can be refined."""
-    if default.get("cell_m") is not None:
-        return float(default["cell_m"])
-    soft = [body for body in experiment.scene.deformables if isinstance(body, SoftBody)]
-    # MuJoCo's foam has two cells across a single body, and two along each body of a row.
-    return 0.5 * min(min(body.shape.size_m) for body in soft) if soft else None
+def default_cell_m(experiment: Experiment, simulation: Simulation) -> float | None:
+    """Return the edge of the default cells [m]; None for a scene without cells."""
+    if simulation.settings.get("cell_m") is not None:
+        return float(simulation.settings["cell_m"])
+    edges = []
+    for body in experiment.scene.deformables:
+        if isinstance(body, SoftBody):
+            # MuJoCo's foam has two cells across a single body, and two along each body of a row.
+            edges.append(0.5 * min(body.shape.size_m))
+        else:
+            nodes_m = simulation.nodes(body.name)
+            edges.append(float(np.linalg.norm(np.diff(nodes_m, axis=0), axis=1).min()))
+    return min(edges, default=None)
 
 
 def solve(experiment: Experiment, engine: str, level: Level, *, limit_s: float) -> dict[str, Any]:
