@@ -159,7 +159,7 @@ class Score:
     refused: tuple[str, ...] = ()
     explained: tuple[Explained, ...] | None = None
     sensitivities: str | None = None
-    rmse_without: Mapping[str, float] = field(default_factory=dict)
+    rmse_without: Mapping[str, float] = field(default_factory=dict, hash=False)
     withheld: str | None = None
     edited: bool = False
 

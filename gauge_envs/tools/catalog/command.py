@@ -67,7 +67,7 @@ def show(
     use: arguments.Use = "",
     form: arguments.Form = Format.TEXT,
 ) -> None:
-    """Show one experiment or control task: reference, reward, spaces, engines, published scores, constants.
+    """Show one experiment or control task: reference, reward, spaces, engines, constants.
 
     `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
     """

@@ -41,10 +41,12 @@ def data_download(
 def data_import(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of the dataset, which holds 'data'.")],
     only: Annotated[
-        list[str] | None, typer.Argument(metavar="[PATTERN]...", help="Experiments; all by default.")
+        list[str] | None,
+        typer.Argument(
+            metavar="[PATTERN]... [NAME=VALUE]...",
+            help="Experiments, all by default; unit=mm and rate=30 of files that state none.",
+        ),
     ] = None,
-    unit: Annotated[str | None, typer.Option(help="Unit of files that state none: mm, cm or m.")] = None,
-    rate: Annotated[float | None, typer.Option(help="Frames in a second of files that state none.")] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Make bands and drivers of real trials, beside the published baselines; offline.
@@ -56,12 +58,13 @@ def data_import(
     from gauge_envs.tools.dataset.layout import find_trials
     from gauge_envs.tools.dataset.words import import_document
 
-    layout = find_trials(folder, only=only or ["*"])
+    patterns, stated = arguments.split_details(only, unit=str, rate=float)
+    layout = find_trials(folder, only=patterns or ["*"])
     imports, findings = [], list(layout.findings)
     with Progress("trials", layout.count) as progress:
         for one in import_trials(
             layout,
-            stated=Stated(unit=unit, rate_hz=rate),
+            stated=Stated(unit=stated.get("unit"), rate_hz=stated.get("rate")),
             advance=lambda path: progress.advance(layout.relative(path)),
         ):
             imports.append(one)

@@ -81,11 +81,11 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
     values = readers[suffix](content, stated) if suffix in readers else from_json(_json_object(content), stated)
     rate, unit = values.pop(RATE), values.pop(UNIT)
     if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
-        says = "; --rate says that of files without one" if rate is None else ""
+        says = "; rate=30 says that of files without one" if rate is None else ""
         raise TrialError(RATE, f"it is {_shown(rate)}", f"{FRAME_RATE_HZ:g} is expected{says}")
     scale = MILLIMETRES.get(unit.lower().rstrip("s")) if isinstance(unit, str) else None
     if scale is None:
-        says = "; --unit says that of files without one" if unit is None else ""
+        says = "; unit=mm says that of files without one" if unit is None else ""
         raise TrialError(UNIT, f"it is {_shown(unit)}", f"'mm' is expected, or 'cm' or 'm'{says}")
     poses: dict[str, PoseTrack] = {}
     markers: dict[str, dict[str, FloatArray]] = {}

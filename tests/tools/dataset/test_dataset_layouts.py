@@ -200,13 +200,13 @@ def test_a_part_of_the_dataset_is_read(tmp_path: Path) -> None:
     assert [(finding.key, finding.left_out) for finding in one.findings] == [("board", False)]
 
 
-STATES = "--unit says that of files without one"
+STATES = "unit=mm says that of files without one"
 
 
 @pytest.mark.parametrize(
     ("content", "suffix", "what"),
     [
-        (lambda c: arrays(c), ".npz", "FPS: it is missing; 30 is expected; --rate"),
+        (lambda c: arrays(c), ".npz", "FPS: it is missing; 30 is expected; rate=30"),
         (lambda c: csv_text(columns(c), "# fps: 30\n"), ".csv", STATES),
         (lambda c: csv_text({**columns(c), "Cube x": [1.0]}), ".csv", "Cube x: the key occurs twice"),
         (lambda c: csv_text({"cube.x [mm]": [1.0], "cube.y [m]": [1.0]}), ".csv", "columns are in mm, m"),
@@ -265,8 +265,6 @@ def test_a_hostile_dataset_costs_nothing_but_its_files(tmp_path: Path) -> None:
 def test_the_command_takes_unit_and_rate(tmp_path: Path, gauge) -> None:
     for number, content in enumerate(synthetic_trials(SLIDER).contents):
         write_trial(tmp_path, SLIDER, number, {key: content[key] for key in ("cube", "board")})
-    assert "--unit says that" in (refused := gauge("data", "import", tmp_path, "--rate", "30")).stderr.replace(
-        "\n", " "
-    )
+    assert "unit=mm says that" in (refused := gauge("data", "import", tmp_path, "rate=30")).stderr.replace("\n", " ")
     assert refused.exit_code == 1
-    assert gauge("data", "import", tmp_path, "--rate", "30", "--unit", "mm").exit_code == 0
+    assert gauge("data", "import", tmp_path, "rate=30", "unit=mm").exit_code == 0
