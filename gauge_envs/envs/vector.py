@@ -34,6 +34,7 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.scene.jitter import Jitter
 
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
@@ -101,7 +102,10 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self.arguments = EnvArguments(variant, **arguments)
         experiment = self.arguments.experiment()
         super().__init__(experiment, pictures, backend=self.arguments.backend, settings=self.arguments.settings)
-        self.band = self.arguments.band(experiment)
+        band = self.arguments.band(experiment)
+        # A model is the solution of the calibrated scene, and not of worlds with other constants.
+        is_another = band is not None and band.grade is BandGrade.MODEL and any(world_parameters or ())
+        self.band = None if is_another else band
         self.seeds_used: tuple[int, ...] = ()
         self.jitter: Jitter | TrialStart | None = None
         common = dict(experiment.overrides)

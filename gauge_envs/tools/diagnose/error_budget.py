@@ -29,7 +29,7 @@ from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band
+from gauge_envs.references.bands import Band, BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -128,6 +128,11 @@ def diagnose_trajectory(
         measured_only: Leave out the frames that the band extrapolates.
     """
     stages = stage_order(order)
+    if band is not None and band.grade is BandGrade.MODEL:
+        raise DiagnosisError(
+            f"{experiment.id}: there is no reference band of reality (grade model), so no error to split; it needs the "
+            "mean of real trials (gauge data import), of a recording or of a law"
+        )
     if band is None:
         found = load_band(experiment.name)
         if found is not None and found.withheld is not None:

@@ -18,9 +18,11 @@ from gauge_envs.envs.control.play import Policy
 from gauge_envs.envs.control.vector import ControlWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.scene import Scene
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
@@ -116,8 +118,8 @@ def experiment_envelope(
 ) -> Envelope:
     """Run an experiment at points of its uncertainty, in a vector environment whose worlds have the constants.
 
-    The quantity is the normalized RMSE of the score where the experiment has a band, and otherwise the root mean square
-    distance of g(t) from that of the calibrated values.
+    The quantity is the normalized RMSE where the experiment has a band of reality or a law, and otherwise the root mean
+    square distance of g(t) from that of the calibrated values.
 
     Args:
         variant: Variant or id.
@@ -134,7 +136,8 @@ def experiment_envelope(
     common: dict[str, Any] = {"backend": backend, "settings": settings}
     (calibrated,) = _batch(experiment, [{}], **common)
     assert calibrated.frames is not None
-    is_scored = calibrated.score is not None
+    # The solution of the calibrated scene is no reference for other constants.
+    is_scored = calibrated.score is not None and band_grade(experiment.name) is not BandGrade.MODEL
     values: list[float] = []
     endings: list[str] = []
     for first in range(0, samples, _checked_batch(batch)):
@@ -159,7 +162,7 @@ def experiment_envelope(
         parameters=parameters,
         sigmas=sigmas,
         values=np.array(values),
-        calibrated=calibrated.score if calibrated.score is not None else 0.0,
+        calibrated=calibrated.score if is_scored and calibrated.score is not None else 0.0,
         endings=tuple(endings),
         calibrated_ending="complete",
     )
