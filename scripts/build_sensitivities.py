@@ -18,6 +18,7 @@ from pathlib import Path
 from generated import SCORING
 
 from gauge_envs import load_experiment, reference_band, variants
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities
@@ -35,7 +36,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for engine in options.backend or ENGINES:
         for variant in variants():
             band = reference_band(load_experiment(variant.name))
-            is_scored = band is not None and band.normalized_by_baseline
+            is_scored = band is not None and band.grade is not BandGrade.MODEL and band.normalized_by_baseline
             if not (is_scored and fnmatchcase(variant.name, options.ids)):
                 continue
             file = options.out / engine / f"{variant.name}.json"

@@ -275,7 +275,7 @@ def _band_scores(
     z = z_scores(simulated, band.mean, sigma)
     squares = np.nansum(np.square(deviations.raw.values), axis=1)
     raw, trials = deviations.raw, trial_distances(band)
-    scores = _metric_fields(distances, baselines) | {
+    scores: dict[str, Any] = _metric_fields(distances, baselines) | {
         "primary": deviations.primary,
         "coordinates": band.coordinates,
         "rmse_95": raw.interval,

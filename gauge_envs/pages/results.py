@@ -144,7 +144,7 @@ def model_text(score: Score, backend: str | None) -> str:
     if score.rmse_95 is not None:
         ends = " to ".join(number_text(end) for end in score.rmse_95)
         text += f" (95 % interval {with_unit(ends, score.unit)})"
-    if backend in score.rmse_without:
+    if backend is not None and backend in score.rmse_without:
         *first, last = sorted(set(score.rmse_without) - {backend})
         others = f"{', '.join(first)} and {last}" if first else last
         own = amount(score.rmse_without[backend])

@@ -153,7 +153,7 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
         spread = np.repeat(interpolated(arrays["points_uncertainty"], sidecar.point_frames), 3, axis=1)
         names = tuple(f"marker-{index}.{axis}" for index in range(points_mm.shape[1] // 3) for axis in "xyz")
         points = _band(sidecar, points_mm, spread, unit="mm", coordinates=names)
-        points = replace(points, sigma=np.maximum(points.uncertainty, POINT_SIGMA_MM))
+        points = replace(points, sigma=np.maximum(points.sigma, POINT_SIGMA_MM))
     baseline = published_baselines(variant).get("rmse")
     band = _band(sidecar, mean, uncertainty, unit=sidecar.unit, coordinates=sidecar.coordinates)
     if baseline is not None and baseline.mean:

@@ -23,6 +23,7 @@ from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.pages.text import markdown_row
+from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import ENGINES, published_baselines, published_variants
 from gauge_envs.runs.episodes import run_episode
@@ -90,7 +91,8 @@ def comparable(engine: str, pattern: str = "*") -> Iterator[tuple[str, dict[str,
             continue
         experiment = load_experiment(variant)
         band = reference_band(experiment)
-        has_distance = band is not None and band.normalized_by_baseline
+        # Published scores are distances from reality, and not from a solved model.
+        has_distance = band is not None and band.grade is not BandGrade.MODEL and band.normalized_by_baseline
         scores = {
             metric: score
             for metric, line in published_baselines(variant).items()
