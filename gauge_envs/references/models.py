@@ -107,9 +107,7 @@ class ModelSidecar(FileModel):
         """The reference in one sentence."""
         *first, last = (one.engine for one in self.engines)
         names = f"{', '.join(first)} and {last}" if first else last
-        return (
-            f"the calibrated scene as {names} solve it, extrapolated to zero step and cell; it says nothing of reality"
-        )
+        return f"the calibrated scene as {names} solve it, refined one parameter at a time; it says nothing of reality"
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
+from sweep_lanes import needs_rapier
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
@@ -129,7 +130,7 @@ def test_the_swing_ends_where_its_uncertainty_is_the_swing() -> None:
     assert uncertainty[0] == pytest.approx([4.0, 0.0, LENGTH_M * 1e3 * math.radians(2.3)], rel=2e-3, abs=1e-6)
 
 
-@pytest.mark.parametrize("engine", ["mujoco", "rapier"])
+@pytest.mark.parametrize("engine", ["mujoco", pytest.param("rapier", marks=needs_rapier)])
 def test_engines_swing_with_the_law(engine: str) -> None:
     """Two engines without common code; half a millimetre is a fiftieth of the uncertainty at the first turn."""
     experiment = load_experiment(PENDULUM)
