@@ -23,7 +23,7 @@ class ShapeError(GaugeError, ValueError):
 
 
 class NoRewardWarning(UserWarning):
-    """An environment was made whose reward is always 0, because it has no real reference to compare with."""
+    """An environment was made whose reward is 0 at every frame, or from some frame on, for lack of a reference."""
 
 
 class ActionError(GaugeError, ValueError):

@@ -122,11 +122,11 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
 
 
 def unsolved_lines() -> Iterator[str]:
-    """Yield why scenes have no converged solution, and statistics of the last frame on each engine."""
+    """Yield why scenes have no solution, and statistics of the last frame on each engine."""
     unsolved = json.loads((SCORING / "models" / "unsolved.json").read_text(encoding="utf-8"))
     if not unsolved:
         return
-    yield from ("", "Why ids have no converged solution:", "")
+    yield from ("", "Why ids have no solution:", "")
     yield from (f"- {name}: {one['reason']}." for name, one in unsolved.items())
     yield from ("", "Their last frame: mean and standard deviation over runs with other steps and cells.", "")
     names = list(dict.fromkeys(name for one in unsolved.values() for name in one["statistics"]))

@@ -18,7 +18,7 @@ import json
 import math
 import resource
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -27,10 +27,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 from build_convergence import supported
+from extrapolation import combined, extrapolate, known_frames, rms
 from generated import SCORING, markdown_table
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
-from scipy.optimize import brentq
 from scipy.spatial import ConvexHull
 
 from gauge_envs.backends import backend
@@ -57,18 +56,6 @@ from gauge_envs.scene import Cloth, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]
-
-ORDERS = (0.5, 2.2)
-"""Smallest and largest order that counts as observed. A larger one is two errors that cancel."""
-
-LEAST_COSINE = 0.9
-"""Least cosine between the changes of two refinements: they correct the same error."""
-
-SAFETY, LONE_SAFETY = 1.25, 3.0
-"""Factors of Roache's grid convergence index, with an observed order and without one."""
-
-WINDOW = 11
-"""Frames over which an uncertainty is averaged."""
 
 SCATTER_SHARE = 0.5
 """Share of the published scatter of real trials at which a reference ends."""
@@ -273,75 +260,7 @@ def solve_all(options: argparse.Namespace) -> int:
     return 0
 
 
-# --- extrapolation ---
-
-
-@dataclass(frozen=True, eq=False, kw_only=True)
-class Extrapolated:
-    """A quantity at zero step and cell.
-
-    Attributes:
-        correction: What is added to the values of the default settings, shape [T, C].
-        uncertainty: Standard uncertainty that is left, shape [T, C].
-        order: Observed order; None if it was not observed.
-    """
-
-    correction: FloatArray
-    uncertainty: FloatArray
-    order: float | None
-
-
-def observed_order(runs: Sequence[FloatArray], factors: Sequence[float]) -> float | None:
-    """Return the order p at which three runs converge, coarse to fine; None if they do not.
-
-    The error is C f^p for a refinement factor f. So the ratio of the two changes is (f1^p - f2^p) / (f2^p - f3^p). The
-    changes must point the same way, and p must lie in `ORDERS`.
-    """
-    first, second = (runs[0] - runs[1]).ravel(), (runs[1] - runs[2]).ravel()
-    sizes = float(np.linalg.norm(first)), float(np.linalg.norm(second))
-    if not all(sizes) or float(first @ second) < LEAST_COSINE * sizes[0] * sizes[1]:
-        return None
-
-    def excess(order: float) -> float:
-        coarse, middle, fine = (factor**order for factor in factors)
-        return (coarse - middle) / (middle - fine) - sizes[0] / sizes[1]
-
-    if excess(ORDERS[0]) * excess(ORDERS[1]) > 0.0:
-        return None
-    return float(brentq(excess, *ORDERS))
-
-
-def extrapolate(runs: Sequence[FloatArray], factors: Sequence[float]) -> Extrapolated:
-    """Return a quantity at zero of a parameter, with the uncertainty of Roache's grid convergence index.
-
-    With an observed order the value is extrapolated. Its 95 % uncertainty is 1.25 times the distance to the finest run,
-    at most by order 1, because errors of several orders may look like one of a high order. Else the finest run stands,
-    with 3 times what is left by order 1 after the change from the default settings.
-
-    Args:
-        runs: The quantity in each run, coarse to fine, each of shape [T, C]; one of them has the factor 1.
-        factors: Parameter of each run over that of the default settings.
-    """
-    base, fine = runs[list(factors).index(1.0)], runs[-1]
-    order = observed_order(runs[-3:], factors[-3:]) if len(runs) > 2 else None
-
-    def left(power: float, other: int = -2) -> FloatArray:
-        coarse, last = factors[other] ** power, factors[-1] ** power
-        return (fine - runs[other]) * last / (coarse - last)
-
-    if order is None:
-        # Of close runs the difference is small by chance; the default one is the farthest that is not coarse.
-        other = next((place for place, factor in enumerate(factors[:-1]) if factor <= 1.0), len(factors) - 2)
-        spread = 0.5 * LONE_SAFETY * smoothed(left(1.0, other))
-        return Extrapolated(correction=fine - base, uncertainty=spread, order=None)
-    uncertainty = 0.5 * SAFETY * smoothed(left(min(order, 1.0)))
-    return Extrapolated(correction=fine - base + left(order), uncertainty=uncertainty, order=order)
-
-
-def smoothed(values: FloatArray) -> FloatArray:
-    """Return the root mean square over `WINDOW` frames, so that a passage through zero is no certainty."""
-    # The running sum of the filter may end a little below zero.
-    return np.sqrt(np.maximum(uniform_filter1d(np.square(values), WINDOW, axis=0, mode="nearest"), 0.0))
+# --- references ---
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -398,34 +317,11 @@ def solutions(runs: Sequence[Run], quantity: str) -> dict[str, tuple[FloatArray,
     return found
 
 
-def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the weighted mean of solutions, its standard uncertainty, and the distance of the families from it.
-
-    A weight is the inverse of the mean square of an engine's uncertainty plus that of the distance of the families, as
-    in a meta-analysis with random effects. Engines share meshes and the map of constants, so their uncertainties do not
-    shrink in the mean, and the largest distance of a family from it is added in quadrature.
-    """
-    values = np.array([value for value, _ in each])
-    squares = np.array([np.square(uncertainty) for _, uncertainty in each])
-    between = np.square(values - values.mean(axis=0)).max(axis=0).mean()
-    weights = 1.0 / np.maximum(squares.mean(axis=(1, 2)) + between, np.finfo(float).tiny)
-    weights /= weights.sum()
-    mean = np.tensordot(weights, values, axes=1)
-    apart = smoothed(np.abs(values - mean).max(axis=0))
-    return mean, np.sqrt(np.tensordot(weights, squares, axes=1) + np.square(apart)), apart
-
-
-def known_frames(uncertainty: FloatArray, limit: float) -> int:
-    """Return the number of frames until the uncertainty, as a norm over coordinates, first exceeds a limit."""
-    beyond = np.linalg.norm(uncertainty, axis=1) > limit
-    return int(beyond.argmax()) if beyond.any() else len(uncertainty)
-
-
 def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> str:
     """Write the reference of a variant, or return why it has none; empty if it has."""
     each = solutions(runs, "frames")
     if len(each) < 2:
-        return f"only {', '.join(each) or 'no engine'} solved it: two families are needed"
+        return unsolved_reason(experiment, each)
     name, file = experiment.name, folder / f"{experiment.name}.npz"
     mean, uncertainty, apart = combined([(value, spread) for value, spread, _ in each.values()])
     baseline = published_baselines(name).get("rmse")
@@ -498,6 +394,15 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     return ""
 
 
+def unsolved_reason(experiment: Experiment, solved_by: Collection[str]) -> str:
+    """Return why an experiment has no reference, of which fewer than two engines have finished runs."""
+    engines = engines_of(experiment)
+    if len(engines) < 2:
+        return f"two families of engines are needed, and only {', '.join(engines)} builds it"
+    missing = [name for name in engines if name not in solved_by]
+    return f"not solved yet: finished runs of {' and '.join(missing)} are missing"
+
+
 def end_statistics(runs: Sequence[Run]) -> dict[str, dict[str, list[float]]]:
     """Return statistics of the last frame: of each engine the mean, the standard deviation and the number of runs.
 
@@ -540,11 +445,6 @@ def coordinate_names(experiment: Experiment, width: int) -> tuple[str, ...]:
     return tuple(f"{experiment.score.observable.value}-{index}" for index in range(width))
 
 
-def rms(values: FloatArray) -> float:
-    """Return the root mean square over frames of a distance over coordinates."""
-    return float(np.sqrt(np.mean(np.square(np.linalg.norm(values, axis=1)))))
-
-
 def digits(value: float) -> float:
     """Return three significant digits."""
     return float(f"{value:.3g}")
@@ -566,7 +466,7 @@ def write_all(options: argparse.Namespace) -> int:
         runs = read_runs(options.runs / experiment.name, experiment.frame_count)
         if not runs:
             if not (folder / f"{experiment.name}.npz").is_file():
-                reasons.setdefault(experiment.name, {"reason": "not solved yet", "statistics": {}})
+                reasons[experiment.name] = {"reason": unsolved_reason(experiment, ()), "statistics": {}}
             continue
         reason = write_model(experiment, runs, folder)
         reasons.pop(experiment.name, None)

@@ -107,7 +107,7 @@ def reference_words(grade: BandGrade, trial_count: int | None) -> str:
         return f"the mean of {trial_count} real trials" if trial_count else "the mean of the real trials"
     names = {
         BandGrade.RECORDING: "one recorded real trial",
-        BandGrade.MODEL: "the converged solution of the scene, not a real trial",
+        BandGrade.MODEL: "the solution of the scene by several engines, not a real trial",
     }
     return names.get(grade, "the law that the score compares with")
 

@@ -36,7 +36,7 @@ GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
-    BandGrade.MODEL: "the converged solution of the calibrated scene: how well an engine solves the model, and "
+    BandGrade.MODEL: "the calibrated scene as several engines solve it: how well an engine solves the model, and "
     "nothing of reality; scores are over the scatter of real trials where it is published",
     BandGrade.NONE: "no reference: RMSE and DTW are not scored",
 }

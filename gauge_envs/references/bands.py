@@ -49,7 +49,7 @@ class BandGrade(StrEnum):
     LAW = "law"
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
     MODEL = "model"
-    """Converged solution of the calibrated scene by several engines. It says nothing of reality."""
+    """Solution of the calibrated scene by several engines, with its uncertainty. It says nothing of reality."""
     NONE = "none"
     """No reference: no score."""
 
@@ -69,7 +69,7 @@ class SigmaSource(StrEnum):
     MEASUREMENT = "measurement"
     """Uncertainty of the measurement, as no scatter of real trials is published."""
     MODEL = "model"
-    """Uncertainty of the converged solution, as no scatter of real trials is published."""
+    """Uncertainty of that solution, as no scatter of real trials is published."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Models: the converged solution of a calibrated scene, by engines of different families.
+"""Models: the solution of a calibrated scene by engines of different families, refined until its uncertainty is known.
 
 A variant without a real reference may have `scoring/models/<variant>.npz` and a sidecar `<variant>.json`, which
 `scripts/build_models.py` writes; `unsolved.json` says why others have none. A distance to it is the numerical error of
@@ -85,7 +85,7 @@ class ModelSidecar(FileModel):
         ends: Why it ends there; empty if it covers the episode.
         quantum: Value of one count of `mean` and `offsets`, in the unit of g(t).
         point_quantum_mm: Value of one count of `points` [mm].
-        families_apart: Root mean square difference of g(t) between the engines' solutions and their mean.
+        families_apart: Largest distance of an engine's g(t) from the mean, root mean square over frames.
         engines: The solutions that the mean is of.
         processor_s: Processor time of all runs [s].
     """
@@ -112,7 +112,7 @@ class ModelSidecar(FileModel):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SolvedModel:
-    """Converged solution of a calibrated scene.
+    """Solution of a calibrated scene.
 
     Attributes:
         sidecar: What it rests on.
@@ -126,7 +126,7 @@ class SolvedModel:
 
 
 def solved_model(variant: str) -> SolvedModel | None:
-    """Return the converged solution of a variant's calibrated scene, or None."""
+    """Return the solution of a variant's calibrated scene, or None."""
     return _read(scoring_folder("models") / f"{variant}.npz", variant)
 
 

@@ -23,7 +23,7 @@ from gauge_envs.scene import Air
 from gauge_envs.tools.conformance.cloth import BENT_FABRIC, BENT_FREE_M, BENT_GRAVITY, CLAMP_SHARE, cantilever_strip
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
-from build_models import extrapolate
+from extrapolation import extrapolate
 
 STANDARD_DEG = 41.5
 """Angle of the standards, at which the overhang is twice the bending length."""

@@ -471,7 +471,7 @@ def scores() -> dict[str, list[str]]:
         "docs/getting_started.md": [
             f"A single real trial is {real_mm('SlopeSlider-2-wood'):.0f} mm from that mean",
             jitter("standard deviations of {position} and {angle}"),
-            f"positions of the markers, over {of('references.models.POINT_SIGMA_MM'):g} mm or their uncertainty",
+            f"positions of the markers instead, over {of('references.models.POINT_SIGMA_MM'):g} mm or",
         ],
         "docs/sweeps.md": [jitter("{position} and {angle} if there are repeats")],
         "docs/index.md": [
