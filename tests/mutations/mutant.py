@@ -116,8 +116,7 @@ class Mutant(Backend):
     name = "mutant"
 
     def __init__(self, backend: Backend, fault: Fault) -> None:
-        self.applies_air = backend.applies_air  # type: ignore[misc]  # a class variable of engines
-        self.joins_bodies = backend.joins_bodies  # type: ignore[misc]  # a class variable of engines
+        self.features = backend.features  # type: ignore[misc]  # a class variable of engines
         self._backend = backend
         self._fault = fault
 

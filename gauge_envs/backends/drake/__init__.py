@@ -8,7 +8,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import Feature, Simulation
 from gauge_envs.backends.drake.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
 from gauge_envs.scene import Scene
@@ -35,7 +35,7 @@ class BackendDrake(BundledBackend):
     configurations = MappingProxyType(
         {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
     )
-    joins_bodies = True
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""

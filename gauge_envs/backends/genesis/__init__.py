@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
@@ -28,6 +28,7 @@ class BackendGenesis(BundledBackend):
     modules = ("genesis", "torch")
     # MuJoCo reads the description of the bodies.
     packages = ("genesis-world", "quadrants", "torch", "mujoco")
+    features = frozenset({Feature.STATED_INERTIA})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"CG": {"constraint_solver": "CG"}, "out_of_box": {"preset": "out_of_box"}})
 

@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.newton.contacts import unsupported_contacts, unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
@@ -40,7 +40,7 @@ class BackendNewton(BundledBackend):
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
-    joins_bodies = True
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
     worlds_mix_constants = True
     worlds_restart_alone = True
 
