@@ -167,10 +167,10 @@ def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> f
     return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
 
 
-def slide_acceleration(measured: float, friction: float, *, slope_deg: float = SLIDE_SLOPE_DEG) -> Measurement:
-    """Return the measurement of a slide on a slope; Coulomb's law gives the expected acceleration [m/s^2]."""
-    sine, cosine = np.sin(np.radians(slope_deg)), np.cos(np.radians(slope_deg))
-    effective = friction_of_slide(measured, np.radians(slope_deg))
+def slide_acceleration(measured: float, friction: float) -> Measurement:
+    """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
+    sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
+    effective = friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG))
     rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
     rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
     return Measurement(
