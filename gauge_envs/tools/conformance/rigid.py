@@ -53,6 +53,15 @@ def _gravity_hint(measured: float, expected: float) -> str:
     return ""
 
 
+def _limit_hint(rollout: Rollout) -> str:
+    """Return the speed that a falling body does not exceed; empty if it is as fast at the end as gravity makes it."""
+    speed = np.linalg.norm(rollout.velocity("brick"), axis=1)
+    late = speed[-len(speed) // 10 :]
+    return (
+        f"it is never faster than {late[-1]:.3g} m/s: a limit of speed acts" if np.ptp(late) < 1e-3 * late[-1] else ""
+    )
+
+
 FALL_TOLERANCE = Tolerance(
     "a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, and real drops scatter by 1 mm",
     relative=1e-3,
@@ -82,7 +91,8 @@ FALL_TOLERANCE = Tolerance(
 def _free_fall(rollout: Rollout) -> Measurement:
     measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
     expected = rollout.scene.gravity_m_per_s2
-    return Measurement(measured=measured, expected=expected, hint=_gravity_hint(measured, expected))
+    hint = _gravity_hint(measured, expected) or _limit_hint(rollout)
+    return Measurement(measured=measured, expected=expected, hint=hint)
 
 
 @Check(
