@@ -204,9 +204,18 @@ def _limit(vector: Array, most: float) -> None:
     vector *= min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
 
 
-def _asleep(velocity: Array, spin: Array) -> None:
-    if np.linalg.norm(velocity) < 5e-3 and not spin.any():
-        velocity[:] = 0.0
+class _Asleep(Passed):
+    """Stops free bodies that were slower than 5 mm/s, and did not spin, for 0.5 s."""
+
+    slow_s: Any = 0.0
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
+            rows = self.inner.data.qvel.reshape(-1, 6)
+            slow = (np.linalg.norm(rows[:, :3], axis=1) < 5e-3) & ~rows[:, 3:].any(axis=1)
+            self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
+            rows[self.slow_s > 0.5] = 0.0
 
 
 class _HeavySpin(Passed):
@@ -394,7 +403,7 @@ FAULTS: dict[str, Fault] = dict(
             "bodies slower than 5 mm/s sleep",
             "slow-drift",
             "puts slow bodies to sleep",
-            simulation=_speeds(_asleep),
+            simulation=_Asleep,
         ),
         _own(
             "gravity-of-spin",
