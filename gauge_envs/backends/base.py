@@ -326,8 +326,11 @@ class Backend(ABC):
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
+        corrections: Where the engine's own physics is replaced or completed, one sentence each. An option of the engine
+            is none. They hold for all presets but those of `own_defaults`.
         features: Optional features that `build` builds. Scenes with others are declined, so that an engine which was
             written before a feature existed leaves none out.
+        own_defaults: Presets that leave the engine as its makers deliver it.
         worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
             scenes are built one by one for other engines.
         worlds_restart_alone: Whether `Worlds.restart` of what `build_worlds` returns starts one world anew while others
@@ -337,9 +340,17 @@ class Backend(ABC):
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
+    corrections: ClassVar[tuple[str, ...]] = ()
     features: ClassVar[frozenset[Feature]] = frozenset()
+    own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
     worlds_mix_constants: ClassVar[bool] = False
     worlds_restart_alone: ClassVar[bool] = False
+
+    def whose_physics(self, preset: str) -> str:
+        """Return whose physics a preset shows: `own defaults`, `own options`, or `corrected` by this package."""
+        if preset in self.own_defaults:
+            return "own defaults"
+        return "corrected" if self.corrections else "own options"
 
     @abstractmethod
     def versions(self) -> dict[str, str]:

@@ -35,6 +35,10 @@ class BackendDrake(BundledBackend):
     configurations = MappingProxyType(
         {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
     )
+    corrections = (
+        "restitution: the dissipation of a contact is derived from it, as Drake has no coefficient",
+        "strings: a spring that this package computes",
+    )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 
     def unsupported(self, scene: Scene) -> Iterator[str]:

@@ -40,7 +40,12 @@ class BackendNewton(BundledBackend):
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
+    corrections = (
+        "restitution: the damping of a contact is derived from it, as its MuJoCo solver ignores the coefficient",
+        "cloth: a step starts from the last acceleration, by a subclass of SolverVBD",
+    )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True
 

@@ -45,6 +45,10 @@ class BackendPyBullet(BundledBackend):
     packages = ("pybullet",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
+    corrections = (
+        "lengths: 100 units per metre, as margins and thresholds of Bullet are absolute",
+        "strings: a chain of three joints",
+    )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 
     def failed_import(self, module: str) -> ImportError:
