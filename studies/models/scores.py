@@ -15,12 +15,15 @@ import io
 import shutil
 import sys
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gauge_envs.backends import backend
+from gauge_envs.errors import MissingExtraError
 from gauge_envs.evaluation.deviation import Deviation, band_deviations
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import load_experiment
@@ -49,10 +52,19 @@ def scored_ids(patterns: Sequence[str]) -> Iterator[tuple[str, BandGrade]]:
             yield variant.name, band.grade
 
 
+def installed() -> list[str]:
+    """Return the engines of this environment."""
+    found = []
+    for name in BACKEND_TITLES:
+        with suppress(MissingExtraError):
+            found.append(backend(name).name)
+    return found
+
+
 def run(options: argparse.Namespace) -> int:
     """Run the episodes that the folder lacks."""
     for name, _ in scored_ids(options.ids):
-        for engine in options.engine or BACKEND_TITLES:
+        for engine in options.engine or installed():
             if not supported(name, engine):
                 continue
             for preset in PRESETS:
