@@ -217,6 +217,13 @@ class _Asleep(Passed):
             self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
             rows[self.slow_s > 0.5] = 0.0
 
+    def state(self) -> Any:
+        return super().state(), np.copy(self.slow_s)
+
+    def restore(self, state: Any) -> None:
+        super().restore(state[0])
+        self.slow_s = np.copy(state[1])
+
 
 class _HeavySpin(Passed):
     """Pulls spinning bodies down by 1 % more."""
