@@ -77,16 +77,20 @@ class EpisodesOneByOne:
         worlds: The worlds.
 
     Attributes:
-        episodes: The episode of each world.
         worlds: The worlds.
         ran: Numbers of the worlds whose episodes ran in the last step; all after `begin`.
     """
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
-        self.episodes = episodes
+        self._episodes = episodes
         self.worlds = worlds
         self.ran: Numbers = np.arange(len(episodes))
         self._observations: list[Observation] = []
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """The episode of each world."""
+        return self._episodes
 
     @property
     def running(self) -> Numbers:

@@ -52,10 +52,10 @@ def angle_deficit_curvature(
     to_previous = np.roll(vertices, 1, axis=2) - vertices
     angles = _angle_between(to_next, to_previous)  # 0 for coincident vertices, which leaves them out of the sum
     angles = np.where(np.isnan(angles), 0.0, angles)
-    # One matrix product with the incidence of corners and markers sums the angles of all frames.
+    # A product with the incidence of corners and markers sums the angles of a frame, with the same bits in any batch.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0
-    curvature = full_angle - angles.reshape(len(angles), -1) @ incidence
+    curvature = full_angle - np.matmul(angles.reshape(len(angles), 1, -1), incidence)[:, 0]
     return np.where(np.isnan(markers_m).any(axis=-1), np.nan, curvature)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from gauge_envs.backends.base import Simulation, World
+from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
@@ -88,31 +88,35 @@ class ObserverMarkers:
     Attributes:
         markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
         largest_distance_m: Distance of the worst marker from its proxy at rest.
+        bodies: Names of the bodies with markers.
+        observed: Function that returns g(t) of marker positions; see `observe_markers`.
+        read: The engine's reader of all markers; None if they are interpolated between nodes, as `indices` and
+            `weights` state, shape [marker_count, k] each.
     """
 
     def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
         if scene.markers is None:
             raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
-        self._markers = scene.markers
-        self._observed = partial(observe_markers, markers=scene.markers, observable=observable)
+        self.bodies = scene.markers.bodies
+        self.observed = partial(observe_markers, markers=scene.markers, observable=observable)
         rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self._read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
+        self.read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
-            self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
-            self._weights = np.ones((len(targets), 1))
-        elif self._read is None:
+            self.indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
+            self.weights = np.ones((len(targets), 1))
+        elif self.read is None:
             deformables = {body.name: body for body in scene.deformables}
-            self._indices, self._weights = material_points(targets, rest, deformables)
+            self.indices, self.weights = material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(world)
         self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
-        self.width = len(self._observed(self.markers_m[None])[0])
+        self.width = len(self.observed(self.markers_m[None])[0])
 
     def now(self, world: World) -> FloatArray:
         """Return g(t) now, shape [width]."""
         self.markers_m = self._marker_positions(world)
-        return self._observed(self.markers_m[None])[0]
+        return self.observed(self.markers_m[None])[0]
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
@@ -121,13 +125,41 @@ class ObserverMarkers:
             simulation.advance(interval_s)
             row[:] = self._marker_positions(simulation)
         self.markers_m = markers[-1].copy()
-        return self._observed(markers)
+        return self.observed(markers)
 
     def _marker_positions(self, world: World) -> FloatArray:
-        if self._read is not None:
-            return self._read()
-        nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
-        return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
+        if self.read is not None:
+            return self.read()
+        nodes = np.concatenate([world.nodes(name) for name in self.bodies])
+        return np.einsum("mk,mkc->mc", self.weights, nodes[self.indices])
+
+
+class MarkersOfWorlds:
+    """Observer of the markers of many worlds at once.
+
+    Args:
+        observers: The observer of each world.
+        worlds: The worlds.
+    """
+
+    def __init__(self, observers: Sequence[ObserverMarkers], worlds: Worlds) -> None:
+        first = observers[0]
+        self._worlds = worlds
+        self._bodies = first.bodies
+        self.observed = first.observed
+        self._readers = [one.read for one in observers if one.read is not None]
+        if not self._readers:
+            self._numbers = np.arange(len(observers))[:, None, None]
+            self._indices = np.stack([one.indices for one in observers])
+            self._weights = np.stack([one.weights for one in observers])
+
+    def positions(self) -> FloatArray:
+        """Return the positions of the markers [m], shape [world_count, marker_count, 3]."""
+        if self._readers:
+            return np.stack([read() for read in self._readers])
+        parts = [self._worlds.nodes(name) for name in self._bodies]
+        nodes = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        return np.einsum("wmk,wmkc->wmc", self._weights, nodes[self._numbers, self._indices])
 
 
 def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Callable[[], FloatArray] | None:

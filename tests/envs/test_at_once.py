@@ -100,6 +100,36 @@ def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together:
     assert_same_steps(many, loop, frames + 4)
 
 
+@pytest.mark.parametrize("name", ["Turntable-1-wood", "SlopeSlider-3-metal", "FoamShearing-soft", "TextileBending-satin"])
+def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str, together: None) -> None:
+    """Also with actions, which differ between the worlds."""
+    count = 2 if name.startswith("Textile") else 3
+    many = gymnasium.make_vec(f"GAUGE/{name}", num_envs=count)
+    assert isinstance(many.unwrapped._lockstep, EpisodesAtOnce)
+    loop = SyncVectorEnv([lambda: GaugeEnv(name)] * count)
+    many.reset(seed=4)
+    loop.reset(seed=4)
+    draw = np.random.default_rng(0)
+    for frame in range(4):
+        actions = draw.uniform(-1.0, 1.0, many.action_space.shape) * (frame > 0)
+        actions[0] = 0.0
+        ours, theirs = many.step(actions), loop.step(actions)
+        assert ours[0].keys() == theirs[0].keys()
+        assert all(np.array_equal(ours[0][key], theirs[0][key]) for key in theirs[0])
+        assert all(np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True))
+    for episode, env in zip(many.unwrapped.episodes, loop.envs, strict=True):
+        mine, its = episode.trajectory(), env.unwrapped.trajectory()
+        assert all(np.array_equal(getattr(mine, key), getattr(its, key)) for key in vars(mine))
+
+
+def test_a_wrong_action_of_a_driven_world_at_once_is_named(together: None) -> None:
+    many = gymnasium.make_vec("GAUGE/Turntable-1-wood", num_envs=2)
+    many.reset(seed=0)
+    for wrong in (np.full((2, 1), 1.5), np.full((2, 1), np.nan), np.zeros((2, 2)), [[0.0], ["x"]]):
+        with pytest.raises(ActionError):
+            many.step(wrong)
+
+
 def test_a_world_that_diverges_at_once_ends_alone(together: None) -> None:
     many = gymnasium.make_vec("GAUGE/BouncingBall-rubber", num_envs=3)
     loop = ScoreEpisodes(SyncVectorEnv([lambda: GaugeEnv("BouncingBall-rubber")] * 3))
