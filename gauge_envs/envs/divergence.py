@@ -178,7 +178,9 @@ class DeformableBoundsOfWorlds:
             Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
         """
         with np.errstate(invalid="ignore", over="ignore"):
-            most, least = nodes.max(axis=1), nodes.min(axis=1)
+            # Reductions over the last axis are several times as fast.
+            axes = np.ascontiguousarray(nodes.transpose(0, 2, 1))
+            most, least = axes.max(axis=2), axes.min(axis=2)
             extents_m = np.linalg.norm(most - least, axis=1)
             # A comparison with NaN is false, so that each bound also catches what is not a number.
             within = extents_m <= self._extents_m * (1.0 - 1e-9)

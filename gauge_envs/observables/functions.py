@@ -100,8 +100,12 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
     """
     markers_m = _points("markers_m", markers_m, dimension=3)
     faces = _indices("faces", faces, width=3, marker_count=markers_m.shape[1])
-    a, b, c = np.moveaxis(1e3 * markers_m[:, faces], 2, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    # Whole arrays of x, y and z are several times as fast as vectors of three numbers, with the same bits.
+    axes = 1e3 * np.ascontiguousarray(markers_m.transpose(2, 0, 1))
+    a, b, c = (axes.take(vertex, axis=2) for vertex in faces.T)
+    (x, y, z), (u, v, w) = b - a, c - a
+    normal = (y * w - z * v, z * u - x * w, x * v - y * u)
+    return 0.5 * np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
 
 
 def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from functools import partial
+from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
@@ -131,7 +131,7 @@ class ObserverMarkers:
         if self.read is not None:
             return self.read()
         nodes = np.concatenate([world.nodes(name) for name in self.bodies])
-        return np.einsum("mk,mkc->mc", self.weights, nodes[self.indices])
+        return _interpolated(nodes, self.indices.T, self.weights.T)
 
 
 class MarkersOfWorlds:
@@ -149,9 +149,10 @@ class MarkersOfWorlds:
         self.observed = first.observed
         self._readers = [one.read for one in observers if one.read is not None]
         if not self._readers:
-            self._numbers = np.arange(len(observers))[:, None, None]
-            self._indices = np.stack([one.indices for one in observers])
-            self._weights = np.stack([one.weights for one in observers])
+            # Rows of the nodes of all worlds.
+            count = sum(len(worlds.worlds[0].nodes(name)) for name in first.bodies)
+            self._rows = np.concatenate([count * number + one.indices for number, one in enumerate(observers)]).T.copy()
+            self._weights = np.concatenate([one.weights for one in observers]).T.copy()
 
     def positions(self) -> FloatArray:
         """Return the positions of the markers [m], shape [world_count, marker_count, 3]."""
@@ -159,7 +160,22 @@ class MarkersOfWorlds:
             return np.stack([read() for read in self._readers])
         parts = [self._worlds.nodes(name) for name in self._bodies]
         nodes = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
-        return np.einsum("wmk,wmkc->wmc", self._weights, nodes[self._numbers, self._indices])
+        markers_m = _interpolated(nodes.reshape(-1, 3), self._rows, self._weights)
+        return markers_m.reshape(len(nodes), -1, 3)
+
+
+def _interpolated(nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArray) -> FloatArray:
+    """Return weighted sums of nodes [m], shape [point_count, 3].
+
+    Args:
+        nodes_m: Positions of nodes [m], shape [node_count, 3].
+        rows: Nodes of each point, shape [k, point_count].
+        weights: Their weights, shape [k, point_count].
+    """
+    points_m = weights[0][:, None] * nodes_m.take(rows[0], axis=0)
+    for row, weight in zip(rows[1:], weights[1:], strict=True):
+        points_m += weight[:, None] * nodes_m.take(row, axis=0)
+    return points_m
 
 
 def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Callable[[], FloatArray] | None:
@@ -198,6 +214,8 @@ def material_points(
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
+    Many worlds have the same ones, which are computed once; the arrays are read-only.
+
     Args:
         targets_m: Marker positions at rest [m], shape [marker_count, 3].
         rest: Node positions at rest [m] of each body with markers, shape [node_count, 3].
@@ -206,12 +224,22 @@ def material_points(
     Returns:
         Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
     """
+    nodes = tuple((name, one.tobytes(), deformables[name]) for name, one in rest.items())
+    return _material_points(targets_m.tobytes(), nodes)
+
+
+@lru_cache(maxsize=8)
+def _material_points(
+    targets: bytes, bodies: tuple[tuple[str, bytes, Deformable], ...]
+) -> tuple[NDArray[np.intp], FloatArray]:
+    targets_m = np.frombuffer(targets).reshape(-1, 3)
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))
     best = np.full(len(targets_m), np.inf)
     first = 0
-    for name, nodes in rest.items():
-        points, queries, body = nodes, targets_m, deformables[name]
+    for name, content, body in bodies:
+        nodes = np.frombuffer(content).reshape(-1, 3)
+        points, queries = nodes, targets_m
         if isinstance(body, Cloth):
             points, queries = body.pose.to_body(nodes)[:, :2], body.pose.to_body(targets_m)[:, :2]
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
@@ -226,6 +254,8 @@ def material_points(
         raise ShapeError(
             f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
         )
+    for array in (indices, weights):
+        array.flags.writeable = False
     return indices, weights
 
 
