@@ -100,7 +100,9 @@ def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together:
     assert_same_steps(many, loop, frames + 4)
 
 
-@pytest.mark.parametrize("name", ["Turntable-1-wood", "SlopeSlider-3-metal", "FoamShearing-soft", "TextileBending-satin"])
+@pytest.mark.parametrize(
+    "name", ["Turntable-1-wood", "SlopeSlider-3-metal", "FoamShearing-soft", "TextileBending-satin"]
+)
 def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str, together: None) -> None:
     """Also with actions, which differ between the worlds."""
     count = 2 if name.startswith("Textile") else 3
