@@ -268,7 +268,7 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._shown[:], self._faults, self._is_behind = recorded.frames, dict(recorded.faults), True
         self._diverged[[*self._faults]] = True
         for number, episode in enumerate(self.episodes):
-            last = states[min(episode.frame, len(self._bodies) - 1), number]
+            last = states[min(int(self._shown[number]), len(self._bodies) - 1), number]
             if episode.runs_on:
                 episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
                 episode.count_later_frames(int(recorded.later[number]))
@@ -356,9 +356,8 @@ class RecordedEpisodes:
         )
 
     def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
-        held = host_array(self.recording.states), host_array(self.recording.positions_m)
-        if held[0] is not None and held[1] is not None:
-            states, positions = held
+        states, positions = host_array(self.recording.states), host_array(self.recording.positions_m)
+        if states is not None and positions is not None:
             firsts = _first_suspects_on_host(states, positions, bounds, later=self._last + 1)
             suspects = np.flatnonzero(firsts < len(states))
             near, places = states[:, suspects], positions[:, suspects]
@@ -398,7 +397,7 @@ def _first_suspects_on_host(
 
 def _suspects_on_device(
     recording: Recording, bounds: RigidBoundsOfWorlds, *, later: int
-) -> tuple[NDArray[np.int32], NDArray[np.intp], FloatArray, FloatArray]:
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
     """Find worlds that may be out of bounds by a kernel, and copy them alone.
 
     Returns:
@@ -417,7 +416,7 @@ def _suspects_on_device(
         limit_arrays = [wp.array(limit, dtype=wp.float64) for limit in limits]
         inputs = [states, positions, *limit_arrays, SAMPLES_PER_FRAME, later]
         wp.launch(find_suspects, dim=(frame_count - 1, world_count), inputs=inputs, outputs=[first])
-        firsts = first.numpy()
+        firsts: NDArray[np.intp] = first.numpy().astype(np.intp)
         suspects = np.flatnonzero(firsts < frame_count)
         if not len(suspects):
             return firsts, suspects, np.zeros((0, 0)), np.zeros((0, 0))

@@ -153,7 +153,7 @@ def device_array(array: Any) -> wp.array:
     return wp.from_dlpack(array)
 
 
-def host_array(array: Any) -> FloatArray | None:
+def host_array(array: Any) -> NDArray[Any] | None:
     """Return an array of another library as a NumPy array without a copy, or None if it lies on a GPU.
 
     An array of Warp stays where it is: its kernels score it on the CPU too.
@@ -164,7 +164,7 @@ def host_array(array: Any) -> FloatArray | None:
     if isinstance(array, np.ndarray):
         return array
     is_on_host = array.__dlpack_device__()[0] == DLPACK_CPU and type(array).__module__.partition(".")[0] != "warp"
-    return np.from_dlpack(array) if is_on_host else None
+    return np.asarray(np.from_dlpack(array)) if is_on_host else None
 
 
 def copied_array(array: Any) -> FloatArray:

@@ -10,7 +10,7 @@ from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.user_data import has_import
@@ -39,7 +39,7 @@ def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = la
     ]
 
 
-def facts_of(experiment: Experiment) -> dict[str, Any]:
+def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
     """Return what a row says of an experiment in any installation."""
     return {
         "id": experiment.variant.id,
