@@ -281,6 +281,13 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use, at most that of `OMP_NUM_THREADS`."""
+    count = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    return min(count, int(given)) if given.isdecimal() and int(given) else count
+
+
 def versions() -> dict[str, str]:
     """Return the versions of gauge-envs, gymnasium, numpy and python."""
     return dict(_versions())

@@ -159,7 +159,14 @@ class World(ABC):
 
 
 class Simulation(World):
-    """A world that advances on its own."""
+    """A world that advances on its own.
+
+    Attributes:
+        frees_python: Whether `advance` runs without Python's lock, so that several simulations advance at once in as
+            many threads.
+    """
+
+    frees_python: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, seed: int) -> None:

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
@@ -126,11 +124,6 @@ def parsed_use(text: str, *names: str) -> dict[str, Any]:
         used.update(USES[word])
     sources = {name: DataSource.IMPORTED if name in used else DataSource.BUNDLED for name in names}
     return sources | ({"use_withheld": "use_withheld" in used} if "use_withheld" in names else {})
-
-
-def processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
 
 
 def parsed_limits(text: str) -> tuple[bool, float | None, float | None]:

@@ -14,6 +14,7 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import Format, Progress, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.files import processors
 from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
@@ -159,7 +160,7 @@ def _default_jobs(requests: Sequence[RunRequest]) -> int:
     """Return the number of processors; 1 for a few rigid episodes, which end before another process has started."""
     episodes = sum(request.repeats for request in requests)
     is_long = episodes > FEW_EPISODES or any(one.calibrated_experiment().scene.deformables for one in requests)
-    return arguments.processors() if is_long else 1
+    return processors() if is_long else 1
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

@@ -28,6 +28,7 @@ from gauge_envs.cli.output import (
     print_json_lines,
 )
 from gauge_envs.errors import ParameterError
+from gauge_envs.files import processors
 from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ def sweep(
     if shard is not None:
         plan = part_of(plan, *_part(shard))
     if dry_run:
-        _show_plan(plan, out, workers or arguments.processors(), retry_failed=retry_failed, form=form)
+        _show_plan(plan, out, workers or processors(), retry_failed=retry_failed, form=form)
         return False
     return _run(plan, spec, out, partial(_lanes, ray, workers, bounds), shard is not None, retry_failed, form)
 
@@ -162,7 +163,7 @@ def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list
 
     if ray is not None:
         return [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
-    return [WorkerLane(limits) for _ in range(min(workers or arguments.processors(), most))]
+    return [WorkerLane(limits) for _ in range(min(workers or processors(), most))]
 
 
 def _write_slurm(
