@@ -27,7 +27,7 @@ NAMES = (
 )
 LIMIT = 1.05
 LONGEST_FRAMES = 60
-SECONDS_EACH = 3.0
+SECONDS_EACH = 2.0
 
 
 def measured(name: str) -> tuple[float, float, float]:
