@@ -3,6 +3,7 @@
 from gauge_envs.backends.base import (
     ArrayWorlds,
     Backend,
+    Feature,
     FileBackend,
     ModelFile,
     Recording,
@@ -26,6 +27,7 @@ from gauge_envs.backends.shared.states import ReplayedSimulation
 __all__ = [
     "ArrayWorlds",
     "Backend",
+    "Feature",
     "FileBackend",
     "ModelFile",
     "Recording",
