@@ -30,7 +30,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.pages.text import BACKEND_TITLES
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ

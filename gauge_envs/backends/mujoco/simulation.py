@@ -45,6 +45,8 @@ class SimulationMuJoCo(Simulation):
         data: MuJoCo's state of the model.
     """
 
+    frees_python = True
+
     def __init__(
         self,
         scene: Scene,
