@@ -84,9 +84,8 @@ def add_grips(simulation: SimulationMuJoCo) -> list[str]:
         ids = [simulation.model.body(name).id for name in grip.names]
         simulation.spec.add_numeric(name=f"grip/{grip.body}", size=len(ids), data=ids)
         notes.append(
-            f"Nodes that move with {grip.body!r}: custom numeric 'grip/{grip.body}' holds the ids of their bodies. After "
-            f"each row of\n    {grip.body!r} write qpos, qvel and xfrc_applied of their slide joints too; "
-            "assets/README.md has the lines."
+            f"Nodes that move with {grip.body!r}: custom numeric 'grip/{grip.body}' holds the ids of their bodies."
+            f"\n    After each row of {grip.body!r} write their qpos, qvel and xfrc_applied as assets/README.md says."
         )
     return notes
 

@@ -179,8 +179,8 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     # Deformable bodies: the integrator `discrete` treats elasticity implicitly. At 1/900 s the marker trajectories of a
     # flung cloth are within 0.5 mm of those at half the step for 2 s, and within 6 mm (rms) for a whole episode. Cells
     # of 25 mm put a vertex under each marker. Newton's method assembles and factors the stiffness of the whole cloth in
-    # every step, also without any contact; conjugate gradients multiply with it, and are 1.7 to 2.7 times as fast at the
-    # same tolerance (studies/cost). `iterations` also limits the inner solve with the stiffness.
+    # every step, also without any contact; conjugate gradients multiply with it, and are twice as fast at the same
+    # tolerance (studies/cost). `iterations` also limits the inner solve with the stiffness.
     "cloth": SettingsMuJoCo(
         preset="cloth",
         timestep_s=1 / 900,
@@ -238,6 +238,33 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     ),
 }
 
+TRAINING = "training"
+"""Preset for many episodes; its numbers depend on the preset of the scene."""
+
+TRAINING_CHANGES: dict[str, dict[str, Any]] = {
+    # A slide ends within 0.6 mm of the default, at 1/1080 s within 7 mm: two steps then fill the time constant of
+    # contacts, and the cube hops.
+    "contact": {"timestep_s": 1 / 1800},
+    "impact_chain": {"timestep_s": 1 / 4500},
+    "contact_free": {"timestep_s": 1 / 540},
+    "stack": {"timestep_s": 1 / 540},
+    # With a quarter of the nodes and this step a flung satin is within 1 mm (rms) of the default for 2 s; cells alone
+    # make 0.8 mm of it. The collision radius grows with the displacement in a step.
+    "cloth": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6, "cloth_fold_radius_m": 0.003},
+    "cloth_loaded": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6},
+    "drape": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6, "cloth_fold_radius_m": 0.003},
+    # Foam has the error of its cells: this step and this tolerance add a tenth to what they leave. Coarser cells are
+    # one or two across a block.
+    "soft": {"timestep_s": 1 / 180, "tolerance": 1e-6},
+    # A longer step needs as many more iterations.
+    "rod": {},
+    "rope": {"timestep_s": 1 / 1800},
+}
+"""What the preset `training` changes in the preset of a scene; `rope` stands for scenes with a rope.
+
+Chosen by distance to the default settings and cost; `scoring/convergence/mujoco.csv` has both for each id.
+"""
+
 CLOTH_CELL_M = 0.025
 """Default edge of a cloth's cells [m]."""
 
@@ -272,9 +299,16 @@ def _preset_name(scene: Scene) -> str:
     return "impact_chain" if scene.has_impact_chain else "contact"
 
 
+def _training_preset(scene: Scene) -> SettingsMuJoCo:
+    name = _preset_name(scene)
+    kind = "rope" if any(isinstance(body, Rope) for body in scene.deformables) else name
+    return PRESETS[name].model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[kind])
+
+
 def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
     """Return the settings of a scene: its preset with the user's overrides."""
-    settings = resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)
+    presets = PRESETS | {TRAINING: _training_preset(scene)}
+    settings = resolve_settings("MuJoCo", presets, preset=_preset_name(scene), changes=overrides)
     check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
         check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)

@@ -72,8 +72,9 @@ def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
-    Custom numbers `driver/<body>` hold the motion of driven bodies, `grip/<body>` the nodes that move with them. Custom numbers `<table>/<body>/...` hold the
-    compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
+    Custom numbers `driver/<body>` hold the motion of driven bodies, `grip/<body>` the nodes that move with them.
+    Custom numbers `<table>/<body>/...` hold the compiled tables of deformable bodies that MuJoCo cannot derive from
+    XML. A comment at the top explains their use.
     """
     text = mjcf_text(experiment)
     with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}: choose another path")):

@@ -210,7 +210,7 @@ def test_a_driven_grip_moves_its_nodes_rigidly() -> None:
     end = bench.part.rest_m[:, 2] == bench.part.rest_m[:, 2].max()
     turn = Rotation.from_rotvec([0.1, 0.2, 0.3])
     bench.run(0.1, lambda time: ([0.001, 0.0, 0.002], turn))
-    expected = turn.apply(bench.part.rest_m[end]) + [0.001, 0.0, 0.002]
+    expected = turn.apply(bench.part.rest_m[end]) + np.array([0.001, 0.0, 0.002])
     # 10 N on 1000 kg move it by 0.15 um until the plate is placed again.
     assert np.abs(bench.part.nodes()[end] - expected).max() < 1e-6
     # At a steady rate the nodes have the velocity of the plate, and its acceleration towards the axis.
@@ -222,7 +222,7 @@ def test_a_driven_grip_moves_its_nodes_rigidly() -> None:
     ids = [bench.model.body(name).id for name in grip.names]
     arms = bench.model.body_pos[ids]
     dofs = bench.model.body_dofadr[ids][:, None] + np.arange(3)
-    assert bench.data.qvel[dofs] == pytest.approx(np.cross([0.0, 0.0, 2.0], arms) + [0.0, 0.0, 0.1])
+    assert bench.data.qvel[dofs] == pytest.approx(np.cross([0.0, 0.0, 2.0], arms) + np.array([0.0, 0.0, 0.1]))
     inward = -4.0 * arms * [1.0, 1.0, 0.0]
     assert bench.data.xfrc_applied[ids, :3] == pytest.approx(1e3 * inward)
 
