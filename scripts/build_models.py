@@ -42,7 +42,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import (
     STRIDE,
     EngineSolution,

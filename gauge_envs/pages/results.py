@@ -9,8 +9,8 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import number_text, quantity_text, short_id, value_text, with_unit
-from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result

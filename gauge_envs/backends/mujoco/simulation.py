@@ -46,6 +46,8 @@ class SimulationMuJoCo(Simulation):
         grips: Nodes of soft bodies that move with driven bodies.
     """
 
+    frees_python = True
+
     def __init__(
         self,
         scene: Scene,
