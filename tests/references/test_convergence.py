@@ -175,7 +175,7 @@ def test_rms_is_the_distance_of_the_paper() -> None:
     moved = frames.copy()
     moved[3] = (3.0, 0.0, 4.0)
     runs = [
-        build_convergence.Run(frames=one, points_m=1e-3 * one[:, None], settings={}, nodes_m={})
+        build_convergence.Run(frames=one, points_m=1e-3 * one[:, None], settings={}, nodes_m={}, steps_per_s=1.0)
         for one in (frames, moved)
     ]
     row = build_convergence.compare("SlopeSlider-2-wood", "timestep_s", *runs, (1e-4, 5e-5))
