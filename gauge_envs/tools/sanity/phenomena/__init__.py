@@ -22,8 +22,8 @@ GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 
 RIGID: Mapping[str, tuple[str, ...]] = {
     "foot-creep": ("foot", "creep"),
-    "foot-push": ("foot", "push"),
-    "foot-slide": ("foot", "slide"),
+    "foot-push": ("foot", "sliding_foot", "push"),
+    "foot-slide": ("foot", "sliding_foot", "slide"),
     "foot-landing-depth": ("foot", "depth"),
     "foot-rebound": ("foot", "rebound"),
     "foot-rest": ("foot", "rest"),
@@ -31,6 +31,7 @@ RIGID: Mapping[str, tuple[str, ...]] = {
     "creep-plastic": ("friction", "creep", "plastic"),
     "creep-metal": ("friction", "creep", "metal"),
     "rest-height": ("friction", "rest_height", "wood"),
+    "release": ("friction", "thrown", "wood"),
     "slide-wood": ("friction", "slide", "wood"),
     "slide-plastic": ("friction", "slide", "plastic"),
     "slide-metal": ("friction", "slide", "metal"),
@@ -78,7 +79,7 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     """
     module, function, *arguments = {**RIGID, **DEFORMABLE}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
-    made: Phenomenon = make(*arguments) if foot is None else make(foot)
+    made: Phenomenon = make(*arguments) if foot is None else make(*arguments, foot)
     return replace(made, id=name)
 
 

@@ -1,7 +1,8 @@
 """Foot of a robot on the measured boards: creep, slip, slide and landing.
 
-The foot has the solids and the load that a configuration states, and the friction of a measured wooden cube on its
-board. Without a configuration, the rows have the foot of a small quadruped.
+The foot has the solids, the load and the friction on the ground that a configuration states. Without a configuration,
+the rows have the foot of a small quadruped with the friction of the measured wooden cube. The value is a law; what is
+measured on wooden cubes is how far a real body may differ from it.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ MATERIAL = "wood"
 SOFTENED_BY_INVERSE_WEIGHT = ("mujoco", "mujoco_warp")
 """Backends that build MuJoCo's own model, whose contacts are softened by the inverse weight of a link."""
 
-HOLD_DEG, SLIDE_DEG = 10.0, 30.0
-"""Slopes of the measured boards [degrees]."""
+HOLD_DEG, HOLD_PUSH = 10.0, 0.7
+"""Slope on which a foot rests [degrees], that of the measured board, and its largest push: a foot whose friction is
+small rests on a slope where gravity pushes with 0.7 of what the friction holds."""
 
-PUSH = 1.2
-"""Push along the ground, over mu times the normal force. On a slope, gravity pushes like this."""
+PUSHES = {"push": 1.2, "slide": 2.2}
+"""Pushes along the ground, over mu times the normal force, with which a foot slides. On a slope, gravity pushes like
+this: on the measured board of 30 degrees with 2.2."""
 
 DROP_M, LANDING_S = 0.05, 0.6
 """Height of the drop, as of a step, and simulated time with the fall of 0.1 s."""
@@ -107,15 +110,20 @@ def _scenario(
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
         change=partial(
-            _replaced, foot=foot, friction=real_friction(MATERIAL), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
+            _replaced, foot=foot, friction=_friction(foot), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
         ),
+        released="" if lift_m else FOOT,
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 
 
+def _friction(foot: FootGeometry) -> float:
+    return real_friction(MATERIAL) if foot.friction is None else foot.friction
+
+
 def _source(law: str, foot: FootGeometry) -> str:
-    cube = f"mu = {real_friction(MATERIAL):.3f} is that of the measured cube of {MATERIAL}"
-    return f"{law}; extrapolated: {cube}; the foot is {foot.description}; {foot.assumption}"
+    whose = f"of the measured cube of {MATERIAL}" if foot.friction is None else "that the target states for its foot"
+    return f"{law}, with mu = {_friction(foot):.3g} {whose}; the foot is {foot.description}; {foot.assumption}"
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
@@ -139,39 +147,34 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
 
 def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the creep of a foot at rest on a slope."""
+    steepest = float(np.degrees(np.arctan(HOLD_PUSH * _friction(foot))))
+    slope = min(HOLD_DEG, steepest)
     made = creeping(
-        f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
-        _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False),
+        f"foot of the robot: creep on {slope:.3g} degrees with a friction of {_friction(foot):.3g}",
+        _scenario("hold", foot, seconds=HOLD_S, slope_deg=slope, steep=False),
         _downhill_mm,
-        source=_source("Coulomb, tan 10 deg < mu", foot),
-        rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
+        source=_source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
+        rationale=f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
     return replace(made, needs_foot=True)
 
 
-def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
-    """Return the acceleration of a foot that is pushed a little more than its friction holds."""
-    title = f"acceleration when pushed with {PUSH:g} times its friction"
-    law = f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N"
-    return _sliding(foot, "push", title, law, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
-
-
-def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
-    """Return the acceleration of a foot on a steep slope."""
-    law = f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)"
-    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", law, SLIDE_DEG)
-
-
-def _sliding(foot: FootGeometry, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
-    slope = np.radians(slope_deg)
+def sliding_foot(kind: str, foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot that is pushed more than its friction holds, a little or much."""
+    times, friction = PUSHES[kind], _friction(foot)
+    slope = float(np.arctan(times * friction))
+    # Friction of real cubes scatters in proportion to itself and to the normal force, as does the tolerance.
+    scale = friction * np.cos(slope) / (real_friction(MATERIAL) * np.cos(np.radians(30.0)))
     real = Reality.law(
-        GRAVITY_M_PER_S2 * float(np.sin(slope) - real_friction(MATERIAL) * np.cos(slope)),
-        tolerance=real_slides(MATERIAL).tolerance,
-        source=_source(law, foot),
-        rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
+        GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),
+        tolerance=real_slides(MATERIAL).tolerance * float(scale),
+        source=_source(f"law: g (sin a - mu cos a), a = {np.degrees(slope):.3g} deg, tan a = {times:g} mu", foot),
+        rationale=f"measured: as many per cent of the friction as cover {COVERAGE:.0%} of real slides of the {MATERIAL} "
+        "cube on 30 degrees",
     )
-    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
-    return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)
+    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=float(np.degrees(slope)))
+    title = f"foot of the robot: acceleration when pushed with {times:g} times what its friction holds"
+    return replace(sliding(title, scenario, _downhill_mm, real), needs_foot=True)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------
