@@ -1,0 +1,640 @@
+"""Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gauge_envs.backends.mujoco.model_settings import COLUMNS
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+NOT_STANDING = "no robot of the model stands on the ground under its own weight"
+
+OVERLAP = 1.6
+"""Factor between the volume of solids that overlap and the sum of their volumes."""
+
+UNIT_ERRORS = {1e3: "a density in g/cm^3 or a mass in tonnes", 1e-3: "a mass in grams", 1e6: "a mass in kt"}
+
+FULL_ACTION_RAD_PER_S = 3.0
+"""Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What one row says of a robot.
+
+    Attributes:
+        title: Title.
+        unit: Unit of the value.
+        low: Least value of the verdict `inside`.
+        high: Greatest value of it.
+        text: The interval in words.
+        source: Source of the limits.
+        consequence: What a flag means for a policy.
+    """
+
+    title: str
+    unit: str
+    low: float
+    high: float
+    text: str
+    source: str
+    consequence: str
+
+    def row(self, name: str, found: Finding) -> PhenomenonResult:
+        """Return the row of a value; visible beyond the limits by up to the same ratio as in other rows."""
+        value = found.value
+        ratio = max(self.low / max(value, 1e-12), value / self.high) if np.isfinite(value) else np.inf
+        outside = Verdict.VISIBLE if ratio <= VISIBLE_WITHIN else Verdict.WRONG
+        verdict = Verdict.DECLINED if found.declined else Verdict.INSIDE if ratio <= 1.0 + 1e-9 else outside
+        cause = None
+        if found.advice and verdict in (Verdict.VISIBLE, Verdict.WRONG):
+            cause = Cause(settings=tuple(found.changes), line=found.advice)
+        return PhenomenonResult(
+            phenomenon=name,
+            title=self.title,
+            experiment="",
+            unit=self.unit,
+            reality=Reality(
+                kind=RealityKind.LAW,
+                value=0.5 * (self.low + self.high),
+                tolerance=0.5 * (self.high - self.low),
+                source=self.source,
+                rationale=self.consequence,
+                limits=self.text,
+            ),
+            default=None,
+            configured=None if found.declined or not np.isfinite(value) else float(value),
+            verdict=verdict,
+            default_verdict=Verdict.DECLINED,
+            cause=cause,
+            remark=found.declined or found.remark,
+            applies=not found.declined,
+            consequence=self.consequence if verdict in (Verdict.VISIBLE, Verdict.WRONG) else "",
+            advisory=found.advisory if not found.declined else "",
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What was found of a robot for one row.
+
+    Attributes:
+        value: The value; not finite for a motion that diverges.
+        remark: Parts of the model that decide it.
+        advice: What to change, in the words of a model.
+        changes: The same, by names that `Robot.changed` knows.
+        declined: Why it does not apply; empty when it does.
+        advisory: Why it does not count; empty when it does.
+    """
+
+    value: float = 0.0
+    remark: str = ""
+    advice: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    declined: str = ""
+    advisory: str = ""
+
+
+ROWS: dict[str, tuple[Limits, Callable[[Robot], Finding]]] = {}
+"""Limits and function of each row that reads the model, in their order."""
+
+
+def row(name: str, *numbers: Any) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
+    """Return a decorator that adds a row: title, unit, low, high, limits in words, source, consequence."""
+
+    def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
+        title, unit, low, high, text, source, consequence = numbers
+        limits = Limits(
+            title=title, unit=unit, low=low, high=high, text=text, source=source, consequence=consequence
+        )
+        ROWS[name] = (limits, function)
+        return function
+
+    return keep
+
+
+def body_name(robot: Robot, body: int) -> str:
+    """Return the name of a body, or its number."""
+    return robot.model.body(body).name or f"body {body}"
+
+
+def _geom_name(robot: Robot, geom: int) -> str:
+    return robot.model.geom(geom).name or f"geom {geom} of {body_name(robot, int(robot.model.geom_bodyid[geom]))}"
+
+
+def _joint_name(robot: Robot, dof: int) -> str:
+    joint = int(robot.model.dof_jntid[dof])
+    return robot.model.joint(joint).name or f"joint {joint}"
+
+
+# --- masses ----------------------------------------------------------------------------------------------------------
+
+
+def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
+    """Return the largest volume of a geom of a body, that of their hull [m^3], and the reach from its centre [m].
+
+    Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
+    """
+    model, largest, points = robot.model, 0.0, []
+    if not model.body_geomnum[body]:
+        return (np.nan,) * 3
+    for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+        if geom in robot.unknown:
+            return (np.nan,) * 3
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+        points.append(model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T)
+        largest = max(largest, float(8.0 * half.prod()))
+    points += [model.body_pos[child][None] for child in robot.bodies if int(model.body_parentid[child]) == body]
+    points.append(model.jnt_pos[model.body_jntadr[body] : model.body_jntadr[body] + model.body_jntnum[body]])
+    every = np.vstack(points)
+    try:
+        hull = float(ConvexHull(every).volume)
+    except QhullError:
+        hull = largest
+    return largest, hull, float(np.linalg.norm(every - model.body_ipos[body], axis=1).max())
+
+
+@row(
+    "robot-density",
+    *("density of a link: the one farthest outside the limits", "kg/m^3", 50.0, 12_000.0, "50 to 12,000"),
+    "solid foam and solid lead; boxes around its geoms bound a link's volume",
+    "The policy learns the forces and speeds of a robot of another weight, and its real motors are too weak or too "
+    "strong for it.",
+)
+def _density(robot: Robot) -> Finding:
+    worst, found = 0.0, Finding(declined="the shape of no link is known")
+    total = sum(float(robot.model.body_mass[body]) for body in robot.bodies)
+    for body in robot.bodies:
+        mass = float(robot.model.body_mass[body])
+        largest, hull, _ = _extent(robot, body)
+        if not (mass > 0.0 and largest > 0.0):
+            continue
+        # The lightest that its geoms allow, and the heaviest that the room around them does.
+        light, heavy = mass / largest, mass / max(hull, largest)
+        value = light if light < 50.0 else max(heavy, 50.0)
+        ratio = max(50.0 / light, heavy / 12_000.0)
+        if found.declined or ratio > worst:
+            factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / (light if light < 50.0 else heavy) / one)))
+            changes = {f"body_mass[{body}]": mass * factor, f"body_inertia[{body}]": robot.model.body_inertia[body] * factor}
+            name = body_name(robot, body)
+            worst, found = ratio, Finding(
+                value=value,
+                remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + (f": {UNIT_ERRORS[factor]}?" if ratio > 1 else ""),
+                advice=f"multiply mass and inertia, or the density, of {name} by {factor:g}",
+                changes=changes,
+            )
+    return found
+
+
+@row(
+    "robot-bound",
+    *("mass that boundmass and boundinertia add, over that of the robot", "1", 0.0, 0.02, "at most 0.02"),
+    "the model without both, compiled again",
+    "Light links become heavy, so that the policy moves legs that are slower than the real ones.",
+)
+def _bound(robot: Robot) -> Finding:
+    spec = robot.spec
+    if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
+        return Finding(declined="the model states neither boundmass nor boundinertia")
+    bare = spec.copy()
+    bare.compiler.boundmass = bare.compiler.boundinertia = 0.0
+    try:
+        model = bare.compile()
+    except ValueError:
+        return Finding(declined="without them a body has no mass: MuJoCo needs them")
+    masses, own = robot.model.body_mass[robot.bodies], model.body_mass[robot.bodies]
+    inertia, light = robot.model.body_inertia[robot.bodies].max(axis=1), model.body_inertia[robot.bodies].max(axis=1)
+    share = float((masses - own).sum() / own.sum())
+    raised = [body for body, now, was in zip(robot.bodies, inertia, light, strict=True) if now > 1.02 * was]
+    weight = float(own[[robot.bodies.index(body) for body in raised]].sum() / own.sum()) if raised else 0.0
+    names = ", ".join(body_name(robot, body) for body in raised[:3])
+    changes = {f"{key}[{b}]": getattr(model, key)[b] for b in robot.bodies for key in ("body_mass", "body_inertia")}
+    remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
+    return Finding(
+        value=max(share, weight),
+        remark=remark if raised else "",
+        advice='<compiler boundmass="0" boundinertia="0"/>',
+        changes=changes,
+    )
+
+
+@row(
+    "robot-gravcomp",
+    *("weight that gravcomp takes from a robot that stands", "1", 0.0, 0.01, "at most 0.01"),
+    "a robot on the ground carries its own weight",
+    "The policy stands and jumps with motors that the real robot's weight overloads.",
+)
+def _gravcomp(robot: Robot) -> Finding:
+    model = robot.model
+    if not robot.is_floating:
+        return Finding(declined=NOT_STANDING)
+    lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
+    share = float((model.body_gravcomp * model.body_mass)[robot.bodies].sum() / model.body_mass[robot.bodies].sum())
+    return Finding(
+        value=abs(share),
+        remark=f"{', '.join(body_name(robot, body) for body in lifted[:3])}" if lifted else "",
+        advice='gravcomp="0" for these bodies',
+        changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
+    )
+
+
+@row(
+    "robot-inertia",
+    *("radius of gyration of a link over its reach from the centre of mass", "1", 0.0, 1.5, "at most 1.5"),
+    "mass cannot lie farther out than the link; half as much again for parts that no geom shows",
+    "Links turn as if they were larger, so that the policy's swings are too slow for the real robot.",
+)
+def _inertia(robot: Robot) -> Finding:
+    found = Finding(declined="the shape of no link is known")
+    for body in robot.bodies:
+        mass, reach = float(robot.model.body_mass[body]), _extent(robot, body)[2]
+        if not (mass > 0.0 and reach > 0.0):
+            continue
+        radius = float(np.sqrt(0.5 * robot.model.body_inertia[body].sum() / mass))
+        if found.declined or radius / reach > found.value:
+            share = (0.5 * reach / radius) ** 2
+            found = Finding(
+                value=radius / reach,
+                remark=f"{body_name(robot, body)} of {mass:.3g} kg: {radius:.3g} m of {reach:.3g} m",
+                advice=f"give {body_name(robot, body)} the inertia of its geoms, about {share:.2g} of the stated one",
+                changes={f"body_inertia[{body}]": robot.model.body_inertia[body] * share},
+            )
+    return found
+
+
+# --- feet on the ground ----------------------------------------------------------------------------------------------
+
+
+def _limbs(robot: Robot) -> list[list[int]]:
+    """Return the bodies of each limb: those behind a body from which at least two limbs part."""
+    model = robot.model
+    children = {body: [b for b in robot.bodies if int(model.body_parentid[b]) == body] for body in robot.bodies}
+    parting = {body for body, several in children.items() if len(several) > 1}
+    limbs = []
+    for leaf in (body for body, several in children.items() if not several):
+        chain = [leaf]
+        while (parent := int(model.body_parentid[chain[-1]])) in children and parent not in parting:
+            chain.append(parent)
+        limbs.append(chain)
+    return limbs
+
+
+@row(
+    "robot-feet",
+    *("limbs that reach the ground and cannot touch it", "1", 0.0, 0.5, "none"),
+    "geoms within 1 % of the robot's height of the lowest one, in the pose in which it stands",
+    "The limb passes through the ground, so that the policy learns to walk without it.",
+)
+def _feet(robot: Robot) -> Finding:
+    model, standing = robot.model, robot.standing
+    if standing is None:
+        return Finding(declined=NOT_STANDING)
+    within = SOLE_WITHIN * standing.height_m
+    known = [g for b in robot.bodies for g in _geoms(robot, b) if g not in robot.unknown]
+    lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in known}
+    touching = {geom: low for geom, low in lows.items() if geom in standing.support_m}
+    if not touching:
+        return Finding(declined="the shape of the feet is not known")
+    lowest, ground = min(lows.values()), min(touching.values())
+    reaching, lame = [], []
+    for limb in _limbs(robot):
+        geoms = [geom for body in limb for geom in _geoms(robot, body) if geom in lows]
+        if geoms and min(lows[geom] for geom in geoms) <= lowest + within:
+            reaching.append(limb)
+            if min((touching.get(geom, np.inf) for geom in geoms), default=np.inf) > ground + within:
+                lame.append(min(geoms, key=lambda geom: lows[geom]))
+    if not lame and ground > lowest + 2.0 * within:
+        lame = [geom for geom, low in lows.items() if low <= lowest + within]
+    floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
+    offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
+    changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
+    names = ", ".join(_geom_name(robot, geom) for geom in lame)
+    return Finding(
+        value=float(len(lame)),
+        remark=f"{names} has no partner on the ground" if lame else f"{len(reaching)} limbs reach the ground",
+        advice=f"contype and conaffinity of {names} that match the ground's",
+        changes=changes,
+    )
+
+
+def _geoms(robot: Robot, body: int) -> list[int]:
+    first = int(robot.model.body_geomadr[body])
+    return list(range(first, first + int(robot.model.body_geomnum[body])))
+
+
+def ground_row(robot: Robot) -> int:
+    """Return a row of the pairs of geoms in which a foot meets the ground."""
+    return robot.foot_rows[0]
+
+
+@row(
+    "robot-friction",
+    *("friction of the slipperiest foot on the ground, by the engine's rule for pairs", "1", 0.1, 2.0, "0.1 to 2"),
+    "wet ice and racing tyres; condim 1 has no friction at all",
+    "The foot slips, or grips, as on no floor, so that the policy pushes in ways that no real foot can.",
+)
+def _friction(robot: Robot) -> Finding:
+    if not robot.foot_rows:
+        return Finding(declined=NOT_STANDING)
+    constants = robot.pairs.constants
+    grips = {row: 0.0 if constants[row, 0] == 1 else constants[row, 1] for row in robot.foot_rows}
+    row = min(grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one])
+    slippery = [one for one, grip in grips.items() if not 0.1 <= grip <= 2.0]
+    changes: dict[str, Any] = {}
+    for one in slippery:
+        for geom in robot.pairs.geoms[one].tolist():
+            changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
+    names = " with ".join(_geom_name(robot, int(geom)) for geom in robot.pairs.geoms[row])
+    rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
+    return Finding(
+        value=float(grips[row]),
+        remark=f"{names}: {rule}" + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
+        advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
+        changes=changes,
+    )
+
+
+@row(
+    "robot-floor-friction",
+    *("friction of a foot over the lower one that its two geoms state", "1", 0.5, 1.25, "at most 1.25"),
+    "MuJoCo takes the greater one of two geoms of equal priority",
+    "A slippery floor or foot that the model states has no effect, so that the policy never meets it.",
+)
+def _floor_friction(robot: Robot) -> Finding:
+    if not robot.foot_rows:
+        return Finding(declined=NOT_STANDING)
+    model, found = robot.model, Finding(value=1.0)
+    explicit = {tuple(sorted(p)) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    for row in robot.foot_rows:
+        pair = tuple(robot.pairs.geoms[row].tolist())
+        stated = [float(model.geom_friction[geom, 0]) for geom in pair]
+        alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
+        met, least = float(robot.pairs.constants[row, COLUMNS["friction"].start]), max(min(stated), 1e-3)
+        if pair not in explicit and alike and met / least > found.value:
+            geom = pair[int(np.argmin(stated))]
+            found = Finding(
+                value=met / least,
+                remark=f"{_geom_name(robot, geom)} states {min(stated):g}, and the foot meets {met:g}",
+                advice=f'priority="1" for {_geom_name(robot, geom)}',
+                changes={f"geom_priority[{geom}]": 1},
+            )
+    return found
+
+
+@row(
+    "floor-tilt",
+    *("angle between the ground and the plane across gravity", "deg", 0.0, 0.3, "at most 0.3"),
+    "a floor that is built level; a slope on purpose is flagged too",
+    "The policy leans against the slope, and leans on level ground as well.",
+)
+def _floor_tilt(robot: Robot) -> Finding:
+    model, gravity = robot.model, robot.model.opt.gravity
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    fixed = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
+    planes = [
+        g
+        for g in range(model.ngeom)
+        if int(model.geom_type[g]) == int(mujoco.mjtGeom.mjGEOM_PLANE) and not model.body_dofnum[fixed[g]]
+    ]
+    planes = [g for g in planes if model.geom_contype[g] or model.geom_conaffinity[g]]
+    if not planes or not gravity.any():
+        return Finding(declined="the model has no plane, or no gravity")
+    normals = {g: data.geom_xmat[g].reshape(3, 3)[:, 2] for g in planes}
+    cosines = {g: float(-normals[g] @ gravity / np.linalg.norm(gravity)) for g in planes}
+    # Walls and ramps beside a floor are no fault.
+    geom = max(cosines, key=lambda g: cosines[g])
+    angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
+    return Finding(
+        value=angle if angle > 1e-4 else 0.0,
+        remark=_geom_name(robot, geom),
+        advice=f'zaxis="0 0 1" for {_geom_name(robot, geom)}',
+        changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
+    )
+
+
+# --- joints ----------------------------------------------------------------------------------------------------------
+
+
+def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
+    """Return the pose in which the robot stands, with the controls that hold it there."""
+    model = robot.model if model is None else model
+    data = mujoco.MjData(model)
+    if robot.standing is not None:
+        data.qpos[:] = robot.standing.stance.qpos
+    mujoco.mj_forward(model, data)
+    servo = servos(model)
+    data.ctrl[servo] = np.where(model.actuator_gainprm[servo, 0] != 0.0, data.actuator_length[servo], 0.0)
+    if robot.standing is not None and robot.standing.stance.ctrl is not None:
+        data.ctrl[:] = robot.standing.stance.ctrl
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which actuators hold a position, shape [nu]."""
+    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return np.asarray(affine & (model.actuator_biasprm[:, 1] < 0.0))
+
+
+def torque_limits(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
+
+    It is infinite where no limit is stated, and 0 where nothing acts.
+    """
+    limits = np.zeros(model.nv)
+    for actuator in range(model.nu):
+        joint = int(model.actuator_trnid[actuator, 0])
+        kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        if int(model.actuator_trntype[actuator]) not in kinds or joint < 0:
+            continue
+        largest = np.inf
+        if model.actuator_forcelimited[actuator]:
+            largest = float(np.abs(model.actuator_forcerange[actuator]).max())
+        elif model.actuator_ctrllimited[actuator] and not model.actuator_biasprm[actuator].any():
+            largest = float(abs(model.actuator_gainprm[actuator, 0]) * np.abs(model.actuator_ctrlrange[actuator]).max())
+        dof = int(model.jnt_dofadr[joint])
+        limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
+        if model.jnt_actfrclimited[joint]:
+            limits[dof] = min(limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return limits
+
+
+def _driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
+    """Yield hinges of a standing robot that an actuator drives, and its limit [Nm]."""
+    for dof, limit in enumerate(torque_limits(robot.model)):
+        joint = int(robot.model.dof_jntid[dof])
+        is_hinge = int(robot.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        if limit and is_hinge and int(robot.model.dof_bodyid[dof]) in robot.bodies:
+            yield dof, float(limit)
+
+
+def growth(robot: Robot, model: mujoco.MjModel) -> float:
+    """Return the largest ratio by which a small motion about the pose grows in one step, without contact and gravity.
+
+    It is the spectral radius of the engine's own step: gains, damping, inertia, step and integrator together.
+    """
+    free = without(model, "contact", "gravity", "limit", "frictionloss")
+    data, nv = start(robot, free), free.nv
+    base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
+
+    def stepped(change: NDArray[np.float64]) -> NDArray[np.float64]:
+        mujoco.mj_resetData(free, data)
+        data.qpos[:], data.ctrl[:] = base, ctrl
+        mujoco.mj_integratePos(free, data.qpos, change[:nv], 1.0)
+        data.qvel[:] = change[nv:]
+        mujoco.mj_step(free, data)
+        moved = np.zeros(nv)
+        mujoco.mj_differentiatePos(free, moved, 1.0, base, data.qpos)
+        return np.concatenate([moved, data.qvel])
+
+    for column, change in enumerate(1e-5 * np.eye(2 * nv)):
+        matrix[:, column] = (stepped(change) - stepped(-change)) / 2e-5
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
+
+
+def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
+    """Return a copy of a model with some features switched off."""
+    bare = copy.copy(model)
+    for feature in features:
+        bare.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
+    return bare
+
+
+@row(
+    "robot-servo",
+    *("growth of a small motion of the joints in one step", "1", 0.0, 1.005, "at most 1.005"),
+    "a loop is stable up to 1; the spectral radius of the engine's step about the pose, without contact and gravity",
+    "Joints shake or the state becomes NaN, so that training learns noise or stops.",
+)
+def _servo(robot: Robot) -> Finding:
+    model = robot.model
+    if not model.nv or not (servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()):
+        return Finding(declined="no joint has a servo, damping or stiffness")
+    value = growth(robot, model)
+    if value <= ROWS["robot-servo"][0].high:
+        return Finding(value=value)
+    for share in (0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
+        gains = {f"actuator_gainprm[{a}]": model.actuator_gainprm[a] * share for a in np.flatnonzero(servos(model))}
+        gains |= {f"actuator_biasprm[{a}]": model.actuator_biasprm[a] * share for a in np.flatnonzero(servos(model))}
+        others = {"integrator": "implicitfast"}, gains, gains | {"integrator": "implicitfast"}
+        for changes, text in zip(others, ("", f"kp and kv times {share:g}", f"kp and kv times {share:g}"), strict=True):
+            if growth(robot, robot.changed(changes)[0]) <= 1.0 + 1e-3:
+                option = '<option integrator="implicitfast"/>' if "integrator" in changes else ""
+                joined = " and ".join(filter(None, (option, text)))
+                return Finding(value=value, advice=joined, changes=changes, remark=f"step {model.opt.timestep:g} s")
+    return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
+
+
+@row(
+    "robot-torque",
+    *("largest torque of a joint over what its own limb weighs there", "1", 1.0, 1e6, "at least 1"),
+    "gravity at the pose in which the robot stands",
+    "The joint cannot lift its own limb, so that the policy drags it.",
+)
+def _torque(robot: Robot) -> Finding:
+    if not robot.is_floating:
+        return Finding(declined=NOT_STANDING)
+    model, data, found = robot.model, start(robot), Finding(declined="no joint states the limit of its torque")
+    for dof, limit in _driven_dofs(robot):
+        weight = abs(float(data.qfrc_bias[dof]))
+        if np.isfinite(limit) and (found.declined or limit / max(weight, 1e-3) < found.value):
+            joint = _joint_name(robot, dof)
+            actuators = np.flatnonzero(model.actuator_trnid[:, 0] == model.dof_jntid[dof])
+            found = Finding(
+                value=min(limit / max(weight, 1e-3), 1e6),
+                remark=f"{joint}: {limit:.3g} Nm against {weight:.3g} Nm",
+                advice=f"a forcerange of {joint} beyond {4.0 * weight:.2g} Nm",
+                changes={f"actuator_forcerange[{a}]": np.array([-4.0, 4.0]) * weight for a in actuators},
+            )
+    return found
+
+
+def _drag(robot: Robot, share: Callable[[int, float], float], field: str, factor: float) -> Finding:
+    """Return the driven joint with the largest share; the advice divides what brakes it."""
+    found = Finding(declined="no joint of a robot that stands states the limit of its torque")
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    for dof, limit in _driven_dofs(robot):
+        if not np.isfinite(limit):
+            actuators = np.flatnonzero(servos(robot.model) & (robot.model.actuator_trnid[:, 0] == robot.model.dof_jntid[dof]))
+            # A servo without a limit: what an error of half a radian asks of it.
+            limit = float(-0.5 * robot.model.actuator_biasprm[actuators, 1].sum())
+        if limit > 0.0 and (found.declined or share(dof, limit) > found.value):
+            now = float(getattr(robot.model, f"dof_{field}")[dof])
+            fair = now / max(factor * share(dof, limit), 1.0)
+            found = Finding(
+                value=share(dof, limit),
+                remark=f"{_joint_name(robot, dof)}: {field} {now:.3g} with {limit:.3g} Nm",
+                advice=f'{field}="{fair:.2g}" for {_joint_name(robot, dof)} and joints like it',
+                changes={},
+            )
+    changes = {}
+    for dof, limit in _driven_dofs(robot):
+        if np.isfinite(limit) and factor * share(dof, limit) > 1.0:
+            changes[f"dof_{field}[{dof}]"] = float(getattr(robot.model, f"dof_{field}")[dof]) / (factor * share(dof, limit))
+    return Finding(
+        value=found.value, remark=found.remark, advice=found.advice, changes=changes, declined=found.declined
+    )
+
+
+@row(
+    "robot-damping",
+    *("damping torque at 3 rad/s over the largest torque of the joint", "1", 0.0, 1.0, "at most 1"),
+    "a leg that swings by half a radian in 0.2 s turns with 2.5 rad/s",
+    "Joints move as in honey, so that the policy learns slow steps and large torques.",
+)
+def _damping(robot: Robot) -> Finding:
+    damping = robot.model.dof_damping
+    return _drag(robot, lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit, "damping", 4.0)
+
+
+@row(
+    "robot-frictionloss",
+    *("dry friction of a joint over its largest torque", "1", 0.0, 0.2, "at most 0.2"),
+    "gears of legged robots lose a tenth of their torque, harmonic drives a fifth",
+    "Small torques move nothing, so that the policy learns to jerk.",
+)
+def _frictionloss(robot: Robot) -> Finding:
+    loss = robot.model.dof_frictionloss
+    return _drag(robot, lambda dof, limit: float(loss[dof]) / limit, "frictionloss", 20.0)
+
+
+@row(
+    "robot-armature",
+    *("armature of a joint over the inertia of the limb that it moves", "1", 0.0, 20.0, "at most 20"),
+    "a gear that accelerates a limb best has 1; the smallest joints of robots with large gears have 10",
+    "The motor's inertia hides the limb's, so that the policy does not feel its own legs or the ground.",
+)
+def _armature(robot: Robot) -> Finding:
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    model, data, found, changes = robot.model, start(robot), Finding(), {}
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    for dof, _ in _driven_dofs(robot):
+        armature = float(model.dof_armature[dof])
+        limb = max(float(full[dof, dof]) - armature, 1e-9)
+        if armature / limb > 20.0:
+            changes[f"dof_armature[{dof}]"] = limb
+        if armature / limb > found.value:
+            found = Finding(
+                value=armature / limb,
+                remark=f"{_joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
+                advice=f'armature="{limb:.2g}" for {_joint_name(robot, dof)} and joints like it',
+            )
+    return Finding(value=found.value, remark=found.remark, advice=found.advice, changes=changes)
