@@ -1,11 +1,11 @@
-"""Judge what a target states, which needs no rollout: its gravity, and the limits of its memory for contacts."""
+"""Judge what a target states, which needs none of the experiments: gravity, memory for contacts, its own robot."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,8 +21,11 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.robot import Robot
 
 GRAVITY_ROW = PhenomenonResult(
     phenomenon=GRAVITY_ID,
@@ -72,24 +75,55 @@ SPARE = 1.25
 def stated_rows(
     configuration: TrainingConfiguration, dialect: Dialect, chosen: Sequence[str]
 ) -> list[PhenomenonResult]:
-    """Return the chosen rows on what a target states.
+    """Return the chosen rows on what a target states, and on its robot.
 
-    The row on the memory for contacts is left out where the target states no limit, unless it is the only one.
+    A row on the memory for contacts or on the robot is left out where the target states nothing of it, unless it is the
+    only one.
     """
     rows = [gravity_row(configuration, dialect)] if GRAVITY_ID in chosen else []
     if CAPACITY_ID in chosen and (configuration.capacity is not None or len(chosen) == 1):
         rows.append(capacity_row(configuration, dialect))
+    named = [name for name in ROBOT_IDS if name in chosen]
+    if named and configuration.robot is None:
+        unknown = "the target's own model is not read"
+        return [*rows, *(_declined(limits_row(one), unknown) for one in named if len(chosen) == 1)]
+    for name in named:
+        row = robot_row(name, configuration.robot)
+        if row.verdict is not Verdict.DECLINED or len(chosen) == 1:
+            rows.append(row)
     return rows
 
 
-def stated_fixes(configuration: TrainingConfiguration, dialect: Dialect) -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return the change that mends each of these rows, as text to paste and as settings."""
+def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
+    """Return a row on the target's own model; an empty one without a model."""
+    from gauge_envs.tools.sanity.robot.rollout import ROWS, Finding
+
+    limits, judge = ROWS[name]
+    return limits.row(name, Finding(declined="not measured") if robot is None else judge(robot))
+
+
+def limits_row(name: str) -> PhenomenonResult:
+    """Return a row on the target's own model before it is measured."""
+    return robot_row(name, None)
+
+
+def stated_fixes(
+    configuration: TrainingConfiguration, dialect: Dialect, flags: Collection[str]
+) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Return the change that mends each flagged row, as text to paste and as settings."""
     upright = _upright_gravity(configuration)
     limits = {} if configuration.capacity is None else _capacity_changes(configuration.capacity)
-    return {
+    fixes: dict[str, tuple[str, dict[str, Any]]] = {
         GRAVITY_ID: (dialect.gravity_text(upright), {GRAVITY_ID: upright}),
         CAPACITY_ID: (dialect.paste_text(limits), limits),
     }
+    if configuration.robot is not None:
+        from gauge_envs.tools.sanity.robot.rollout import ROWS
+
+        for name in flags:
+            if name in ROWS and (found := ROWS[name][1](configuration.robot)).changes:
+                fixes[name] = (found.advice, dict(found.changes))
+    return {name: fix for name, fix in fixes.items() if name in flags}
 
 
 def _declined(row: PhenomenonResult, remark: str) -> PhenomenonResult:

@@ -129,10 +129,6 @@ def body_name(robot: Robot, body: int) -> str:
     return robot.model.body(body).name or f"body {body}"
 
 
-def _geom_name(robot: Robot, geom: int) -> str:
-    return robot.model.geom(geom).name or f"geom {geom} of {body_name(robot, int(robot.model.geom_bodyid[geom]))}"
-
-
 def _joint_name(robot: Robot, dof: int) -> str:
     joint = int(robot.model.dof_jntid[dof])
     return robot.model.joint(joint).name or f"joint {joint}"
@@ -322,7 +318,7 @@ def _feet(robot: Robot) -> Finding:
     floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
     changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
-    names = ", ".join(_geom_name(robot, geom) for geom in lame)
+    names = ", ".join(robot.geom_name(geom) for geom in lame)
     return Finding(
         value=float(len(lame)),
         remark=f"{names} has no partner on the ground" if lame else f"{len(reaching)} limbs reach the ground",
@@ -358,7 +354,7 @@ def _friction(robot: Robot) -> Finding:
     for one in slippery:
         for geom in robot.pairs.geoms[one].tolist():
             changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
-    names = " with ".join(_geom_name(robot, int(geom)) for geom in robot.pairs.geoms[row])
+    names = " with ".join(robot.geom_name(int(geom)) for geom in robot.pairs.geoms[row])
     rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
     return Finding(
         value=float(grips[row]),
@@ -388,8 +384,8 @@ def _floor_friction(robot: Robot) -> Finding:
             geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
-                remark=f"{_geom_name(robot, geom)} states {min(stated):g}, and the foot meets {met:g}",
-                advice=f'priority="1" for {_geom_name(robot, geom)}',
+                remark=f"{robot.geom_name(geom)} states {min(stated):g}, and the foot meets {met:g}",
+                advice=f'priority="1" for {robot.geom_name(geom)}',
                 changes={f"geom_priority[{geom}]": 1},
             )
     return found
@@ -421,8 +417,8 @@ def _floor_tilt(robot: Robot) -> Finding:
     angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
     return Finding(
         value=angle if angle > 1e-4 else 0.0,
-        remark=_geom_name(robot, geom),
-        advice=f'zaxis="0 0 1" for {_geom_name(robot, geom)}',
+        remark=robot.geom_name(geom),
+        advice=f'zaxis="0 0 1" for {robot.geom_name(geom)}',
         changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
     )
 

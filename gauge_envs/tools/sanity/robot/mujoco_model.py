@@ -93,7 +93,7 @@ def mujoco_configuration(
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
-    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, unknown=unknown)
+    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, unknown=unknown, pair=pair)
     try:
         standing = find_standing(model, pairs, up)
         foot = read_foot(model, pairs, groups, standing)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -50,7 +50,7 @@ class Robot:
         standing: The robot that stands on the ground; None when there is none.
         spec: The model before it was compiled; None when only the compiled one is known.
         unknown: Geoms whose shape is not known, since a substitute stands for a file.
-        read_as: Arguments with which the model was read.
+        pair: Names of two geoms whose constants count; None for all on the ground.
     """
 
     model: mujoco.MjModel
@@ -59,7 +59,7 @@ class Robot:
     standing: Standing | None = None
     spec: mujoco.MjSpec | None = None
     unknown: tuple[int, ...] = ()
-    read_as: Mapping[str, Any] = field(default_factory=dict)
+    pair: tuple[str, str] | None = None
 
     @cached_property
     def bodies(self) -> list[int]:
@@ -96,6 +96,11 @@ class Robot:
         normal = np.asarray(turning[0])
         is_planar = all(abs(axis @ normal) > 0.999 for axis in turning) and abs(normal[2]) < 1e-3
         return normal if is_planar and all(abs(axis @ normal) < 1e-3 for axis in sliding) else None
+
+    def geom_name(self, geom: int) -> str:
+        """Return the name of a geom, or its number and its body."""
+        owner = self.model.body(int(self.model.geom_bodyid[geom])).name
+        return self.model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
 
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class; all of them without a spec."""

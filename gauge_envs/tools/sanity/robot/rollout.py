@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
+    ROWS,
     Finding,
     body_name,
     row,
@@ -38,6 +39,9 @@ SATURATED = 0.99
 """Torque over its limit from which on it counts as saturated."""
 
 NO_SERVO = "no servos hold the robot: its torques come from a policy, or its servos from code"
+
+
+__all__ = ["ROWS", "Finding"]
 
 
 @dataclass(frozen=True, kw_only=True)
