@@ -95,7 +95,7 @@ def find_cure(
         candidates: Changes, the preferred ones first.
         rows: Ids of the rows that count, and whether they are flagged.
     """
-    verdicts, engine = _where_it_trains(configuration, dialect, measurements)
+    verdicts, engine = _where_it_trains(configuration, dialect, measurements, rows)
     flags = [name for name, is_flag in rows.items() if is_flag]
     best: tuple[tuple[float, ...], Cure] | None = None
     for candidate in candidates[:MOST_CANDIDATES]:
@@ -121,6 +121,8 @@ def find_cure(
         worth = (float(len(mended) - len(new)), -float(len(candidate.changes)))
         if best is None or worth > best[0]:
             best = worth, cure
+        if not left and not new:
+            break
     return None if best is None else best[1]
 
 
@@ -135,9 +137,12 @@ def _text(dialect: Dialect, candidate: Candidate, own: Mapping[str, Sequence[str
 
 
 def _where_it_trains(
-    configuration: TrainingConfiguration, dialect: Dialect, measurements: Measurements
+    configuration: TrainingConfiguration, dialect: Dialect, measurements: Measurements, rows: Mapping[str, bool]
 ) -> tuple[Callable[[TrainingConfiguration, str], Verdict], str]:
-    """Return a function from a configuration and a row to the verdict on the engine of training, and its name."""
+    """Return a function from a configuration and a row to its verdict, and the engine of training in words.
+
+    Rows that are flagged are measured on the engine of training, others on that of the rows.
+    """
     there, engine = measurements, ""
     if configuration.trains_on == "mujoco_warp":
         try:
@@ -152,7 +157,8 @@ def _where_it_trains(
         if stated:
             return stated[0].verdict
         one = phenomenon(name)
-        subject = subject_of(there if one.scenario.seconds <= WARP_S else measurements, cured, one)
+        is_there = rows[name] and one.scenario.seconds <= WARP_S
+        subject = subject_of(there if is_there else measurements, cured, one)
         if not subject.sets:
             return Verdict.DECLINED
         return worst_of(subject.measured())[1].verdict

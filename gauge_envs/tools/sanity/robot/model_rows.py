@@ -313,7 +313,7 @@ def _feet(robot: Robot) -> Finding:
             reaching.append(limb)
             if min((touching.get(geom, np.inf) for geom in geoms), default=np.inf) > ground + within:
                 lame.append(min(geoms, key=lambda geom: lows[geom]))
-    if not lame and ground > lowest + 2.0 * within:
+    if not lame and ground > lowest + 1.5 * within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
     floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
