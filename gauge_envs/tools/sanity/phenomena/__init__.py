@@ -34,8 +34,8 @@ ROBOT_IDS = tuple(
 
 RIGID: Mapping[str, tuple[str, ...]] = {
     "foot-creep": ("foot", "creep"),
-    "foot-push": ("foot", "sliding_foot", "push"),
-    "foot-slide": ("foot", "sliding_foot", "slide"),
+    "foot-push": ("foot", "push"),
+    "foot-slide": ("foot", "slide"),
     "foot-landing-depth": ("foot", "depth"),
     "foot-rebound": ("foot", "rebound"),
     "foot-rest": ("foot", "rest"),
@@ -91,7 +91,7 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
     """
     module, function, *arguments = {**RIGID, **DEFORMABLE}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
-    made: Phenomenon = make(*arguments) if foot is None else make(*arguments, foot)
+    made: Phenomenon = make(*arguments) if foot is None else make(foot)
     return replace(made, id=name)
 
 

@@ -1,8 +1,8 @@
 """Foot of a robot on the measured boards: creep, slip, slide and landing.
 
-The foot has the solids, the load and the friction on the ground that a configuration states. Without a configuration,
-the rows have the foot of a small quadruped with the friction of the measured wooden cube. The value is a law; what is
-measured on wooden cubes is how far a real body may differ from it.
+The foot has the solids and the load that a configuration states. It rests with the friction that the configuration
+states for it, and slides with that of the measured wooden cube. The values are laws; what is measured on wooden cubes is
+how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ HOLD_DEG, HOLD_PUSH = 10.0, 0.7
 """Slope on which a foot rests [degrees], that of the measured board, and its largest push: a foot whose friction is
 small rests on a slope where gravity pushes with 0.7 of what the friction holds."""
 
-PUSHES = {"push": 1.2, "slide": 2.2}
-"""Pushes along the ground, over mu times the normal force, with which a foot slides. On a slope, gravity pushes like
-this: on the measured board of 30 degrees with 2.2."""
+PUSH, SLIDE_DEG = 1.2, 30.0
+"""Push along the ground, over mu times the normal force, with which a foot just slides, and slope of the measured board
+[degrees]. On a slope, gravity pushes like this."""
 
 DROP_M, LANDING_S = 0.05, 0.6
 """Height of the drop, as of a step, and simulated time with the fall of 0.1 s."""
@@ -159,22 +159,27 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     return replace(made, needs_foot=True)
 
 
-def sliding_foot(kind: str, foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
-    """Return the acceleration of a foot that is pushed more than its friction holds, a little or much."""
-    times, friction = PUSHES[kind], _friction(foot)
-    slope = float(np.arctan(times * friction))
-    # Friction of real cubes scatters in proportion to itself and to the normal force, as does the tolerance.
-    scale = friction * np.cos(slope) / (real_friction(MATERIAL) * np.cos(np.radians(30.0)))
+def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot that is pushed a little more than its friction holds."""
+    title = f"acceleration when pushed with {PUSH:g} times its friction"
+    return _sliding(foot, "push", title, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
+
+
+def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
+    """Return the acceleration of a foot on a steep slope."""
+    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", SLIDE_DEG)
+
+
+def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phenomenon:
+    slope, friction, foot = np.radians(slope_deg), real_friction(MATERIAL), replace(own, friction=None)
     real = Reality.law(
         GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),
-        tolerance=real_slides(MATERIAL).tolerance * float(scale),
-        source=_source(f"law: g (sin a - mu cos a), a = {np.degrees(slope):.3g} deg, tan a = {times:g} mu", foot),
-        rationale=f"measured: as many per cent of the friction as cover {COVERAGE:.0%} of real slides of the {MATERIAL} "
-        "cube on 30 degrees",
+        tolerance=real_slides(MATERIAL).tolerance,
+        source=_source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
+        rationale=f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
-    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=float(np.degrees(slope)))
-    title = f"foot of the robot: acceleration when pushed with {times:g} times what its friction holds"
-    return replace(sliding(title, scenario, _downhill_mm, real), needs_foot=True)
+    scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
+    return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)
 
 
 # --- landing ---------------------------------------------------------------------------------------------------------

@@ -374,13 +374,16 @@ def _floor_friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
         return Finding(declined=NOT_STANDING)
     model, found = robot.model, Finding(value=1.0)
+    # What a geom takes from the default of all is no statement about it.
+    common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
     explicit = {tuple(sorted(p)) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
     for row in robot.foot_rows:
         pair = tuple(robot.pairs.geoms[row].tolist())
         stated = [float(model.geom_friction[geom, 0]) for geom in pair]
         alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
         met, least = float(robot.pairs.constants[row, COLUMNS["friction"].start]), max(min(stated), 1e-3)
-        if pair not in explicit and alike and met / least > found.value:
+        is_stated = abs(min(stated) - common) > 1e-9
+        if pair not in explicit and alike and is_stated and met / least > found.value:
             geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
