@@ -132,7 +132,7 @@ def _text(dialect: Dialect, candidate: Candidate, own: Mapping[str, Sequence[str
     parts = [dialect.paste_text(settings)] if settings else []
     for name, geoms in own.items():
         shown = ", ".join(geoms[:3]) + (f" and {len(geoms) - 3} more" if len(geoms) > 3 else "")
-        parts.append(f"{dialect.assignment(name, settings[name])} in {shown}, which state their own")
+        parts.append(f"{dialect.assignment(name, settings[name])} in {shown}, which the default does not reach")
     return " and ".join([*parts, *candidate.texts])
 
 

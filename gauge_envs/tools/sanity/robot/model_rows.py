@@ -240,10 +240,11 @@ def _gravcomp(robot: Robot) -> Finding:
         return Finding(declined=NOT_STANDING)
     lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
     share = float((model.body_gravcomp * model.body_mass)[robot.bodies].sum() / model.body_mass[robot.bodies].sum())
+    names = ", ".join(body_name(robot, body) for body in lifted)
     return Finding(
         value=abs(share),
-        remark=f"{', '.join(body_name(robot, body) for body in lifted[:3])}" if lifted else "",
-        advice='gravcomp="0" for these bodies',
+        remark=names,
+        advice=f'gravcomp="0" for {names}',
         changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
     )
 
@@ -313,7 +314,7 @@ def _feet(robot: Robot) -> Finding:
             reaching.append(limb)
             if min((touching.get(geom, np.inf) for geom in geoms), default=np.inf) > ground + within:
                 lame.append(min(geoms, key=lambda geom: lows[geom]))
-    if not lame and ground > lowest + 1.5 * within:
+    if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
     floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}

@@ -22,6 +22,7 @@ from gauge_envs.backends.mujoco.model import (
     SOLVERS,
 )
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
+from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, stance_of
 
 GEOM_FIELDS = {
@@ -122,7 +123,7 @@ class Robot:
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
         ground that states its own is changed too. A name such as `geom_condim[3]` changes a row of an array.
         """
-        model, own = copy.copy(self.model), {}
+        model, own = self._colliding(changes), {}
         for name, value in changes.items():
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
@@ -135,8 +136,24 @@ class Robot:
                 getattr(model, found[1])[int(found[2])] = value
             else:
                 _set_option(model, name, value)
-        mujoco.mj_setConst(model, mujoco.MjData(model))
+        try:
+            mujoco.mj_setConst(model, mujoco.MjData(model))
+        except mujoco.FatalError as error:
+            raise TargetError(f"the change needs the model's file: {error}") from None
         return model, {name: geoms for name, geoms in own.items() if geoms}
+
+
+    def _colliding(self, changes: Mapping[str, Any]) -> mujoco.MjModel:
+        """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
+        found = {name: ELEMENT.fullmatch(name) for name in changes if name.startswith("geom_con")}
+        if self.spec is None or not found:
+            return copy.copy(self.model)
+        spec = self.spec.copy()
+        for geom, original in zip(spec.geoms, self.spec.geoms, strict=True):
+            for name, match in found.items():
+                if match is not None and int(match[2]) == original.id and match[1] != "geom_condim":
+                    setattr(geom, match[1].removeprefix("geom_"), changes[name])
+        return spec.compile()
 
 
 def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
