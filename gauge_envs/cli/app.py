@@ -18,7 +18,7 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, echo, message
+from gauge_envs.cli.output import EXIT_USAGE, echo, message
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 
@@ -47,7 +47,10 @@ def _below(name: str) -> list[str]:
 
 
 class _Command(typer.core.TyperCommand):
-    """Command whose function returns whether it failed, or its exit code. Its stdout holds its results only, whatever engines print."""
+    """Command whose function returns whether it failed, or its exit code.
+
+    Its stdout holds its results only, whatever engines print.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         known = {option for one in self.params for option in (*one.opts, *one.secondary_opts)}

@@ -1,8 +1,8 @@
 """Plant mistakes of people in a quadruped, and check good robots: what `gauge sanity` finds, names and mends.
 
-    python studies/planted_faults/sanity_faults.py                 writes sanity.csv
-    python studies/planted_faults/sanity_faults.py --only gravcomp prints one fault
-    python studies/planted_faults/sanity_faults.py --good          writes sanity_good.csv, of the packages installed here
+python studies/planted_faults/sanity_faults.py                 writes sanity.csv
+python studies/planted_faults/sanity_faults.py --only gravcomp prints one fault
+python studies/planted_faults/sanity_faults.py --good          writes sanity_good.csv, of the packages installed here
 """
 
 from __future__ import annotations

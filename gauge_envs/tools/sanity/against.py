@@ -112,7 +112,9 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed))))
+        values: dict[str, Any] = json_ready(
+            asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed)))
+        )
         return values
 
 

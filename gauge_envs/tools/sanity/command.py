@@ -19,12 +19,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity import Report
 
 
-class OtherEngine(StrEnum):
-    """Engine on which flagged rows are run again."""
-
-    MUJOCO_WARP = "mujoco_warp"
-
-
 class ReportFormat(StrEnum):
     """Format of a sanity check on stdout."""
 
@@ -86,10 +80,6 @@ def sanity(
     limits: Annotated[
         str, typer.Option(metavar="TIME", help="Start no simulation after this time, as 60s; decline other rows.")
     ] = "",
-    backend: Annotated[
-        OtherEngine | None,
-        typer.Option(help="Run flagged rows of a MuJoCo model again, which takes a minute."),
-    ] = None,
     out: OutOption = None,
     form: ReportForm = ReportFormat.TEXT,
 ) -> int:
@@ -102,7 +92,6 @@ def sanity(
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.phenomena import selection
-    from gauge_envs.tools.sanity.stacks import compiled_model
 
     if target is None:
         raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
@@ -124,11 +113,6 @@ def sanity(
         report = check(
             checked, notify=lambda row: progress.advance(row.phenomenon), time_limit_s=time_limit_s, **common
         )
-        if backend is not None:
-            from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
-
-            progress.show(backend.value)
-            report = with_mujoco_warp(report, model=compiled_model(target))
     _print_report(report, form, files)
     return exit_code(report)
 
@@ -174,7 +158,9 @@ def _judged_by(fail_on: FailOn | None, baseline: Path | None) -> Callable[[Repor
     from gauge_envs.tools.sanity.run import read_baseline, regressions
 
     before = None if baseline is None else read_baseline(baseline)
-    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.NEVER: ()}.get(fail_on or FailOn.VISIBLE, (Verdict.WRONG, Verdict.VISIBLE))
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.NEVER: ()}.get(
+        fail_on or FailOn.VISIBLE, (Verdict.WRONG, Verdict.VISIBLE)
+    )
 
     def exit_code(report: Report) -> int:
         worse = [row for row in report.rows if row.is_flag and row.verdict in bad]
@@ -183,7 +169,9 @@ def _judged_by(fail_on: FailOn | None, baseline: Path | None) -> Callable[[Repor
             for row in worse:
                 was = before.get(row.phenomenon)
                 text = "not in the baseline" if was is None else f"{was:.3g} half-widths from reality at most"
-                message(f"regression: {row.phenomenon}: {row.verdict.value}, {row.deviation:.3g} half-widths; was {text}")
+                message(
+                    f"regression: {row.phenomenon}: {row.verdict.value}, {row.deviation:.3g} half-widths; was {text}"
+                )
         return EXIT_FAILED if worse else EXIT_INCOMPLETE if report.unmeasured else 0
 
     return exit_code
@@ -205,7 +193,9 @@ def _compare(
     if form.value not in Format:
         raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
     print_document(against_document(comparison), Format(form.value), files=files)
-    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(fail_on or FailOn.NEVER, ())
+    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
+        fail_on or FailOn.NEVER, ()
+    )
     changes = {row.change for row in comparison.rows}
     return EXIT_FAILED if changes & set(bad) else EXIT_INCOMPLETE if changes == {Change.UNKNOWN} else 0
 

@@ -96,7 +96,7 @@ def find_cure(
         rows: Ids of the rows that count, and whether they are flagged.
     """
     verdicts, engine = _where_it_trains(configuration, dialect, measurements, rows)
-    flags = [name for name, is_flag in rows.items() if is_flag]
+    flags = [name for name, is_flag in rows.items() if is_flag and verdicts(configuration, name) is not Verdict.INSIDE]
     best: tuple[tuple[float, ...], Cure] | None = None
     for candidate in candidates[:MOST_CANDIDATES]:
         try:

@@ -441,7 +441,7 @@ class PhenomenonResult:
 
     @property
     def deviation(self) -> float:
-        """Distance from reality in half-widths of its interval; infinite where it failed, 0 where nothing was measured."""
+        """Distance from reality in half-widths of its interval; infinite for a failure, 0 if nothing was measured."""
         if self.configured is None:
             return 0.0 if self.verdict is Verdict.DECLINED else math.inf
         return abs(self.configured - self.reality.value) / self.reality.tolerance

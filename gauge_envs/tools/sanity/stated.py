@@ -84,9 +84,6 @@ def stated_rows(
     if CAPACITY_ID in chosen and (configuration.capacity is not None or len(chosen) == 1):
         rows.append(capacity_row(configuration, dialect))
     named = [name for name in ROBOT_IDS if name in chosen]
-    if named and configuration.robot is None:
-        unknown = "the target's own model is not read"
-        return [*rows, *(_declined(limits_row(one), unknown) for one in named if len(chosen) == 1)]
     for name in named:
         row = robot_row(name, configuration.robot)
         if row.verdict is not Verdict.DECLINED or len(chosen) == 1:
@@ -95,16 +92,14 @@ def stated_rows(
 
 
 def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
-    """Return a row on the target's own model; an empty one without a model."""
-    from gauge_envs.tools.sanity.robot.rollout import ROWS, Finding
+    """Return a row on the target's own model; one that is not measured without a model."""
+    from gauge_envs.tools.sanity.robot import rollout
+    from gauge_envs.tools.sanity.robot.model_rows import ROWS, Finding, judged_row
 
-    limits, judge = ROWS[name]
-    return limits.row(name, Finding(declined="not measured") if robot is None else judge(robot))
-
-
-def limits_row(name: str) -> PhenomenonResult:
-    """Return a row on the target's own model before it is measured."""
-    return robot_row(name, None)
+    assert rollout, "its rows are added as it is imported"
+    return judged_row(
+        name, Finding(declined="the target's own model is not read") if robot is None else ROWS[name](robot)
+    )
 
 
 def stated_fixes(
@@ -118,10 +113,10 @@ def stated_fixes(
         CAPACITY_ID: (dialect.paste_text(limits), limits),
     }
     if configuration.robot is not None:
-        from gauge_envs.tools.sanity.robot.rollout import ROWS
+        from gauge_envs.tools.sanity.robot.model_rows import ROWS
 
         for name in flags:
-            if name in ROWS and (found := ROWS[name][1](configuration.robot)).changes:
+            if name in ROWS and (found := ROWS[name](configuration.robot)).changes:
                 fixes[name] = (found.advice, dict(found.changes))
     return {name: fix for name, fix in fixes.items() if name in flags}
 

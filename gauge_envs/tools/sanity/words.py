@@ -96,7 +96,9 @@ def top_line(report: Report) -> str:
     if not measured:
         return "Nothing was measured"
     if missing:
-        named = ", ".join(missing[:MOST_NAMED]) + (f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED))
+        named = ", ".join(missing[:MOST_NAMED]) + (
+            f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
+        )
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
     return f"No flags: {counted(measured, 'row')} measured, nothing to change"
 
@@ -302,10 +304,7 @@ def _present(report: Report) -> list[Verdict]:
 
 CHANGE_STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
 
-AGAINST_MOST_NAMED = 2
-"""Largest number of changes, or of rows that were not measured, that the first line names."""
-
-LEGEND = (
+AGAINST_LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
     "times as much; large: more; unknown: one of the two was not measured."
 )

@@ -109,7 +109,10 @@ def test_sarif_names_rule_level_and_place(monkeypatch, tmp_path: Path) -> None:
     document = json.loads(run(monkeypatch, checked, "--format", "sarif").stdout)
     (found,) = document["runs"]
     assert document["version"] == "2.1.0"
-    assert [(one["ruleId"], one["level"]) for one in found["results"]] == [("creep-wood", "error"), ("slide", "warning")]
+    assert [(one["ruleId"], one["level"]) for one in found["results"]] == [
+        ("creep-wood", "error"),
+        ("slide", "warning"),
+    ]
     assert {one["id"] for one in found["tool"]["driver"]["rules"]} >= {one["ruleId"] for one in found["results"]}
     location = found["results"][0]["locations"][0]["physicalLocation"]["artifactLocation"]
     assert location == {"uri": str(path)}
@@ -148,7 +151,12 @@ def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
         path = os.pathsep.join([str(tmp_path), os.environ["PATH"]])
         environment = os.environ | env | {"PATH": path, "PYTHONPATH": str(ROOT)}
         done = subprocess.run(
-            ["bash", "-e", "-c", step["run"]], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+            ["bash", "-e", "-c", step["run"]],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            check=False,
         )
         assert done.returncode == code, done.stdout + done.stderr
         assert "::notice title=gauge sanity" in done.stdout

@@ -1,4 +1,4 @@
-"""The target's own robot: rows against closed forms and against motion, planted mistakes, and cures that are applied."""
+"""The target's own robot: rows against closed forms and motion, planted mistakes, and cures that are applied."""
 
 from __future__ import annotations
 
@@ -186,7 +186,9 @@ def test_a_robot_that_never_touches_is_not_judged_by_contacts() -> None:
 
 def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row() -> None:
     xml = good_xml().replace('name="floor"', 'name="floor" margin="0.02"')
-    found = {r.phenomenon: r for r in check(read(xml), only=["creep-wood", "rest-height", "release", "slide-wood"]).rows}
+    found = {
+        r.phenomenon: r for r in check(read(xml), only=["creep-wood", "rest-height", "release", "slide-wood"]).rows
+    }
     assert found["rest-height"].configured == pytest.approx(20.0, abs=0.05)
     assert abs(found["creep-wood"].configured) < 0.05
     assert found["slide-wood"].verdict is Verdict.INSIDE

@@ -23,13 +23,12 @@ GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 RELEASE_ID = "release"
 """Row on a body that touches the ground at the start."""
 
-ROBOT_IDS = tuple(
-    f"robot-{name}"
-    for name in (
-        *("holds", "stands", "loads", "saturation", "slip", "overlap", "energy", "feet", "friction", "floor-friction"),
-        *("density", "bound", "gravcomp", "inertia", "servo", "torque", "damping", "frictionloss", "armature"),
-    )
-) + ("floor-tilt",)
+ROBOT_IDS = (
+    *("robot-holds", "robot-stands", "robot-loads", "robot-saturation", "robot-slip", "robot-overlap", "robot-energy"),
+    *("robot-feet", "robot-friction", "robot-floor-friction", "floor-tilt"),
+    *("robot-density", "robot-bound", "robot-gravcomp", "robot-inertia"),
+    *("robot-servo", "robot-torque", "robot-damping", "robot-frictionloss", "robot-armature"),
+)
 """Rows on the target's own model: its rollout, and what it states."""
 
 RIGID: Mapping[str, tuple[str, ...]] = {

@@ -90,7 +90,13 @@ class Phenomenon:
         """What a target must have for the phenomenon to apply."""
         contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
         friction = (Need.FRICTION,) if self.needs_friction else ()
-        return (Need.GRAVITY, *contact, *friction, *((Need.FOOT,) * self.needs_foot), *((Need.SPACE,) * self.needs_space))
+        return (
+            Need.GRAVITY,
+            *contact,
+            *friction,
+            *((Need.FOOT,) * self.needs_foot),
+            *((Need.SPACE,) * self.needs_space),
+        )
 
     def read(self, rollout: Rollout) -> PhenomenonValue:
         """Return what is measured in a rollout of the scenario."""

@@ -1,8 +1,8 @@
 """Foot of a robot on the measured boards: creep, slip, slide and landing.
 
 The foot has the solids and the load that a configuration states. It rests with the friction that the configuration
-states for it, and slides with that of the measured wooden cube. The values are laws; what is measured on wooden cubes is
-how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
+states for it, and slides with that of the measured wooden cube. The values are laws; what is measured on wooden cubes
+is how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
 """
 
 from __future__ import annotations

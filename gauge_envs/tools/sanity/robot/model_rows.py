@@ -13,76 +13,17 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
-from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
+from gauge_envs.tools.sanity.phenomena.facts import facts
 from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
 
-OVERLAP = 1.6
-"""Factor between the volume of solids that overlap and the sum of their volumes."""
-
 UNIT_ERRORS = {1e3: "a density in g/cm^3 or a mass in tonnes", 1e-3: "a mass in grams", 1e6: "a mass in kt"}
 
 FULL_ACTION_RAD_PER_S = 3.0
 """Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Limits:
-    """What one row says of a robot.
-
-    Attributes:
-        title: Title.
-        unit: Unit of the value.
-        low: Least value of the verdict `inside`.
-        high: Greatest value of it.
-        text: The interval in words.
-        source: Source of the limits.
-        consequence: What a flag means for a policy.
-    """
-
-    title: str
-    unit: str
-    low: float
-    high: float
-    text: str
-    source: str
-    consequence: str
-
-    def row(self, name: str, found: Finding) -> PhenomenonResult:
-        """Return the row of a value; visible beyond the limits by up to the same ratio as in other rows."""
-        value = found.value
-        ratio = max(self.low / max(value, 1e-12), value / self.high) if np.isfinite(value) else np.inf
-        outside = Verdict.VISIBLE if ratio <= VISIBLE_WITHIN else Verdict.WRONG
-        verdict = Verdict.DECLINED if found.declined else Verdict.INSIDE if ratio <= 1.0 + 1e-9 else outside
-        cause = None
-        if found.advice and verdict in (Verdict.VISIBLE, Verdict.WRONG):
-            cause = Cause(settings=tuple(found.changes), line=found.advice)
-        return PhenomenonResult(
-            phenomenon=name,
-            title=self.title,
-            experiment="",
-            unit=self.unit,
-            reality=Reality(
-                kind=RealityKind.LAW,
-                value=0.5 * (self.low + self.high),
-                tolerance=0.5 * (self.high - self.low),
-                source=self.source,
-                rationale=self.consequence,
-                limits=self.text,
-            ),
-            default=None,
-            configured=None if found.declined or not np.isfinite(value) else float(value),
-            verdict=verdict,
-            default_verdict=Verdict.DECLINED,
-            cause=cause,
-            remark=found.declined or found.remark,
-            applies=not found.declined,
-            consequence=self.consequence if verdict in (Verdict.VISIBLE, Verdict.WRONG) else "",
-            advisory=found.advisory if not found.declined else "",
-        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,22 +47,50 @@ class Finding:
     advisory: str = ""
 
 
-ROWS: dict[str, tuple[Limits, Callable[[Robot], Finding]]] = {}
-"""Limits and function of each row that reads the model, in their order."""
+ROWS: dict[str, Callable[[Robot], Finding]] = {}
+"""Function of each row, whose limits and words stand in `scoring/facts/robot_rows.toml`."""
 
 
-def row(name: str, *numbers: Any) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
-    """Return a decorator that adds a row: title, unit, low, high, limits in words, source, consequence."""
+def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
+    """Return a decorator that adds the function of a row."""
 
     def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
-        title, unit, low, high, text, source, consequence = numbers
-        limits = Limits(
-            title=title, unit=unit, low=low, high=high, text=text, source=source, consequence=consequence
-        )
-        ROWS[name] = (limits, function)
+        ROWS[name] = function
         return function
 
     return keep
+
+
+def judged_row(name: str, found: Finding) -> PhenomenonResult:
+    """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that."""
+    known = facts("robot_rows")[name]
+    (low, high), value = known["interval"], found.value
+    ratio = max(low / max(value, 1e-12), value / high) if np.isfinite(value) else np.inf
+    verdict = Verdict.INSIDE if ratio <= 1.0 + 1e-9 else Verdict.VISIBLE if ratio <= VISIBLE_WITHIN else Verdict.WRONG
+    is_off = verdict is not Verdict.INSIDE and not found.declined
+    return PhenomenonResult(
+        phenomenon=name,
+        title=known["title"],
+        experiment="",
+        unit=known["unit"],
+        reality=Reality(
+            kind=RealityKind.LAW,
+            value=0.5 * (low + high),
+            tolerance=0.5 * (high - low),
+            source=known["source"],
+            rationale=known["consequence"],
+            limits=known["limits"],
+        ),
+        default=None,
+        configured=None if found.declined or not np.isfinite(value) else float(value),
+        verdict=Verdict.DECLINED if found.declined else verdict,
+        default_verdict=Verdict.DECLINED,
+        cause=Cause(settings=tuple(found.changes), line=found.advice) if found.advice and is_off else None,
+        remark=found.declined or found.remark,
+        applies=not found.declined,
+        consequence=known["consequence"] if is_off else "",
+        advisory=found.advisory,
+    )
 
 
 def body_name(robot: Robot, body: int) -> str:
@@ -164,13 +133,7 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
     return largest, hull, float(np.linalg.norm(every - model.body_ipos[body], axis=1).max())
 
 
-@row(
-    "robot-density",
-    *("density of a link: the one farthest outside the limits", "kg/m^3", 50.0, 12_000.0, "50 to 12,000"),
-    "solid foam and solid lead; boxes around its geoms bound a link's volume",
-    "The policy learns the forces and speeds of a robot of another weight, and its real motors are too weak or too "
-    "strong for it.",
-)
+@row("robot-density")
 def _density(robot: Robot) -> Finding:
     worst, found = 0.0, Finding(declined="the shape of no link is known")
     total = sum(float(robot.model.body_mass[body]) for body in robot.bodies)
@@ -185,23 +148,25 @@ def _density(robot: Robot) -> Finding:
         ratio = max(50.0 / light, heavy / 12_000.0)
         if found.declined or ratio > worst:
             factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / (light if light < 50.0 else heavy) / one)))
-            changes = {f"body_mass[{body}]": mass * factor, f"body_inertia[{body}]": robot.model.body_inertia[body] * factor}
+            changes = {
+                f"body_mass[{body}]": mass * factor,
+                f"body_inertia[{body}]": robot.model.body_inertia[body] * factor,
+            }
             name = body_name(robot, body)
-            worst, found = ratio, Finding(
-                value=value,
-                remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + (f": {UNIT_ERRORS[factor]}?" if ratio > 1 else ""),
-                advice=f"multiply mass and inertia, or the density, of {name} by {factor:g}",
-                changes=changes,
+            worst, found = (
+                ratio,
+                Finding(
+                    value=value,
+                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg"
+                    + (f": {UNIT_ERRORS[factor]}?" if ratio > 1 else ""),
+                    advice=f"multiply mass and inertia, or the density, of {name} by {factor:g}",
+                    changes=changes,
+                ),
             )
     return found
 
 
-@row(
-    "robot-bound",
-    *("mass that boundmass and boundinertia add, over that of the robot", "1", 0.0, 0.02, "at most 0.02"),
-    "the model without both, compiled again",
-    "Light links become heavy, so that the policy moves legs that are slower than the real ones.",
-)
+@row("robot-bound")
 def _bound(robot: Robot) -> Finding:
     spec = robot.spec
     if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
@@ -228,12 +193,7 @@ def _bound(robot: Robot) -> Finding:
     )
 
 
-@row(
-    "robot-gravcomp",
-    *("weight that gravcomp takes from a robot that stands", "1", 0.0, 0.01, "at most 0.01"),
-    "a robot on the ground carries its own weight",
-    "The policy stands and jumps with motors that the real robot's weight overloads.",
-)
+@row("robot-gravcomp")
 def _gravcomp(robot: Robot) -> Finding:
     model = robot.model
     if not robot.is_floating:
@@ -249,12 +209,7 @@ def _gravcomp(robot: Robot) -> Finding:
     )
 
 
-@row(
-    "robot-inertia",
-    *("radius of gyration of a link over its reach from the centre of mass", "1", 0.0, 1.5, "at most 1.5"),
-    "mass cannot lie farther out than the link; half as much again for parts that no geom shows",
-    "Links turn as if they were larger, so that the policy's swings are too slow for the real robot.",
-)
+@row("robot-inertia")
 def _inertia(robot: Robot) -> Finding:
     found = Finding(declined="the shape of no link is known")
     for body in robot.bodies:
@@ -290,12 +245,7 @@ def _limbs(robot: Robot) -> list[list[int]]:
     return limbs
 
 
-@row(
-    "robot-feet",
-    *("limbs that reach the ground and cannot touch it", "1", 0.0, 0.5, "none"),
-    "geoms within 1 % of the robot's height of the lowest one, in the pose in which it stands",
-    "The limb passes through the ground, so that the policy learns to walk without it.",
-)
+@row("robot-feet")
 def _feet(robot: Robot) -> Finding:
     model, standing = robot.model, robot.standing
     if standing is None:
@@ -338,12 +288,7 @@ def ground_row(robot: Robot) -> int:
     return robot.foot_rows[0]
 
 
-@row(
-    "robot-friction",
-    *("friction of the slipperiest foot on the ground, by the engine's rule for pairs", "1", 0.1, 2.0, "0.1 to 2"),
-    "wet ice and racing tyres; condim 1 has no friction at all",
-    "The foot slips, or grips, as on no floor, so that the policy pushes in ways that no real foot can.",
-)
+@row("robot-friction")
 def _friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
         return Finding(declined=NOT_STANDING)
@@ -365,12 +310,7 @@ def _friction(robot: Robot) -> Finding:
     )
 
 
-@row(
-    "robot-floor-friction",
-    *("friction of a foot over the lower one that its two geoms state", "1", 0.5, 1.25, "at most 1.25"),
-    "MuJoCo takes the greater one of two geoms of equal priority",
-    "A slippery floor or foot that the model states has no effect, so that the policy never meets it.",
-)
+@row("robot-floor-friction")
 def _floor_friction(robot: Robot) -> Finding:
     if not robot.foot_rows:
         return Finding(declined=NOT_STANDING)
@@ -395,12 +335,7 @@ def _floor_friction(robot: Robot) -> Finding:
     return found
 
 
-@row(
-    "floor-tilt",
-    *("angle between the ground and the plane across gravity", "deg", 0.0, 0.3, "at most 0.3"),
-    "a floor that is built level; a slope on purpose is flagged too",
-    "The policy leans against the slope, and leans on level ground as well.",
-)
+@row("floor-tilt")
 def _floor_tilt(robot: Robot) -> Finding:
     model, gravity = robot.model, robot.model.opt.gravity
     data = mujoco.MjData(model)
@@ -515,37 +450,26 @@ def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
     return bare
 
 
-@row(
-    "robot-servo",
-    *("growth of a small motion of the joints in one step", "1", 0.0, 1.005, "at most 1.005"),
-    "a loop is stable up to 1; the spectral radius of the engine's step about the pose, without contact and gravity",
-    "Joints shake or the state becomes NaN, so that training learns noise or stops.",
-)
+@row("robot-servo")
 def _servo(robot: Robot) -> Finding:
     model = robot.model
     if not model.nv or not (servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()):
         return Finding(declined="no joint has a servo, damping or stiffness")
     value = growth(robot, model)
-    if value <= ROWS["robot-servo"][0].high:
+    if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
         return Finding(value=value)
-    for share in (0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
-        gains = {f"actuator_gainprm[{a}]": model.actuator_gainprm[a] * share for a in np.flatnonzero(servos(model))}
-        gains |= {f"actuator_biasprm[{a}]": model.actuator_biasprm[a] * share for a in np.flatnonzero(servos(model))}
-        others = {"integrator": "implicitfast"}, gains, gains | {"integrator": "implicitfast"}
-        for changes, text in zip(others, ("", f"kp and kv times {share:g}", f"kp and kv times {share:g}"), strict=True):
-            if growth(robot, robot.changed(changes)[0]) <= 1.0 + 1e-3:
-                option = '<option integrator="implicitfast"/>' if "integrator" in changes else ""
-                joined = " and ".join(filter(None, (option, text)))
-                return Finding(value=value, advice=joined, changes=changes, remark=f"step {model.opt.timestep:g} s")
+    arrays = [(key, a) for key in ("gainprm", "biasprm") for a in np.flatnonzero(servos(model))]
+    for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
+        changes: dict[str, Any] = {"integrator": "implicitfast"}
+        changes |= {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
+        if growth(robot, robot.changed(changes)[0]) <= 1.0 + 1e-3:
+            texts = ['<option integrator="implicitfast"/>', f"kp and kv times {share:g}"]
+            advice = " and ".join(texts[: 2 if share < 1.0 else 1])
+            return Finding(value=value, advice=advice, changes=changes, remark=f"step {model.opt.timestep:g} s")
     return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
 
 
-@row(
-    "robot-torque",
-    *("largest torque of a joint over what its own limb weighs there", "1", 1.0, 1e6, "at least 1"),
-    "gravity at the pose in which the robot stands",
-    "The joint cannot lift its own limb, so that the policy drags it.",
-)
+@row("robot-torque")
 def _torque(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
@@ -564,62 +488,44 @@ def _torque(robot: Robot) -> Finding:
     return found
 
 
-def _drag(robot: Robot, share: Callable[[int, float], float], field: str, factor: float) -> Finding:
-    """Return the driven joint with the largest share; the advice divides what brakes it."""
-    found = Finding(declined="no joint of a robot that stands states the limit of its torque")
+def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
+    """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
     if robot.standing is None:
         return Finding(declined=NOT_STANDING)
+    model, values = robot.model, getattr(robot.model, f"dof_{name}")
+    limits = {}
     for dof, limit in _driven_dofs(robot):
         if not np.isfinite(limit):
-            actuators = np.flatnonzero(servos(robot.model) & (robot.model.actuator_trnid[:, 0] == robot.model.dof_jntid[dof]))
+            actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
             # A servo without a limit: what an error of half a radian asks of it.
-            limit = float(-0.5 * robot.model.actuator_biasprm[actuators, 1].sum())
-        if limit > 0.0 and (found.declined or share(dof, limit) > found.value):
-            now = float(getattr(robot.model, f"dof_{field}")[dof])
-            fair = now / max(factor * share(dof, limit), 1.0)
-            found = Finding(
-                value=share(dof, limit),
-                remark=f"{_joint_name(robot, dof)}: {field} {now:.3g} with {limit:.3g} Nm",
-                advice=f'{field}="{fair:.2g}" for {_joint_name(robot, dof)} and joints like it',
-                changes={},
-            )
-    changes = {}
-    for dof, limit in _driven_dofs(robot):
-        if np.isfinite(limit) and factor * share(dof, limit) > 1.0:
-            changes[f"dof_{field}[{dof}]"] = float(getattr(robot.model, f"dof_{field}")[dof]) / (factor * share(dof, limit))
+            limit = float(-0.5 * model.actuator_biasprm[actuators, 1].sum())
+        if limit > 0.0:
+            limits[dof] = limit
+    if not limits:
+        return Finding(declined="no joint of a robot that stands states the limit of its torque")
+    fair = {d: float(values[d]) / max(spare * share(d, limit), 1.0) for d, limit in limits.items()}
+    worst = max(limits, key=lambda dof: share(dof, limits[dof]))
     return Finding(
-        value=found.value, remark=found.remark, advice=found.advice, changes=changes, declined=found.declined
+        value=share(worst, limits[worst]),
+        remark=f"{_joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
+        advice=f'{name}="{fair[worst]:.2g}" for {_joint_name(robot, worst)} and joints like it',
+        changes={f"dof_{name}[{dof}]": value for dof, value in fair.items() if value < values[dof]},
     )
 
 
-@row(
-    "robot-damping",
-    *("damping torque at 3 rad/s over the largest torque of the joint", "1", 0.0, 1.0, "at most 1"),
-    "a leg that swings by half a radian in 0.2 s turns with 2.5 rad/s",
-    "Joints move as in honey, so that the policy learns slow steps and large torques.",
-)
+@row("robot-damping")
 def _damping(robot: Robot) -> Finding:
     damping = robot.model.dof_damping
-    return _drag(robot, lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit, "damping", 4.0)
+    return _drag(robot, "damping", lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit, 4.0)
 
 
-@row(
-    "robot-frictionloss",
-    *("dry friction of a joint over its largest torque", "1", 0.0, 0.2, "at most 0.2"),
-    "gears of legged robots lose a tenth of their torque, harmonic drives a fifth",
-    "Small torques move nothing, so that the policy learns to jerk.",
-)
+@row("robot-frictionloss")
 def _frictionloss(robot: Robot) -> Finding:
     loss = robot.model.dof_frictionloss
-    return _drag(robot, lambda dof, limit: float(loss[dof]) / limit, "frictionloss", 20.0)
+    return _drag(robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0)
 
 
-@row(
-    "robot-armature",
-    *("armature of a joint over the inertia of the limb that it moves", "1", 0.0, 20.0, "at most 20"),
-    "a gear that accelerates a limb best has 1; the smallest joints of robots with large gears have 10",
-    "The motor's inertia hides the limb's, so that the policy does not feel its own legs or the ground.",
-)
+@row("robot-armature")
 def _armature(robot: Robot) -> Finding:
     if robot.standing is None:
         return Finding(declined=NOT_STANDING)

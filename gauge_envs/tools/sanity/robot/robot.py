@@ -131,7 +131,9 @@ class Robot:
                 grounded = set(np.unique(self.pairs.geoms[ground_rows(self.pairs)]).tolist())
                 own[name] = sorted(geom for geom in grounded - set(reached) if not np.array_equal(array[geom], value))
                 # The margins and gaps of two geoms add up.
-                array[[*reached, *own[name]]] = value if name not in ("contact_margin_m", "contact_gap_m") else value / 2
+                array[[*reached, *own[name]]] = (
+                    value if name not in ("contact_margin_m", "contact_gap_m") else value / 2
+                )
             elif found := ELEMENT.fullmatch(name):
                 getattr(model, found[1])[int(found[2])] = value
             else:
@@ -141,7 +143,6 @@ class Robot:
         except mujoco.FatalError as error:
             raise TargetError(f"the change needs the model's file: {error}") from None
         return model, {name: geoms for name, geoms in own.items() if geoms}
-
 
     def _colliding(self, changes: Mapping[str, Any]) -> mujoco.MjModel:
         """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
@@ -191,5 +192,3 @@ def never_touches(robot: Robot, poses: int = 200) -> bool:
         if data.ncon:
             return False
     return True
-
-

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
-    ROWS,
     Finding,
     body_name,
     row,
@@ -35,13 +34,7 @@ SLOPE_DEG, SLOPE_PUSH = 10.0, 0.7
 LEAST_FEET = 3
 """Feet on which a robot stands without a policy."""
 
-SATURATED = 0.99
-"""Torque over its limit from which on it counts as saturated."""
-
 NO_SERVO = "no servos hold the robot: its torques come from a policy, or its servos from code"
-
-
-__all__ = ["ROWS", "Finding"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,9 +112,7 @@ def _feet_m(robot: Robot, data: mujoco.MjData) -> NDArray[np.float64]:
     return np.asarray(data.geom_xpos[[geoms[0] for geoms in robot.standing.feet.values()]].copy())
 
 
-def _add_loads(
-    robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodies: set[int], share: float
-) -> None:
+def _add_loads(robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodies: set[int], share: float) -> None:
     """Add the normal forces of the ground on the bodies of a robot [N], times a share."""
     model, force = robot.model, np.zeros(6)
     for number in range(data.ncon):
@@ -149,12 +140,7 @@ def _advisory(robot: Robot) -> str:
     return "" if count >= LEAST_FEET else f"a robot with {count} feet balances with a policy alone"
 
 
-@row(
-    "robot-holds",
-    *("time for which the state stays finite while the robot is held, over 2 s", "1", 1.0, 1e6, "at least 1"),
-    "the robot's own rollout: its pose, its controls and its settings on MuJoCo's C engine",
-    "Training meets NaN or is reset in each episode.",
-)
+@row("robot-holds")
 def _finite(robot: Robot) -> Finding:
     if not robot.model.nv or robot.standing is None:
         return Finding(declined=NOT_STANDING)
@@ -165,12 +151,7 @@ def _finite(robot: Robot) -> Finding:
     )
 
 
-@row(
-    "robot-stands",
-    *("height of the robot after 2 s under its own servos, over that at the start", "1", 0.7, 1.3, "0.7 to 1.3"),
-    "the robot's own rollout: its pose, its controls and its settings",
-    "The episode starts with a fall, so that the policy first learns to undo the model's fault.",
-)
+@row("robot-stands")
 def _stands(robot: Robot) -> Finding:
     found = _held(robot)
     if isinstance(found, Finding):
@@ -178,12 +159,7 @@ def _stands(robot: Robot) -> Finding:
     return Finding(value=max(found.height, 1e-3), advisory=_advisory(robot))
 
 
-@row(
-    "robot-loads",
-    *("feet without load and weight on other parts, after 2 s", "1", 0.0, 0.5, "every foot is loaded"),
-    "each foot carries at least 1 % of the weight, and the feet together 90 %",
-    "The policy learns to stand on fewer feet, or on a part that the real robot would scratch.",
-)
+@row("robot-loads")
 def _loads(robot: Robot) -> Finding:
     found = _held(robot)
     if isinstance(found, Finding):
@@ -196,12 +172,7 @@ def _loads(robot: Robot) -> Finding:
     return Finding(value=float(len(idle) + len(other)), remark=shares, advisory=_advisory(robot))
 
 
-@row(
-    "robot-saturation",
-    *("largest torque of a joint over its limit, while the robot stands", "1", 0.0, SATURATED, "below 0.99"),
-    "the robot's own rollout, mean of the last 0.5 s",
-    "Standing takes all of a motor's torque, so that nothing is left for a step.",
-)
+@row("robot-saturation")
 def _saturation(robot: Robot) -> Finding:
     found = _held(robot)
     if isinstance(found, Finding):
@@ -210,12 +181,7 @@ def _saturation(robot: Robot) -> Finding:
     return Finding(value=value, remark=joint, advisory=_advisory(robot))
 
 
-@row(
-    "robot-slip",
-    *("speed of the feet of the standing robot on a slope of at most 10 degrees, with its own friction", "mm/s", 0.0, 5.0)
-    + ("at most 5", "a foot that slips by 1 mm in a stance of 0.2 s"),
-    "Feet creep while they stand, so that the policy walks on ground that moves.",
-)
+@row("robot-slip")
 def _slip(robot: Robot) -> Finding:
     if not robot.foot_rows or _advisory(robot):
         return Finding(declined=_advisory(robot) or NOT_STANDING)
@@ -229,12 +195,7 @@ def _slip(robot: Robot) -> Finding:
     return Finding(value=found.slip_mm_per_s, remark=f"{slope:.3g} degrees, friction {friction:.3g}")
 
 
-@row(
-    "robot-overlap",
-    *("depth to which parts of the robot overlap in the pose in which it starts", "mm", 0.0, 2.0, "at most 2"),
-    "parts of one robot do not overlap",
-    "Parts push each other apart from the first step, so that joints carry loads that no real joint has.",
-)
+@row("robot-overlap")
 def _overlap(robot: Robot) -> Finding:
     model, data, bodies = robot.model, start(robot), set(robot.bodies)
     deepest, names = 0.0, ""
@@ -246,16 +207,13 @@ def _overlap(robot: Robot) -> Finding:
     if robot.standing is None:
         return Finding(declined=NOT_STANDING)
     return Finding(
-        value=1e3 * deepest, remark=names, advice=f"exclude the pair {names}, or make its geoms smaller" if names else ""
+        value=1e3 * deepest,
+        remark=names,
+        advice=f"exclude the pair {names}, or make its geoms smaller" if names else "",
     )
 
 
-@row(
-    "robot-energy",
-    *("energy that a free motion gains in 1 s, over its largest kinetic energy", "1", 0.0, 0.1, "at most 0.1"),
-    "without contact, actuators, damping and friction of joints energy is conserved",
-    "The policy is paid for motions that the engine feeds.",
-)
+@row("robot-energy")
 def _energy(robot: Robot) -> Finding:
     if not robot.model.nv or robot.standing is None:
         return Finding(declined=NOT_STANDING)

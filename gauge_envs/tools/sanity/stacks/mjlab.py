@@ -309,11 +309,7 @@ def _reader(
         cfg, source = cfg_of(target)
         return mjlab_configuration(cfg, name=label(target), source=source, pair=pair)
 
-    def model(target: Any) -> mujoco.MjModel:
-        cfg, source = cfg_of(target)
-        return _built(Table(cfg, source=source)).model
-
-    return Reader(accepts, matches, read, model=model)
+    return Reader(accepts, matches, read)
 
 
 def _is_cfg(target: Any) -> bool:

@@ -251,13 +251,11 @@ READERS = (
         "a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
         has_start(PREFIX),
         _read_name,
-        model=lambda target: _packaged(playground_task(str(target))).model,
     ),
     Reader(
         "an env of MuJoCo Playground",
         _is_env,
         _read_env,
-        model=lambda target: getattr(target, "unwrapped", target).mj_model,
     ),
 )
 
