@@ -19,11 +19,10 @@ from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
-from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, mujoco_warp_run, run
+from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
 from gauge_envs.tools.sanity.exchange.scenes import scenes
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.phenomena import phenomenon
@@ -451,20 +450,7 @@ def test_the_foot_and_what_is_assumed_are_printed() -> None:
     assert "bfoot (capsule) with 7 kg, the share of one of 2 feet in 14 kg, in the initial pose" in text
     assert "four copies in one rigid body" in text and "6.82 times softer" in text
     source = rows_of(check("HalfCheetah-v5", only=["foot-creep"]))["foot-creep"].reality.source
-    assert "extrapolated" in source and "measured cube of wood" in source
-
-
-def test_flagged_feet_run_again_as_the_same_feet(monkeypatch: pytest.MonkeyPatch) -> None:
-    class Again(BackendMuJoCo):
-        name = "mujoco_warp"
-
-        def versions(self) -> dict[str, str]:
-            return {"mujoco-warp": "4"}
-
-    monkeypatch.setattr(mujoco_warp_run, "BackendMuJoCoWarp", Again)
-    report = check(model(quadruped_xml(**FAULTS["soft_foot"][0])), only=["foot-landing-depth"])
-    again = rows_of(mujoco_warp_run.with_mujoco_warp(report))["foot-landing-depth"]
-    assert f"holds on mujoco_warp 4: {again.configured:.3g} of 0 mm" in again.remark
+    assert "mu = 0.4 that the target states for its foot" in source
 
 
 def test_exported_scenes_need_no_robot() -> None:
