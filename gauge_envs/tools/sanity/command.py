@@ -190,7 +190,7 @@ def _compare(
     from gauge_envs.tools.sanity.words import against_document
 
     comparison = compare(trained, deployed, **options)
-    if form.value not in Format:
+    if form.value not in {one.value for one in Format}:
         raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
     print_document(against_document(comparison), Format(form.value), files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.sanity.measure import Measurements
@@ -16,6 +16,9 @@ from gauge_envs.tools.sanity.phenomena import phenomenon
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stated import stated_rows
 from gauge_envs.tools.sanity.subject import subject_of, worst_of
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.robot import Robot
 
 MOST_CANDIDATES = 5
 """Most sets of changes that are applied."""
@@ -109,7 +112,7 @@ def find_cure(
             continue
         count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
         left = [name for name in flags if name not in mended]
-        parts = [f"{_text(dialect, candidate, own)}: {count}{engine}"]
+        parts = [f"{_text(dialect, candidate, own, configuration.robot)}: {count}{engine}"]
         parts += [f"left: {', '.join(left)}"] * bool(left) + [f"new flags: {', '.join(new)}"] * bool(new)
         cure = Cure(
             changes=candidate.changes,
@@ -126,10 +129,11 @@ def find_cure(
     return None if best is None else best[1]
 
 
-def _text(dialect: Dialect, candidate: Candidate, own: Mapping[str, Sequence[str]]) -> str:
+def _text(dialect: Dialect, candidate: Candidate, own: Mapping[str, Sequence[str]], robot: Robot | None) -> str:
     """Return a change as it is pasted; geoms that state an attribute themselves are named."""
     settings = {n: v for n, v in candidate.changes.items() if "[" not in n and n != "gravity"}
-    parts = [dialect.paste_text(settings)] if settings else []
+    default = {n: v for n, v in settings.items() if n not in own or robot is None or robot.needs_default(n, v)}
+    parts = [dialect.paste_text(default)] if default else []
     for name, geoms in own.items():
         shown = ", ".join(geoms[:3]) + (f" and {len(geoms) - 3} more" if len(geoms) > 3 else "")
         parts.append(f"{dialect.assignment(name, settings[name])} in {shown}, which the default does not reach")

@@ -385,7 +385,7 @@ FAULTS: dict[str, tuple[dict[str, str], str, set[str]]] = {
         {"iterations", "cone"},
     ),
     "soft_foot": ({"foot": 'priority="1" solref="0.2 1"'}, "foot-landing-depth", {"contact_solref"}),
-    "margin": ({"foot": 'margin="0.01"'}, "foot-slide", {"contact_margin_m"}),
+    "margin": ({"foot": 'margin="0.03"'}, "foot-landing-depth", {"contact_margin_m"}),
     "pyramidal_default": (
         {"option": 'timestep="0.002" integrator="implicitfast" cone="pyramidal" impratio="1"', "geom": ""},
         "foot-creep",
@@ -415,7 +415,7 @@ def test_a_fault_of_the_feet_is_wrong_and_named(name: str) -> None:
     assert found.cause is not None and set(found.cause.settings) & culprits, found.cause
     assert report.cure is not None
     if "foot" in changes:
-        assert "for floor with FL_foot" in report.cure.line
+        assert "in FL_foot, FR_foot, RL_foot and 1 more, which the default does not reach" in report.cure.line
 
 
 def test_the_command_fails_for_a_fault_of_the_feet(tmp_path: Path) -> None:

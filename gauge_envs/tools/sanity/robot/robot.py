@@ -104,10 +104,15 @@ class Robot:
         return self.model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
 
     def reached_by_default(self, name: str) -> list[int]:
-        """Return geoms that take an attribute from the model's default class; all of them without a spec."""
+        """Return geoms that take an attribute from the model's default class.
+
+        Without a spec, these are the geoms with the most frequent value.
+        """
         field = GEOM_FIELDS[name]
         if self.spec is None:
-            return list(range(self.model.ngeom))
+            values = getattr(self.model, f"geom_{field}").reshape(self.model.ngeom, -1)
+            _, several, counts = np.unique(values, axis=0, return_inverse=True, return_counts=True)
+            return [int(geom) for geom in np.flatnonzero(several.ravel() == counts.argmax())]
         default = np.atleast_1d(getattr(self.spec.default.geom, field))
         return [
             geom.id
@@ -116,6 +121,16 @@ class Robot:
             and np.array_equal(np.atleast_1d(getattr(geom, field)), default)
             and np.array_equal(np.atleast_1d(getattr(geom.classname.geom, field)), default)
         ]
+
+    @cached_property
+    def grounded(self) -> set[int]:
+        """Geoms that can touch the ground, and those of the ground."""
+        return set(np.unique(self.pairs.geoms[ground_rows(self.pairs)]).tolist())
+
+    def needs_default(self, name: str, value: Any) -> bool:
+        """Return whether a default changes a geom on the ground."""
+        array = getattr(self.model, f"geom_{GEOM_FIELDS[name]}")
+        return any(not np.array_equal(array[g], value) for g in self.reached_by_default(name) if g in self.grounded)
 
     def changed(self, changes: Mapping[str, Any]) -> tuple[mujoco.MjModel, dict[str, list[int]]]:
         """Return a copy of the model with changes, and the geoms on the ground that state attributes of their own.
@@ -128,8 +143,8 @@ class Robot:
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
                 reached = self.reached_by_default(name)
-                grounded = set(np.unique(self.pairs.geoms[ground_rows(self.pairs)]).tolist())
-                own[name] = sorted(geom for geom in grounded - set(reached) if not np.array_equal(array[geom], value))
+                others = self.grounded - set(reached)
+                own[name] = sorted(geom for geom in others if not np.array_equal(array[geom], value))
                 # The margins and gaps of two geoms add up.
                 array[[*reached, *own[name]]] = (
                     value if name not in ("contact_margin_m", "contact_gap_m") else value / 2
@@ -169,9 +184,11 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
     elif name in SAME_NAME_OPTIONS:
         setattr(option, name, value)
     elif name in DISABLE_FLAGS:
-        option.disableflags = option.disableflags & ~DISABLE_FLAGS[name] | (0 if value else int(DISABLE_FLAGS[name]))
+        bit = int(DISABLE_FLAGS[name])
+        option.disableflags = option.disableflags & ~bit if value else option.disableflags | bit
     elif name in ENABLE_FLAGS:
-        option.enableflags = option.enableflags & ~ENABLE_FLAGS[name] | (int(ENABLE_FLAGS[name]) if value else 0)
+        bit = int(ENABLE_FLAGS[name])
+        option.enableflags = option.enableflags | bit if value else option.enableflags & ~bit
     elif name == "o_friction" and value is None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
