@@ -68,7 +68,12 @@ def applied(
         model, geoms = robot.changed(others)
         own = {name: [robot.geom_name(geom) for geom in several] for name, several in geoms.items()}
         read = mujoco_configuration(
-            model, name=configuration.name, source=configuration.source, unknown=robot.unknown, pair=robot.pair
+            model,
+            name=configuration.name,
+            source=configuration.source,
+            spec=robot.spec,
+            unknown=robot.unknown,
+            pair=robot.pair,
         )
         read = replace(
             read, language=configuration.language, trains_on=configuration.trains_on, capacity=configuration.capacity

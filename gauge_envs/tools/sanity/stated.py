@@ -68,6 +68,13 @@ STATED_ROWS = (GRAVITY_ROW, CAPACITY_ROW)
 LEAST_TILT_DEG = 0.1
 """Smallest tilt that is reported [degrees]."""
 
+EFFECTS = {
+    "robot-torque": ("robot-damping", "robot-frictionloss"),
+    "robot-density": ("robot-armature", "robot-inertia"),
+    "robot-bound": ("robot-inertia",),
+}
+"""Rows that show the fault of another row, which is mended alone."""
+
 SPARE = 1.25
 """Ratio of recommended limits and the counted need, since other motions may need more."""
 
@@ -115,8 +122,9 @@ def stated_fixes(
     if configuration.robot is not None:
         from gauge_envs.tools.sanity.robot.model_rows import ROWS
 
-        for name in flags:
-            if name in ROWS and (found := ROWS[name](configuration.robot)).changes:
+        effects = {name for cause, several in EFFECTS.items() if cause in flags for name in several}
+        for name in sorted(set(flags) & set(ROWS) - effects):
+            if (found := ROWS[name](configuration.robot)).changes:
                 fixes[name] = (found.advice, dict(found.changes))
     return {name: fix for name, fix in fixes.items() if name in flags}
 

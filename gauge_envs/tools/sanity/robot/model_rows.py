@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import mujoco
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
+from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena.facts import facts
 from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
@@ -135,35 +136,33 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
 
 @row("robot-density")
 def _density(robot: Robot) -> Finding:
-    worst, found = 0.0, Finding(declined="the shape of no link is known")
-    total = sum(float(robot.model.body_mass[body]) for body in robot.bodies)
+    model, worst, found, changes = robot.model, 0.0, Finding(declined="the shape of no link is known"), {}
+    total = float(model.body_mass[robot.bodies].sum())
+    low, high = facts("robot_rows")["robot-density"]["interval"]
     for body in robot.bodies:
-        mass = float(robot.model.body_mass[body])
+        mass = float(model.body_mass[body])
         largest, hull, _ = _extent(robot, body)
         if not (mass > 0.0 and largest > 0.0):
             continue
         # The lightest that its geoms allow, and the heaviest that the room around them does.
         light, heavy = mass / largest, mass / max(hull, largest)
-        value = light if light < 50.0 else max(heavy, 50.0)
-        ratio = max(50.0 / light, heavy / 12_000.0)
-        if found.declined or ratio > worst:
-            factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / (light if light < 50.0 else heavy) / one)))
-            changes = {
-                f"body_mass[{body}]": mass * factor,
-                f"body_inertia[{body}]": robot.model.body_inertia[body] * factor,
+        value, ratio = (light if light < low else max(heavy, low)), max(low / light, heavy / high)
+        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / value / one)))
+        if ratio > 1.0:
+            changes |= {
+                f"body_{key}[{body}]": getattr(model, f"body_{key}")[body] * factor for key in ("mass", "inertia")
             }
+        if found.declined or ratio > worst:
             name = body_name(robot, body)
             worst, found = (
                 ratio,
                 Finding(
                     value=value,
-                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg"
-                    + (f": {UNIT_ERRORS[factor]}?" if ratio > 1 else ""),
-                    advice=f"multiply mass and inertia, or the density, of {name} by {factor:g}",
-                    changes=changes,
+                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
+                    advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
                 ),
             )
-    return found
+    return replace(found, changes=changes)
 
 
 @row("robot-bound")
@@ -474,16 +473,20 @@ def _torque(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
     model, data, found = robot.model, start(robot), Finding(declined="no joint states the limit of its torque")
+    assert robot.standing is not None, "a robot that floats stands"
+    # Twice what a foot carries, at the height of the robot.
+    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(robot.standing.feet)
+    fair = 2.0 * load_n * robot.standing.height_m
+    actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
     for dof, limit in _driven_dofs(robot):
         weight = abs(float(data.qfrc_bias[dof]))
         if np.isfinite(limit) and (found.declined or limit / max(weight, 1e-3) < found.value):
             joint = _joint_name(robot, dof)
-            actuators = np.flatnonzero(model.actuator_trnid[:, 0] == model.dof_jntid[dof])
             found = Finding(
                 value=min(limit / max(weight, 1e-3), 1e6),
                 remark=f"{joint}: {limit:.3g} Nm against {weight:.3g} Nm",
-                advice=f"a forcerange of {joint} beyond {4.0 * weight:.2g} Nm",
-                changes={f"actuator_forcerange[{a}]": np.array([-4.0, 4.0]) * weight for a in actuators},
+                advice=f"a forcerange of {joint} and joints like it from {fair:.2g} Nm on",
+                changes={f"actuator_forcerange[{a}]": np.array([-fair, fair]) for a in actuators},
             )
     return found
 
