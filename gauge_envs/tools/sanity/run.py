@@ -44,6 +44,7 @@ def check(
     only: Sequence[str] = (),
     include_deformables: bool = False,
     time_limit_s: float | None = None,
+    explain: bool = True,
     notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
     """Return what physics a training configuration gets wrong, and which of its settings are responsible.
@@ -57,6 +58,7 @@ def check(
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
             declined. It bounds each simulation of an engine of another package too. None for no limit.
+        explain: Whether to find the responsible settings and the change that mends most.
         notify: Function that is called with each row as soon as it is complete.
 
     Returns:
@@ -72,7 +74,7 @@ def check(
     chosen = selection(only, include_deformables=include_deformables)
     with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
-        run = _Run(measurements, configuration)
+        run = _Run(measurements, configuration, explain=explain)
         rows = []
         for row in run.rows(chosen):
             rows.append(row)
@@ -84,7 +86,7 @@ def check(
         refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
         if refused and any(row.default is not None for row in simulated):
             raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
-        cure = run.cure(rows)
+        cure = run.cure(rows) if explain else None
     return Report(
         configuration=configuration,
         rows=tuple(rows),
@@ -102,9 +104,11 @@ class _Run:
     Args:
         measurements: Measurements on the backend.
         configuration: The checked configuration.
+        explain: Whether to find causes.
     """
 
-    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration) -> None:
+    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration, *, explain: bool) -> None:
+        self._explain = explain
         self._measurements = measurements
         self._configuration = configuration
         self._subjects: list[Subject] = []
@@ -165,7 +169,7 @@ class _Run:
         if configured.rollout is None:
             # A rollout that diverges is wrong whatever the target states.
             advisory = ""
-        if not advisory and default is not None:
+        if self._explain and not advisory and default is not None:
             search = (self._measurements, phenomenon, subject.sets[geoms], configured, default, self._dialect)
             cause = self._in_time(partial(find_cause, *search))
         # What an engine cannot simulate at all is no part of a check.
