@@ -64,6 +64,12 @@ def test_a_check_without_time_is_not_green() -> None:
     assert outcome.stdout.startswith("Incomplete: 27 of ")
 
 
+def test_a_configuration_with_flags_ends_with_1() -> None:
+    outcome = RUNNER.invoke(app, ["sanity", "HalfCheetah-v5", "--only", "creep-wood,gravity"])
+    assert outcome.exit_code == 1
+    assert outcome.stdout.startswith("Mends most: <default><geom solimp=")
+
+
 def test_feet_without_friction_are_not_green(tmp_path: Path) -> None:
     path = tmp_path / "robot.xml"
     path.write_text(good_xml().replace("<geom friction", '<geom condim="1" friction'))

@@ -136,7 +136,8 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
 
 @row("robot-density")
 def _density(robot: Robot) -> Finding:
-    model, worst, found, changes = robot.model, 0.0, Finding(declined="the shape of no link is known"), {}
+    model, worst, found = robot.model, 0.0, Finding(declined="the shape of no link is known")
+    changes: dict[str, Any] = {}
     total = float(model.body_mass[robot.bodies].sum())
     low, high = facts("robot_rows")["robot-density"]["interval"]
     for body in robot.bodies:
