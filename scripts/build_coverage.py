@@ -9,7 +9,6 @@ The table leaves out imported trials, which differ between users: `gauge list re
 from __future__ import annotations
 
 import argparse
-import json
 import sys
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -17,12 +16,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from generated import ROOT, SCORING, markdown_table, settle, with_part
+from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, BandGrade, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
+from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
 
 SCRIPT = Path(__file__).name
@@ -122,23 +122,10 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
 
 
 def unsolved_lines() -> Iterator[str]:
-    """Yield why scenes have no solution, and statistics of the last frame on each engine."""
-    unsolved = json.loads((SCORING / "models" / "unsolved.json").read_text(encoding="utf-8"))
-    if not unsolved:
-        return
-    yield from ("", "Why ids have no solution:", "")
-    yield from (f"- {name}: {one['reason']}." for name, one in unsolved.items())
-    yield from ("", "Their last frame: mean and standard deviation over runs with other steps and cells.", "")
-    names = list(dict.fromkeys(name for one in unsolved.values() for name in one["statistics"]))
-    rows = []
-    for variant, one in unsolved.items():
-        engines = dict.fromkeys(engine for values in one["statistics"].values() for engine in values)
-        for engine in engines:
-            cells = [one["statistics"][name].get(engine) for name in names]
-            texts = ["-" if cell is None else f"{cell[0]:.4g} +- {cell[1]:.2g}" for cell in cells]
-            runs = next((str(cell[2]) for cell in cells if cell is not None), "0")
-            rows.append([variant, engine, runs, *texts])
-    yield from markdown_table(("id", "engine", "runs", *names), rows)
+    """Yield why scenes have no solution."""
+    if unsolved_scenes():
+        yield from ("", "Why ids have no solution (their pages have statistics of the last frame):", "")
+    yield from (f"- {name}: {one.reason}." for name, one in unsolved_scenes().items())
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -36,7 +36,9 @@ import numpy as np
 from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment
+from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.files import json_ready, write_whole
+from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
@@ -303,12 +305,16 @@ def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
     return [rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)]
 
 
+UNRANKED = ("oblique-", "slide-between")
+"""Checks of what no ranked experiment has: impacts that slip, and two moving bodies that rub."""
+
+
 def failed_checks(known: Mapping[str, Any]) -> int:
-    """Return how many conformance checks a configuration fails, by the data file or by that of conformance."""
+    """Return how many checks a configuration fails that keep it from the ranks, by both data files."""
     name = known["preset"] or "default"
     columns = [one for one in read_columns(CONFORMANCE) if (one.backend, one.name) == (known["engine"], name)]
-    bad = [sum(finding.is_bad for finding in one.findings.values()) for one in columns]
-    return max([len(known["conformance"]["failed"]), *bad])
+    bad = [[name for name, finding in one.findings.items() if finding.is_bad] for one in columns]
+    return max(sum(not name.startswith(UNRANKED) for name in names) for names in [known["conformance"]["failed"], *bad])
 
 
 def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
@@ -407,8 +413,15 @@ def page(data: Mapping[str, Any]) -> str:
         f"geometric mean over those of {len(TIMED)} episodes that ran.",
         "",
         *markdown_table(
-            ("configuration", "checks", "slide", "e = 0.5", "period", "loss", "cost"),
-            ((name, *main_cells(one)) for name, one in rows),
+            ("configuration", "physics", "checks", "slide", "e = 0.5", "period", "loss", "cost"),
+            ((name, whose_physics(one), *main_cells(one)) for name, one in rows),
+        ),
+        "",
+        "*Physics*: the engine's own defaults, its own options, or corrected by this package:",
+        "",
+        *(
+            f"- {BACKEND_TITLES[engine]}: {'; '.join(uninstalled_backend(engine).corrections) or 'nothing'}."
+            for engine in ENGINES
         ),
         "",
         *rank_lines(data, rows),
@@ -420,6 +433,11 @@ def versions(data: Mapping[str, Any]) -> str:
     """Return the versions of all engines."""
     found = {f"{name} {text}" for one in data["configurations"] for name, text in one["versions"].items()}
     return ", ".join(sorted(found))
+
+
+def whose_physics(one: Mapping[str, Any]) -> str:
+    """Return whose physics a configuration shows."""
+    return uninstalled_backend(one["engine"]).whose_physics(one["preset"])
 
 
 def main_cells(one: Mapping[str, Any]) -> list[str]:

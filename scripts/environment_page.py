@@ -183,7 +183,27 @@ def _reference(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     lines += _listed(names, members, _withheld)
     if bare := [short_id(values["id"]) for values in members if values not in used]:
         lines.append(_of(names.short(bare), f"{GRADE_NOTES[BandGrade.NONE]}."))
+    lines += _listed(names, members, lambda values: _unsolved(values)["reason"] and f"{_unsolved(values)['reason']}.")
     yield Bullets(lines)
+    if rows := list(_statistics(names, members)):
+        yield Paragraph("In place of a solution, the last frame: mean +- scatter of runs with other steps and cells.")
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        yield grid(columns, [[row.get(name, "-") for name in columns] for row in rows])
+
+
+def _unsolved(values: Values) -> Values:
+    return values["reference"]["unsolved"] or {"reason": "", "statistics": {}}
+
+
+def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, str]]:
+    """Yield statistics of the last frame, a row for each id and engine."""
+    for values in members:
+        statistics = _unsolved(values)["statistics"]
+        for engine in dict.fromkeys(engine for found in statistics.values() for engine in found):
+            cells = {name: found[engine] for name, found in statistics.items() if engine in found}
+            runs = str(next(iter(cells.values()))[2])
+            texts = {name: f"{mean:.4g} +- {spread:.2g}" for name, (mean, spread, _) in cells.items()}
+            yield {"id": names.short([short_id(values["id"])]), "engine": BACKEND_TITLES[engine], "runs": runs} | texts
 
 
 def _sigma(values: Values) -> str:

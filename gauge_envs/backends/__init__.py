@@ -1,6 +1,16 @@
 """Physics engines behind one interface, one folder per engine."""
 
-from gauge_envs.backends.base import Backend, FileBackend, ModelFile, Recording, Simulation, Support, World, Worlds
+from gauge_envs.backends.base import (
+    Backend,
+    Feature,
+    FileBackend,
+    ModelFile,
+    Recording,
+    Simulation,
+    Support,
+    World,
+    Worlds,
+)
 from gauge_envs.backends.registry import (
     backend,
     backend_for,
@@ -15,6 +25,7 @@ from gauge_envs.backends.shared.states import ReplayedSimulation
 
 __all__ = [
     "Backend",
+    "Feature",
     "FileBackend",
     "ModelFile",
     "Recording",

@@ -19,6 +19,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, ClassVar
@@ -306,16 +307,30 @@ class _SeparateWorlds(Worlds):
             simulation.close()
 
 
+class Feature(StrEnum):
+    """Part of a scene that an engine builds only if it says so."""
+
+    AIR = "air"
+    """`Scene.air` around cloth."""
+    BODY_HINGES = "body hinges"
+    """`Scene.body_hinges`."""
+    STATED_INERTIA = "stated inertia"
+    """`RigidBody.inertia_kg_m2`."""
+
+
 class Backend(ABC):
     """A physics engine.
 
     Attributes:
         name: Name that users type, as in `backend="mujoco"`.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
-        applies_air: Whether `build` applies `Scene.air` to cloth. Scenes with air are declined for other engines.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
-        joins_bodies: Whether `build` builds `Scene.body_hinges`. Scenes with them are declined for other engines.
+        corrections: Where the engine's own physics is replaced or completed, one sentence each. An option of the engine
+            is none. They hold for all presets but those of `own_defaults`.
+        features: Optional features that `build` builds. Scenes with others are declined, so that an engine which was
+            written before a feature existed leaves none out.
+        own_defaults: Presets that leave the engine as its makers deliver it.
         worlds_mix_constants: Whether `build_worlds` takes scenes that differ in masses and contact constants too. Such
             scenes are built one by one for other engines.
         worlds_restart_alone: Whether `Worlds.restart` of what `build_worlds` returns starts one world anew while others
@@ -324,11 +339,18 @@ class Backend(ABC):
 
     name: ClassVar[str]
     file_suffixes: ClassVar[tuple[str, ...]] = ()
-    applies_air: ClassVar[bool] = False
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
-    joins_bodies: ClassVar[bool] = False
+    corrections: ClassVar[tuple[str, ...]] = ()
+    features: ClassVar[frozenset[Feature]] = frozenset()
+    own_defaults: ClassVar[frozenset[str]] = frozenset({"out_of_box"})
     worlds_mix_constants: ClassVar[bool] = False
     worlds_restart_alone: ClassVar[bool] = False
+
+    def whose_physics(self, preset: str) -> str:
+        """Return whose physics a preset shows: `own defaults`, `own options`, or `corrected` by this package."""
+        if preset in self.own_defaults:
+            return "own defaults"
+        return "corrected" if self.corrections else "own options"
 
     @abstractmethod
     def versions(self) -> dict[str, str]:
@@ -446,17 +468,18 @@ def scene_support(engine: Backend, scene: Scene) -> Support:
 
 
 def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
-    """Return what an engine's `supports` returned for a scene, with the features that its class does not declare.
-
-    An engine that was written before a feature existed is thus declined for scenes that need it.
-    """
-    missing = list(support.missing)
-    if scene.air is not None and not engine.applies_air:
-        missing.append("the scene has air around its cloth, which this backend does not apply")
-    if scene.body_hinges and not engine.joins_bodies:
-        hinge = scene.body_hinges[0]
-        missing.append(f"{hinge.first!r} and {hinge.second!r} are joined by a hinge, which this backend does not build")
-    return Support(tuple(missing)) if len(missing) > len(support.missing) else support
+    """Return what an engine's `supports` returned for a scene, with the features that its class does not declare."""
+    missing = (
+        {Feature.AIR: "the scene has air around its cloth, which this backend does not apply"} if scene.air else {}
+    )
+    for hinge in scene.body_hinges[:1]:
+        joined = f"{hinge.first!r} and {hinge.second!r}"
+        missing[Feature.BODY_HINGES] = f"{joined} are joined by a hinge, which this backend does not build"
+    for body in scene.dynamic_bodies:
+        if body.inertia_kg_m2 is not None:
+            missing[Feature.STATED_INERTIA] = f"{body.name!r} states its inertia, which this backend does not read"
+    reasons = tuple(text for feature, text in missing.items() if feature not in engine.features)
+    return Support((*support.missing, *reasons)) if reasons else support
 
 
 class FileBackend(Backend):

@@ -36,8 +36,8 @@ GRADE_NOTES = {
     BandGrade.TRIALS: "mean and scatter per frame over real trials",
     BandGrade.RECORDING: "one recorded trial, scatter from the published baseline where there is one",
     BandGrade.LAW: "a law with calibrated parameters, scatter from the published baseline or the measurement",
-    BandGrade.MODEL: "the calibrated scene as several engines solve it: how well an engine solves the model, and "
-    "nothing of reality; scores are over the scatter of real trials where it is published",
+    BandGrade.MODEL: "how well an engine solves the calibrated scene, and nothing of reality; over the scatter of real "
+    "trials where known",
     BandGrade.NONE: "no reference: RMSE and DTW are not scored",
 }
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt
+from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAdapter
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
@@ -123,6 +123,27 @@ class SolvedModel:
     sidecar: ModelSidecar
     band: Band
     others: Mapping[str, FloatArray]
+
+
+class UnsolvedScene(FileModel):
+    """Why the calibrated scene of a variant has no solution, and what its engines do nevertheless.
+
+    Attributes:
+        reason: Why not.
+        statistics: Of the last frame, by name and engine: mean, standard deviation and number of runs, which differ in
+            step, cell and iterations.
+    """
+
+    reason: str
+    statistics: Mapping[str, Mapping[str, tuple[float, NonNegativeFloat, PositiveInt]]]
+
+
+@cache
+def unsolved_scenes() -> Mapping[str, UnsolvedScene]:
+    """Return the variants without a solution."""
+    file = scoring_folder("models") / "unsolved.json"
+    with faults_of(file):
+        return TypeAdapter(dict[str, UnsolvedScene]).validate_json(read_content(file))
 
 
 def solved_model(variant: str) -> SolvedModel | None:

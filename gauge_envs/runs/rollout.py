@@ -21,6 +21,8 @@ from gauge_envs.observables.observer import MarkerProxy, ObserverMarkers
 from gauge_envs.scene import Motion, Scene
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
+PACKAGE = Path(__file__).parents[1]
+
 
 class DeclinedError(GaugeError):
     """The backend cannot build a scene, or refuses the settings for it.
@@ -164,11 +166,26 @@ def states_now(simulation: Simulation, names: Sequence[str]) -> NDArray[np.float
 
 
 def raised_at(error: Exception) -> str:
-    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose."""
+    """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose.
+
+    That is the last line of the engine's own folder. A line of a library that it called comes behind.
+    """
     frames = traceback.extract_tb(error.__traceback__)
     if isinstance(error, GaugeError) or not frames:
         return ""
-    return f" ({frames[-1].name}, {Path(frames[-1].filename).name}, line {frames[-1].lineno})"
+    folders = [Path(frame.filename).parent for frame in frames]
+    first = next((at for at, folder in enumerate(folders) if _is_of_engine(folder)), len(frames) - 1)
+    own = max(at for at, folder in enumerate(folders) if folder == folders[first])
+    places = [
+        f"{frame.name}, {Path(frame.filename).name}, line {frame.lineno}"
+        for frame in (frames[own], *frames[own + 1 :][-1:])
+    ]
+    return f" ({'; in '.join(places)})"
+
+
+def _is_of_engine(folder: Path) -> bool:
+    """Return whether the files of a folder are an engine's: not those of this package, but for its bundled engines."""
+    return not folder.is_relative_to(PACKAGE) or (folder.parent == PACKAGE / "backends" and folder.name != "shared")
 
 
 class _Sample(NamedTuple):

@@ -7,6 +7,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
 from gauge_envs.scene import Box, ConvexUnion, RigidBody, Scene
@@ -15,6 +16,8 @@ from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
 from mutations.mutant import Fault, Passed, fault
 from mutations.rigid_scenes import _tilted
+
+Array = NDArray[np.float64]
 
 
 def _model(change: Callable[[Any, Scene], None]) -> type[Passed]:
@@ -177,6 +180,62 @@ def _centre_elsewhere(model: Any, scene: Scene) -> None:
         model.body(one.name).ipos[0] += 0.005
 
 
+def _torsional(model: Any, scene: Scene) -> None:
+    model.geom_condim[:] = 4
+    model.geom_friction[:, 1] = 5e-3
+    model.pair_dim[:] = 4
+    model.pair_friction[:, 2] = 5e-3
+
+
+def _speeds(change: Callable[[Array, Array], None]) -> type[Passed]:
+    """Return a simulation that changes velocities and angular velocities of free bodies after each interval."""
+
+    class Changed(Passed):
+        def advance(self, seconds: float) -> None:
+            super().advance(seconds)
+            if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
+                for row in self.inner.data.qvel.reshape(-1, 6):
+                    change(row[:3], row[3:])
+
+    return Changed
+
+
+def _limit(vector: Array, most: float) -> None:
+    vector *= min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
+
+
+class _Asleep(Passed):
+    """Stops free bodies that were slower than 5 mm/s, and did not spin, for 0.5 s."""
+
+    slow_s: Any = 0.0
+
+    def advance(self, seconds: float) -> None:
+        super().advance(seconds)
+        if self.inner.model.nq == 7 * len(self.scene.dynamic_bodies):
+            rows = self.inner.data.qvel.reshape(-1, 6)
+            slow = (np.linalg.norm(rows[:, :3], axis=1) < 5e-3) & ~rows[:, 3:].any(axis=1)
+            self.slow_s = np.where(slow, self.slow_s + seconds, 0.0)
+            rows[self.slow_s > 0.5] = 0.0
+
+    def state(self) -> Any:
+        return super().state(), np.copy(self.slow_s)
+
+    def restore(self, state: Any) -> None:
+        super().restore(state[0])
+        self.slow_s = np.copy(state[1])
+
+
+class _HeavySpin(Passed):
+    """Pulls spinning bodies down by 1 % more."""
+
+    def advance(self, seconds: float) -> None:
+        for one in self.scene.dynamic_bodies:
+            if np.linalg.norm(self.body_states([one.name])[0, 10:]) > 5.0 and self.scene.gravity_m_per_s2:
+                force = -0.01 * one.mass_kg * self.scene.gravity_m_per_s2
+                self.inner.apply_wrench(one.name, np.array([0.0, 0.0, force, 0.0, 0.0, 0.0]))
+        super().advance(seconds)
+
+
 def _own(id: str, what: str, caught_by: str, says: str, **how: Any) -> tuple[str, Fault]:
     return fault(id, what, caught_by, says, engine="mujoco", **how)
 
@@ -324,6 +383,41 @@ FAULTS: dict[str, Fault] = dict(
             "time",
             "each call changes its speed",
             simulation=_GainsEnergy,
+        ),
+        _own(
+            "torsional-friction",
+            "torsional friction of 5 mm",
+            "spin-on-point",
+            "torsional friction",
+            simulation=_model(_torsional),
+        ),
+        _own(
+            "spin-limited",
+            "angular velocity of at most 100 rad/s",
+            "spin-fast",
+            "limits or damps angular velocities",
+            simulation=_speeds(lambda velocity, spin: _limit(spin, 100.0)),
+        ),
+        _own(
+            "speed-limited",
+            "speed of at most 4 m/s",
+            "free-fall",
+            "limit of speed",
+            simulation=_speeds(lambda velocity, spin: _limit(velocity, 4.0)),
+        ),
+        _own(
+            "asleep",
+            "bodies slower than 5 mm/s sleep",
+            "slow-drift",
+            "puts slow bodies to sleep",
+            simulation=_Asleep,
+        ),
+        _own(
+            "gravity-of-spin",
+            "1 % more gravity while a body spins",
+            "free-fall-spinning",
+            "gravity is 1.01 of the scene's",
+            simulation=_HeavySpin,
         ),
     )
 )

@@ -60,6 +60,11 @@ def _spin_reversed(states: Array) -> None:
     states[:, 10:] *= -1.0
 
 
+def _quaternion_grown(states: Array) -> None:
+    fast = np.linalg.norm(states[:, 10:], axis=1) > 50.0
+    states[fast, 3:7] *= 1.001
+
+
 class _VelocityOfCentre(Passed):
     """Reports the velocity of the centre of mass."""
 
@@ -222,6 +227,13 @@ FAULTS: dict[str, Fault] = dict(
             simulation=_NodesReversed,
         ),
         fault("nodes-millimetres", "nodes in mm", "cloth-start", "in mm", simulation=_NodesInMillimetres),
+        fault(
+            "quaternion-grown",
+            "quaternions of fast bodies are 0.1 % too long",
+            "orientation-unit",
+            "length of quaternions drift",
+            simulation=_reporting(_quaternion_grown),
+        ),
     )
 )
 """Faults by id."""

@@ -217,6 +217,27 @@ class _AsIs(Passed):
         return np.array(self.inner.body_states(names))
 
 
+def _of_pairs(chosen: Callable[[Scene, Contact], bool], change: Callable[[float], float]) -> Callable[[Scene], Scene]:
+    """Return a fault that changes the friction of some contacts of a scene."""
+
+    def changed(scene: Scene) -> Scene:
+        contacts = (
+            replace(one, friction=change(one.friction)) if chosen(scene, one) else one for one in scene.contacts
+        )
+        return replace(scene, contacts=tuple(contacts))
+
+    return changed
+
+
+def _is_impact(scene: Scene, contact: Contact) -> bool:
+    return contact.mode is ContactMode.IMPACT
+
+
+def _is_of_two_moving(scene: Scene, contact: Contact) -> bool:
+    moving = {body.name for body in scene.dynamic_bodies}
+    return set(contact.first) <= moving and set(contact.second) <= moving and contact.first != contact.second
+
+
 FAULTS: dict[str, Fault] = dict(
     (
         fault("margin", "collision margin of 1 mm left in", "contact-listed", "margin", scene=change_bodies(_margin)),
@@ -488,6 +509,48 @@ FAULTS: dict[str, Fault] = dict(
             "must be static",
             scene=_nothing_fixed,
             simulation=_AsIs,
+        ),
+        fault(
+            "impact-frictionless",
+            "no friction in impacts",
+            "oblique-grip-speed",
+            "the impact has no friction",
+            scene=_of_pairs(_is_impact, lambda mu: 0.0),
+        ),
+        fault(
+            "friction-capped",
+            "friction of at most 0.6",
+            "slide-steep",
+            "limits friction",
+            scene=change_contacts(friction=lambda mu: min(mu, 0.6)),
+        ),
+        fault(
+            "friction-between-halved",
+            "half the friction between two moving bodies",
+            "slide-between",
+            "two dynamic bodies",
+            scene=_of_pairs(_is_of_two_moving, lambda mu: 0.5 * mu),
+        ),
+        fault(
+            "tether-2-mm",
+            "string 2 mm too long",
+            "tether-rest",
+            "its length is not length_m",
+            scene=change_joints(Tether, lambda one: replace(one, length_m=one.length_m + 2e-3)),
+        ),
+        fault(
+            "mass-in-grams",
+            "masses rounded to grams",
+            "masses",
+            "rounds or limits masses",
+            scene=change_bodies(lambda one: replace(one, mass_kg=max(round(one.mass_kg, 3), 1e-3))),
+        ),
+        fault(
+            "inertia-uniform",
+            "stated inertia ignored",
+            "stated-inertia",
+            "the inertia of uniform density",
+            scene=change_bodies(lambda one: replace(one, inertia_kg_m2=None)),
         ),
     )
 )

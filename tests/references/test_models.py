@@ -20,6 +20,7 @@ from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM, interpolated, packed, solved_model, unpacked
+from gauge_envs.tools.catalog.description import description
 
 FOLDER = data_folder("scoring") / "models"
 SOLVED = sorted(file.stem for file in FOLDER.glob("*.npz"))
@@ -126,11 +127,13 @@ def test_an_uncertainty_is_interpolated_between_stored_frames():
 
 
 def test_every_id_without_a_real_reference_or_law_has_a_model_or_a_reason():
-    reasons = json.loads((FOLDER / "unsolved.json").read_text(encoding="utf-8"))
+    reasons = models.unsolved_scenes()
     assert not set(reasons) & set(SOLVED)
     grades = {variant.name: reference_band(load_experiment(variant)) for variant in variants()}
     without = {name for name, band in grades.items() if band is None}
     assert without <= set(reasons), "run scripts/build_models.py for them"
+    name = min(without)
+    assert description(load_experiment(name))["reference"]["unsolved"]["reason"] == reasons[name].reason
 
 
 @pytest.mark.parametrize("name", SOLVED)

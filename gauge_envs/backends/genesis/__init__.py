@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
@@ -28,6 +28,13 @@ class BackendGenesis(BundledBackend):
     modules = ("genesis", "torch")
     # MuJoCo reads the description of the bodies.
     packages = ("genesis-world", "quadrants", "torch", "mujoco")
+    corrections = (
+        "restitution: an impact is a damped spring that is fitted to it, as Genesis has no coefficient",
+        "cloth: bending, collision and friction by kernels of this package",
+        "strings: a spring that this package computes",
+    )
+    features = frozenset({Feature.STATED_INERTIA})
+    own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"CG": {"constraint_solver": "CG"}, "out_of_box": {"preset": "out_of_box"}})
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.base import Feature, ModelFile
 from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
 from gauge_envs.backends.mujoco.model import build_model
@@ -28,7 +28,8 @@ class BackendMuJoCo(BundledBackend):
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
     file_suffixes = (".xml",)
-    applies_air = True
+    corrections = ("restitution: the damping of a contact is derived from it, as MuJoCo has no coefficient",)
+    features = frozenset(Feature)
     configurations = MappingProxyType(
         {
             "PGS": {"solver": "PGS"},
@@ -37,7 +38,6 @@ class BackendMuJoCo(BundledBackend):
             "out_of_box": {"preset": "out_of_box", "timestep_s": 1 / 540, "drive_interval_s": 1 / 180},
         }
     )
-    joins_bodies = True
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:

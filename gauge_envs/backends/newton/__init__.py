@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.newton.contacts import unsupported_contacts, unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
@@ -40,7 +40,12 @@ class BackendNewton(BundledBackend):
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
-    joins_bodies = True
+    corrections = (
+        "restitution: the damping of a contact is derived from it, as its MuJoCo solver ignores the coefficient",
+        "cloth: a step starts from the last acceleration, by a subclass of SolverVBD",
+    )
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True
 

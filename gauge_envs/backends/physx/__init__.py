@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import Feature, Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
@@ -36,7 +36,9 @@ class BackendPhysX(BundledBackend):
     configurations = MappingProxyType(
         {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
     )
-    joins_bodies = True
+    corrections = ("cylinders: a capsule or a ball in a prism",)
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:
         """Return the version of SAPIEN and of the PhysX that it contains."""

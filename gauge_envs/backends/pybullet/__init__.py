@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import Feature, Simulation
 from gauge_envs.backends.pybullet.contacts import surfaces
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
@@ -45,7 +45,11 @@ class BackendPyBullet(BundledBackend):
     packages = ("pybullet",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
-    joins_bodies = True
+    corrections = (
+        "lengths: 100 units per metre, as margins and thresholds of Bullet are absolute",
+        "strings: a chain of three joints",
+    )
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
@@ -29,7 +29,7 @@ class BackendRapier(BundledBackend):
     configurations = MappingProxyType(
         {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
     )
-    joins_bodies = True
+    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:

@@ -26,6 +26,7 @@ from gauge_envs.pages.results import convergence_rows
 from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
 from gauge_envs.references.limits import episode_costs, known_limits
+from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Profile, SampledProfile
@@ -159,6 +160,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
     law = law_for(experiment.name) if own is None else None
     used = reference_band(experiment)
     shown = band if used is None else used
+    unsolved = unsolved_scenes().get(experiment.name) if own is None else None
     return {
         "grade": (BandGrade.NONE if used is None else used.grade).value,
         "trial_count": shown and shown.trial_count,
@@ -171,6 +173,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "known_frames": shown and int(np.isfinite(shown.mean).any(axis=1).sum()),
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
         "withheld": band and band.withheld,
+        "unsolved": unsolved.model_dump() if used is None and unsolved is not None else None,
         "reward": reward_text(used),
     }
 

@@ -277,6 +277,8 @@ def _band_facts(values: Mapping[str, Any]) -> dict[str, str]:
     """Return the limits of a band: source of sigma, known frames, why it is withheld."""
     reference = values["reference"]
     facts = {}
+    if reference["unsolved"] is not None:
+        facts["unsolved"] = reference["unsolved"]["reason"]
     if reference["sigma_source"] is not None:
         facts["sigma"] = SIGMA_NOTES[SigmaSource(reference["sigma_source"])]
         if reference["known_frames"] < values["frames"]:

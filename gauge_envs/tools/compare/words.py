@@ -7,6 +7,8 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
+from gauge_envs.backends import is_bundled
+from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
@@ -276,6 +278,16 @@ def _score_notes(comparison: Comparison, rows: Sequence[dict[str, Any]], used: S
     yield from (f"Note: {note}." for note in comparison.notes)
 
 
+def _physics_text(one: RunConfiguration) -> str:
+    """Return whose physics a configuration of a bundled engine shows; empty for another engine."""
+    if one.backend is None or not is_bundled(one.backend):
+        return ""
+    preset = str(one.settings_given.get("preset", ""))
+    mark = uninstalled_backend(one.backend).whose_physics(preset)
+    by = " by this package" if mark == "corrected" else ""
+    return f"{' '.join(filter(None, (one.backend, preset)))} {mark}{by}"
+
+
 def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator[str]:
     """Yield what all configurations share, and the versions of their engines."""
     first, *others = configurations
@@ -287,6 +299,8 @@ def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator
             yield f"All configurations: {', '.join(shared)}."
         if PLAIN[1] not in shared:
             yield "Parameters are calibrated unless stated."
+    if marks := dict.fromkeys(filter(None, map(_physics_text, configurations))):
+        yield f"Physics: {', '.join(marks)}."
     engines = dict.fromkeys(f"{one.backend or 'file'}: {versions_text(one) or '-'}" for one in configurations)
     yield f"Versions: {'; '.join(engines)}."
     if not others:

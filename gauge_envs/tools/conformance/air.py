@@ -1,6 +1,6 @@
 """Air on cloth: terminal velocity, pressure, friction and lift of a flat sheet in wind, energy in still air.
 
-Only engines with `Backend.applies_air` build these scenes. The law is that of `gauge_envs.scene.air`. A free flat sheet
+Only engines with `Feature.AIR` build these scenes. The law is that of `gauge_envs.scene.air`. A free flat sheet
 under a uniform load moves without deforming, so its motion has a closed form. With u the velocity relative to the air,
 and k = rho C / (2 mass per area):
 

@@ -15,6 +15,7 @@ from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, fixe
 from gauge_envs.tools.conformance.laws import (
     SLIDE_SLOPE_DEG,
     acceleration_m_per_s2,
+    friction_of_slide,
     inertia_kg_m2,
     largest_mm,
     slide_acceleration,
@@ -124,6 +125,77 @@ _slide_check(
 )
 def _slide_straight(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(_along_slope(rollout, "rough")[:, 1:]).max()))
+
+
+STEEP_DEG, STEEP_FRICTION = 60.0, 1.2
+FRICTION_TOLERANCE = Tolerance(
+    "single real slides are 5 to 14 % from the published coefficient; an engine must be well below that", relative=0.01
+)
+
+
+@Check(
+    "slide-steep",
+    title="slide with a friction above 1",
+    scene="a flat slab with friction 1.2 on a fixed board that leans by 60 degrees",
+    measures="friction of the slab, from its acceleration downhill by a quadratic fit over 0.4 s",
+    law="mu = (g sin 60 - a) / (g cos 60)",
+    source="Coulomb",
+    tolerance=FRICTION_TOLERANCE,
+    diagnosis="where slide passes, the engine limits friction: its range has no upper end",
+)
+def _slide_steep(lab: Lab) -> Measurement:
+    scene = _on_slope(STEEP_DEG, {"slab": STEEP_FRICTION}, 0.4)
+    # A slab as thick as a cube is tall would tip.
+    board, slab = scene.body("board"), scene.body("slab")
+    place = board.pose.to_world(np.array([-0.4, 0.0, 0.5 * (0.02 + BOARD_THICKNESS_M)]))
+    slab = replace(slab, shape=Box(size_m=(0.08, 0.08, 0.02)), pose=replace(slab.pose, position_m=vector(place)))
+    rollout = lab.rollout(replace(scene, bodies=(slab, board)))
+    measured = acceleration_m_per_s2(rollout.times_s, _along_slope(rollout, "slab")[:, 0])
+    return Measurement(measured=friction_of_slide(measured, np.radians(STEEP_DEG)), expected=STEEP_FRICTION)
+
+
+@Check(
+    "slide-between",
+    title="friction between two moving bodies",
+    scene="a cube with friction 0.1 on a slab of 1 kg, which slides with friction 0.3 down a board of 30 degrees",
+    measures="friction of the cube, from its acceleration downhill by a quadratic fit over 0.35 s",
+    law="mu = (g sin 30 - a) / (g cos 30)",
+    source="Coulomb",
+    tolerance=FRICTION_TOLERANCE,
+    diagnosis="where slide passes, check how friction is set for a pair of two dynamic bodies",
+)
+def _slide_between(lab: Lab) -> Measurement:
+    scene = _on_slope(SLIDE_SLOPE_DEG, {"cube": 0.1}, 0.35)
+    board, cube = scene.body("board"), scene.body("cube")
+    size = (0.3, 0.2, 0.03)
+    places = {"slab": (-0.4, 0.0, 0.5 * (size[2] + BOARD_THICKNESS_M))}
+    places["cube"] = (-0.5, 0.0, size[2] + 0.5 * (CUBE_M + BOARD_THICKNESS_M))
+    poses = {
+        name: replace(cube.pose, position_m=vector(board.pose.to_world(np.array(at)))) for name, at in places.items()
+    }
+    bodies = (replace(cube, pose=poses["cube"]), body("slab", Box(size_m=size), poses["slab"], mass_kg=1.0), board)
+    contacts = (contact("cube", "slab", friction=0.1), contact("slab", "board", friction=0.3))
+    rollout = lab.rollout(replace(scene, bodies=bodies, contacts=contacts))
+    measured = acceleration_m_per_s2(rollout.times_s, _along_slope(rollout, "cube")[:, 0])
+    return Measurement(measured=friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG)), expected=0.1)
+
+
+@Check(
+    "spin-on-point",
+    title="a point does not resist spin",
+    scene="a ball that spins about the vertical with 20 rad/s on a plane, with friction 0.5",
+    measures="angular velocity about the vertical after 0.5 s",
+    law="omega = const: a point has no friction torque",
+    source="Coulomb; contract (scene.Contact)",
+    unit="rad/s",
+    tolerance=Tolerance("as for a slide", relative=0.01),
+    diagnosis="the engine adds torsional friction or angular damping: set them to 0",
+)
+def _spin_on_point(lab: Lab) -> Measurement:
+    top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
+    held = contact("top", "ground", friction=0.5)
+    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(held,), duration_s=0.5))
+    return Measurement(measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0)
 
 
 @_hold.check(
@@ -241,6 +313,19 @@ _rebound_check(
     diagnosis="where a fast ball rebounds (rebound-0.5), the engine has a threshold speed below which it does not: set "
     "it to 0, or decline restitution",
 )
+FAST_DROP_M = 3.26
+_rebound_check(
+    "rebound-fast",
+    _dropped({"ball": 0.5}, drop_m=FAST_DROP_M),
+    0.5,
+    drop_m=FAST_DROP_M,
+    title="fast rebound",
+    scene="a ball dropped by 3.26 m on a plane, so that it lands with 8 m/s",
+    measures="outgoing over incoming speed of the ball, at a restitution of 0.5",
+    law="v' = -e v at any speed",
+    tolerance=Tolerance("as for a slow rebound", absolute=0.01),
+    diagnosis="where rebound-0.5 passes, the restitution depends on speed, or a limit of speed acts",
+)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
@@ -346,3 +431,103 @@ def _pile_sinks(rollout: Rollout) -> Measurement:
         heights = rollout.position(one.name)[landed, 2, None] + rotations[:, 2] @ corners.T
         deepest = max(deepest, -float(heights.min()))
     return Measurement(measured=1e3 * deepest)
+
+
+# --- oblique impacts -------------------------------------------------------------------------------------------------
+
+OBLIQUE_E, OBLIQUE_DOWN_M_PER_S, OBLIQUE_END_S = 0.6, 2.0, 0.2
+OBLIQUE: dict[str, tuple[float, float]] = {"grip": (0.6, 1.0), "slip": (0.1, 3.0)}
+"""Friction, and speed along the plane [m/s], of balls that strike it."""
+
+
+def _oblique_scene() -> Scene:
+    balls = []
+    for index, (name, (_, along)) in enumerate(OBLIQUE.items()):
+        thrown = ball(name, (0.0, 0.5 * index, RADIUS_M + 0.1 * OBLIQUE_DOWN_M_PER_S), radius_m=RADIUS_M)
+        balls.append(replace(thrown, linear_velocity_m_per_s=(along, 0.0, -OBLIQUE_DOWN_M_PER_S)))
+    contacts = (contact(name, "ground", friction=mu, restitution=OBLIQUE_E) for name, (mu, _) in OBLIQUE.items())
+    return Scene(bodies=(*balls, ground()), contacts=tuple(contacts), duration_s=OBLIQUE_END_S, gravity_m_per_s2=0.0)
+
+
+_oblique = rollout_of(
+    "two balls of radius 30 mm thrown at a plane with 2 m/s down and 1 or 3 m/s along, with friction 0.6 or 0.1 and "
+    "restitution 0.6; no gravity",
+    _oblique_scene(),
+)
+
+
+OBLIQUE_TEXTS: dict[str, Any] = {
+    "source": "Routh, Rigid Dynamics; Brach, J. Appl. Mech. 51 (1984)",
+    "tolerance": Tolerance("as for a slide: the error must be well below the scatter of friction", relative=0.01),
+    "diagnosis": "check that friction acts in pairs of the mode IMPACT and on the whole impulse, its direction, and "
+    "its moment about the centre",
+}
+
+
+def _after(rollout: Rollout, name: str) -> tuple[float, float, float, str]:
+    """Return speed along the plane, speed up, spin about y of a ball after its impact, and what is plainly wrong."""
+    velocity, along = rollout.velocity(name)[-1], OBLIQUE[name][1]
+    spin = float(rollout.angular_velocity(name)[-1, 1])
+    hint = ""
+    if velocity[2] < 0.1 * OBLIQUE_DOWN_M_PER_S:
+        hint = "the ball does not rebound"
+    elif abs(velocity[0] - along) < 0.02:
+        hint = "the impact has no friction"
+    elif spin < 0.0:
+        hint = "friction, or its moment, acts in the wrong direction"
+    return float(velocity[0]), float(velocity[2]), spin, hint
+
+
+@_oblique.check(
+    "oblique-grip-speed",
+    title="impact that stops to slip, speed",
+    measures="speed along the plane after an oblique impact with friction 0.6",
+    law="v' = 5/7 v",
+    unit="m/s",
+    **OBLIQUE_TEXTS,
+)
+def _grip_speed(rollout: Rollout) -> Measurement:
+    along, _, _, hint = _after(rollout, "grip")
+    return Measurement(measured=along, expected=5.0 / 7.0 * OBLIQUE["grip"][1], hint=hint)
+
+
+@_oblique.check(
+    "oblique-grip-spin",
+    title="impact that stops to slip, spin",
+    measures="angular velocity after an oblique impact with friction 0.6",
+    law="omega' = 5/7 v / r",
+    unit="rad/s",
+    **OBLIQUE_TEXTS,
+)
+def _grip_spin(rollout: Rollout) -> Measurement:
+    _, _, spin, hint = _after(rollout, "grip")
+    return Measurement(measured=spin, expected=5.0 / 7.0 * OBLIQUE["grip"][1] / RADIUS_M, hint=hint)
+
+
+@_oblique.check(
+    "oblique-slip-friction",
+    title="impact that slips, friction",
+    measures="impulse along the plane over that normal to it, of an oblique impact with friction 0.1",
+    law="mu",
+    **OBLIQUE_TEXTS,
+)
+def _slip_friction(rollout: Rollout) -> Measurement:
+    friction, before = OBLIQUE["slip"]
+    along, up, _, hint = _after(rollout, "slip")
+    measured = (before - along) / (up + OBLIQUE_DOWN_M_PER_S)
+    if abs(measured * (1.0 + OBLIQUE_E) / friction - 1.0) < 0.02:
+        hint = "friction acts on the impulse without rebound: the engine adds the restitution after friction"
+    return Measurement(measured=measured, expected=friction, hint=hint)
+
+
+@_oblique.check(
+    "oblique-slip-rebound",
+    title="impact that slips, rebound",
+    measures="speed up after an oblique impact with friction 0.1, over that down before it",
+    law="e, whatever the ball slips",
+    **OBLIQUE_TEXTS
+    | {"diagnosis": "where rebound-0.5 passes, slip adds to the rebound: a convex contact model dilates as it slips"},
+)
+def _slip_rebound(rollout: Rollout) -> Measurement:
+    _, up, _, hint = _after(rollout, "slip")
+    return Measurement(measured=up / OBLIQUE_DOWN_M_PER_S, expected=OBLIQUE_E, hint=hint)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -390,3 +391,78 @@ def _swing_check(kind: str) -> None:
 
 for _kind in ("box", "cylinder", "union"):
     _swing_check(_kind)
+
+
+# --- masses and stated inertia ---------------------------------------------------------------------------------------
+
+MASSES_KG = (1e-4, 1e-3, 0.0123, 1.0, 100.0)
+
+
+@Check(
+    "masses",
+    title="masses from 0.1 g to 100 kg",
+    scene="five floating balls of 0.1 g to 100 kg, each under a force of 1 N for each kg",
+    measures="acceleration over 0.1 s of the ball that is farthest from the law",
+    law="a = F / m",
+    source="Newton",
+    unit="m/s^2",
+    tolerance=Tolerance("a mass is exact; 0.1 % is the tolerance of a fall", relative=1e-3),
+    diagnosis="the engine rounds or limits masses, or takes them from a density",
+)
+def _masses(lab: Lab) -> Measurement:
+    balls = tuple(
+        body(
+            f"ball-{index}",
+            Sphere(radius_m=0.06 * mass_kg ** (1.0 / 3.0)),
+            Pose(position_m=(float(index), 0.0, 1.0)),
+            mass_kg=mass_kg,
+        )
+        for index, mass_kg in enumerate(MASSES_KG)
+    )
+    with closing(lab.build(Scene(bodies=balls, duration_s=1.0, gravity_m_per_s2=0.0))) as simulation:
+        simulation.reset(0)
+        for one in balls:
+            push(simulation, one.name, [one.mass_kg, 0.0, 0.0, 0.0, 0.0, 0.0])
+        for _ in range(round(PUSH_S / SAMPLE_INTERVAL_S)):
+            simulation.advance(SAMPLE_INTERVAL_S)
+        speeds = states_now(simulation, [one.name for one in balls])[:, 7]
+    found = speeds / SECONDS
+    worst = int(np.abs(found - 1.0).argmax())
+    return Measurement(measured=float(found[worst]), expected=1.0, hint=f"it is the ball of {MASSES_KG[worst]:g} kg")
+
+
+STATED_SHARE = 2.0
+"""Stated moment of inertia of a ball over that of uniform density."""
+
+
+@Check(
+    "stated-inertia",
+    title="a body may state its inertia",
+    scene="a ball of 30 mm radius that states twice the inertia of uniform density, on a hinge 60 mm away",
+    measures="mean period of the ball, released at 60 degrees, over 3 s",
+    law="T = 4 sqrt((l^2 + I / m) / (g l)) K(sin^2(theta / 2))",
+    source="physical pendulum; RigidBody.inertia_kg_m2 (scene.py)",
+    unit="s",
+    tolerance=Tolerance("as for the pendulum of uniform density", relative=2e-3),
+    diagnosis="read RigidBody.inertia_kg_m2, or leave Feature.STATED_INERTIA out of `features`",
+)
+def _stated_inertia(lab: Lab) -> Measurement:
+    length_m, radius_m, angle = 0.06, 0.03, np.radians(60.0)
+    pivot = np.array([0.1, 0.2, 1.0])
+    place = pivot + length_m * np.array([np.sin(angle), 0.0, -np.cos(angle)])
+    bob = body("bob", Sphere(radius_m=radius_m), Pose(position_m=vector(place)), mass_kg=MASS_KG)
+    bob = replace(bob, inertia_kg_m2=STATED_SHARE * 0.4 * MASS_KG * radius_m**2)
+    hinge = Hinge(body="bob", anchor_m=vector(pivot), axis=(0.0, 1.0, 0.0))
+    rollout = lab.rollout(Scene(bodies=(bob,), joints=(hinge,), duration_s=3.0))
+    arm = rollout.position("bob") - pivot
+    measured = mean_period_s(rollout.times_s, np.arctan2(arm[:, 0], -arm[:, 2]))
+
+    def period_s(share: float) -> float:
+        gyration_m = float(np.sqrt(share * 0.4)) * radius_m
+        return pendulum_period_s(
+            length_m=length_m, gyration_m=gyration_m, amplitude_rad=float(angle), gravity_m_per_s2=G
+        )
+
+    uniform = abs(measured / period_s(1.0) - 1.0) < 2e-3
+    hint = "it swings with the inertia of uniform density" if uniform else ""
+    return Measurement(measured=measured, expected=period_s(STATED_SHARE), hint=hint)

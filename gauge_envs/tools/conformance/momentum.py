@@ -1,6 +1,6 @@
 """Conserved motion: torque-free spin, and two free bodies with a hinge between them.
 
-The spin is that of `spin`. Only engines with `Backend.joins_bodies` build scenes with such a hinge. Nothing touches the
+The spin is that of `spin`. Only engines with `Feature.BODY_HINGES` build scenes with such a hinge. Nothing touches the
 hinged bodies, and the hinge does no work, so:
 
 - the centre of mass of both falls as a parabola,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gauge_envs.runs.rollout import Rollout
@@ -51,6 +53,15 @@ def _gravity_hint(measured: float, expected: float) -> str:
     return ""
 
 
+def _limit_hint(rollout: Rollout) -> str:
+    """Return the speed that a falling body does not exceed; empty if it is as fast at the end as gravity makes it."""
+    speed = np.linalg.norm(rollout.velocity("brick"), axis=1)
+    late = speed[-len(speed) // 10 :]
+    return (
+        f"it is never faster than {late[-1]:.3g} m/s: a limit of speed acts" if np.ptp(late) < 1e-3 * late[-1] else ""
+    )
+
+
 FALL_TOLERANCE = Tolerance(
     "a fall has no model error; 0.1 % is 0.4 mm at the ball's first impact, and real drops scatter by 1 mm",
     relative=1e-3,
@@ -80,7 +91,28 @@ FALL_TOLERANCE = Tolerance(
 def _free_fall(rollout: Rollout) -> Measurement:
     measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
     expected = rollout.scene.gravity_m_per_s2
-    return Measurement(measured=measured, expected=expected, hint=_gravity_hint(measured, expected))
+    hint = _gravity_hint(measured, expected) or _limit_hint(rollout)
+    return Measurement(measured=measured, expected=expected, hint=hint)
+
+
+@Check(
+    "free-fall-spinning",
+    title="free fall of a spinning brick",
+    scene="the same brick, thrown with 8 rad/s about each axis of the world",
+    measures="downward acceleration of the spinning brick, quadratic fit over 0.5 s",
+    law="a = g",
+    source="Galilei",
+    unit="m/s^2",
+    tolerance=FALL_TOLERANCE,
+    diagnosis="where free-fall passes, a spinning body has another gravity, or its reported place is not its centre",
+)
+def _free_fall_spinning(lab: Lab) -> Measurement:
+    scene = _falling(G)
+    brick = replace(scene.body("brick"), angular_velocity_rad_per_s=(8.0, 8.0, 8.0))
+    rollout = lab.rollout(replace(scene, bodies=(brick,)))
+    measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
+    hint = f"gravity is {measured / G:.4g} of the scene's while the body spins"
+    return Measurement(measured=measured, expected=G, hint=hint)
 
 
 @_fall.check(
@@ -274,6 +306,25 @@ def _tether_length(rollout: Rollout) -> Measurement:
     missing = distance.max() > 2.0 * STRING_M
     hint = "the string is missing: the ball falls on" if missing else f"it is {1e3 * distance.max():.4g} mm long"
     return Measurement(measured=1e3 * float(distance.max()), expected=1e3 * STRING_M, hint=hint)
+
+
+@Check(
+    "tether-rest",
+    title="string has its length at rest",
+    scene="a ball that hangs at rest on a taut string of 0.3 m",
+    measures="distance of the ball from the anchor, mean of the last 0.2 of 1 s",
+    law="|r - anchor| = l",
+    source="tether (scene.py): inextensible",
+    unit="mm",
+    tolerance=Tolerance("0.5 mm of 300 is 0.08 % of the period", absolute=0.5),
+    diagnosis="the string yields under the weight, or its length is not length_m",
+)
+def _tether_rest(lab: Lab) -> Measurement:
+    bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M), radius_m=0.01)
+    string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
+    rollout = lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0)).cut(0.8, 1.0)
+    distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
+    return Measurement(measured=1e3 * float(distance.mean()), expected=1e3 * STRING_M)
 
 
 # --- pairs that collide ----------------------------------------------------------------------------------------------

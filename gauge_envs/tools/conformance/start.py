@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,7 @@ from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, S
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, largest_mm, torque_free_orientation
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
@@ -182,3 +183,65 @@ def _reported_hint(reported: NDArray[np.float64]) -> str:
         text = next((text for text, form in forms.items() if np.allclose(values, form, rtol=1e-3)), "")
         found += [f"the reported {what} velocity {text}"] if text else []
     return "; ".join(found)
+
+
+# --- limits of speed -------------------------------------------------------------------------------------------------
+
+SPIN_RAD_PER_S, SLOW_M_PER_S = 200.0, 0.003
+
+
+@recorded("a ball thrown with 3 mm/s and a spin of 200 rad/s, without gravity and contacts")
+def _extremes(lab: Lab) -> Rollout:
+    thrown = replace(BALL.bodies[0], linear_velocity_m_per_s=(SLOW_M_PER_S, 0.0, 0.0))
+    axis = np.array([1.0, 2.0, 2.0]) / 3.0
+    thrown = replace(thrown, angular_velocity_rad_per_s=vector(SPIN_RAD_PER_S * axis))
+    slow = replace(BALL.bodies[0], name="slow", linear_velocity_m_per_s=(0.0, SLOW_M_PER_S, 0.0))
+    slow = replace(slow, pose=replace(POSE, position_m=(1.0, 0.0, 1.0)), angular_velocity_rad_per_s=(0.0, 0.0, 0.0))
+    return lab.rollout(Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0))
+
+
+@_extremes.check(
+    "spin-fast",
+    title="fast spin",
+    measures="mean rate of rotation of a ball thrown with 200 rad/s, from its orientations over 2 s",
+    law="omega = const",
+    source="Euler's equations without torque",
+    unit="rad/s",
+    tolerance=Tolerance("bearings and wheels turn faster; 1 % is the tolerance of a slide", relative=0.01),
+    diagnosis="the engine limits or damps angular velocities, or its steps turn by too large an angle",
+)
+def _spin_fast(rollout: Rollout) -> Measurement:
+    rotations = rollout.rotation("thrown")
+    turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
+    reported = float(np.linalg.norm(rollout.angular_velocity("thrown")[-1]))
+    rate = float(turned.sum() / rollout.times_s[-1])
+    return Measurement(measured=rate, expected=SPIN_RAD_PER_S, hint=f"it reports {reported:.4g} rad/s at the end")
+
+
+@_extremes.check(
+    "orientation-unit",
+    title="orientations have unit length",
+    measures="largest distance of the length of a quaternion from 1, of a ball that spins with 200 rad/s for 2 s",
+    law="|q| = 1",
+    source="contract (Simulation.body_states)",
+    tolerance=Tolerance("single precision rounds to 1e-7; a user divides by it", absolute=1e-5),
+    diagnosis="the engine lets the length of quaternions drift: normalize them in body_states",
+)
+def _orientation_unit(rollout: Rollout) -> Measurement:
+    lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
+    return Measurement(measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0)
+
+
+@_extremes.check(
+    "slow-drift",
+    title="slow body keeps moving",
+    measures="displacement within 2 s of a ball thrown with 3 mm/s",
+    law="r = v0 t",
+    source="Newton",
+    unit="mm",
+    tolerance=Tolerance("nothing acts; 1 % is the tolerance of a slide", relative=0.01),
+    diagnosis="the engine puts slow bodies to sleep, or damps them: switch sleeping off",
+)
+def _slow_drift(rollout: Rollout) -> Measurement:
+    moved = float(rollout.displacement("slow")[-1, 1])
+    return Measurement(measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1]))

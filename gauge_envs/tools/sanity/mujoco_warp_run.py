@@ -12,7 +12,7 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.base import Support
+from gauge_envs.backends.base import Feature, Support
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -34,8 +34,7 @@ class BackendMuJoCoWarp(BackendMuJoCo):
     """mujoco_warp on the CPU, for rigid scenes; settings are those of the MuJoCo backend."""
 
     name = "mujoco_warp"
-    applies_air = False
-    joins_bodies = False
+    features = frozenset({Feature.STATED_INERTIA})
 
     def __init__(self) -> None:
         _started()
