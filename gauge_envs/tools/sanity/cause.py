@@ -274,6 +274,9 @@ LARGEST_DEVIATION = 1000.0
 """Deviation at which errors no longer count as larger."""
 
 
+MOST_CANDIDATES = 5
+"""Most sets of changes that are applied to the target."""
+
 FEW_ITERATIONS = ({"iterations": 4, "ls_iterations": 20}, {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"})
 """Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
 
@@ -294,14 +297,16 @@ def candidates_of(
         dialect: Dialect of the target.
         named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
     """
-    found = list(_greedy(flagged, others, dialect, named)) if flagged else []
-    if flagged and (recommended := _recommended(configuration)):
-        found.append(recommended)
-    iterations = configuration.settings.get("iterations")
-    if flagged and iterations is not None and iterations < FEW_ITERATIONS[0]["iterations"]:
-        wanted = [{k: v for k, v in few.items() if configuration.settings.get(k) != v} for few in FEW_ITERATIONS]
-        found += wanted
-    return list({json.dumps(json_ready(one), sort_keys=True): one for one in found}.values())
+    if not flagged:
+        return []
+    found: list[dict[str, Any]] = []
+    if configuration.settings.get("iterations", math.inf) < FEW_ITERATIONS[0]["iterations"]:
+        found += [{k: v for k, v in few.items() if configuration.settings.get(k) != v} for few in FEW_ITERATIONS]
+    found += _greedy(flagged, others, dialect, named)
+    if recommended := _recommended(configuration):
+        # Of many, the last one is tried too.
+        found = [*found[: MOST_CANDIDATES - 1], recommended]
+    return list({json.dumps(json_ready(one), sort_keys=True): one for one in found[:MOST_CANDIDATES]}.values())
 
 
 def _greedy(

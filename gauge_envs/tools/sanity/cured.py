@@ -20,9 +20,6 @@ from gauge_envs.tools.sanity.subject import subject_of, worst_of
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.robot import Robot
 
-MOST_CANDIDATES = 5
-"""Most sets of changes that are applied."""
-
 WARP_S = 1.1
 """Longest scene that is run on mujoco_warp on a CPU [s], which takes a second for each."""
 
@@ -106,7 +103,7 @@ def find_cure(
     verdicts, engine = _where_it_trains(configuration, dialect, measurements, rows)
     flags = [name for name, is_flag in rows.items() if is_flag and verdicts(configuration, name) is not Verdict.INSIDE]
     best: tuple[tuple[float, ...], Cure] | None = None
-    for candidate in candidates[:MOST_CANDIDATES]:
+    for candidate in candidates:
         try:
             cured, own = applied(configuration, candidate.changes)
         except GaugeError:

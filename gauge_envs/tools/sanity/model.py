@@ -14,7 +14,6 @@ from gauge_envs.files import json_ready
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
-    from gauge_envs.tools.sanity.robot.robot import Robot
 
 INSIDE_WITHIN = 1.0
 """Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
@@ -207,7 +206,7 @@ class TrainingConfiguration:
         foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
         capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
         trains_on: Engine that the target trains on where it differs from `backend`, as `mujoco_warp`; empty otherwise.
-        robot: The target's own model, which reports do not hold; None when it is not known.
+        robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
     """
 
     name: str
@@ -227,7 +226,7 @@ class TrainingConfiguration:
     foot_contact: FootContact | None = None
     capacity: ContactCapacity | None = None
     trains_on: str = ""
-    robot: Robot | None = None
+    robot: Any = None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

@@ -257,13 +257,12 @@ def _feet(robot: Robot) -> Finding:
     if not touching:
         return Finding(declined="the shape of the feet is not known")
     lowest, ground = min(lows.values()), min(touching.values())
-    reaching, lame = [], []
+    lame = []
     for limb in _limbs(robot):
         geoms = [geom for body in limb for geom in _geoms(robot, body) if geom in lows]
-        if geoms and min(lows[geom] for geom in geoms) <= lowest + within:
-            reaching.append(limb)
-            if min((touching.get(geom, np.inf) for geom in geoms), default=np.inf) > ground + within:
-                lame.append(min(geoms, key=lambda geom: lows[geom]))
+        reach = min((lows[geom] for geom in geoms), default=np.inf)
+        if reach <= lowest + within and min(touching.get(geom, np.inf) for geom in geoms) > ground + within:
+            lame.append(min(geoms, key=lambda geom: lows[geom]))
     if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
     floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
@@ -272,7 +271,7 @@ def _feet(robot: Robot) -> Finding:
     names = ", ".join(robot.geom_name(geom) for geom in lame)
     return Finding(
         value=float(len(lame)),
-        remark=f"{names} has no partner on the ground" if lame else f"{len(reaching)} limbs reach the ground",
+        remark=f"{names}: no partner on the ground" if lame else "",
         advice=f"contype and conaffinity of {names} that match the ground's",
         changes=changes,
     )
