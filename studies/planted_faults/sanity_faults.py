@@ -26,7 +26,7 @@ from gauge_envs.tools.sanity.cured import applied  # noqa: E402
 GOOD = ("Ant-v5", "HalfCheetah-v5", "Hopper-v5", "Humanoid-v5", "Walker2d-v5", "Swimmer-v5")
 GOOD += ("dm_control:walker/walk", "dm_control:quadruped/run", "dm_control:acrobot/swingup", "dm_control:humanoid/run")
 GOOD += ("dm_control:hopper/hop", "dm_control:cheetah/run", "playground:Go1JoystickFlatTerrain")
-GOOD += ("playground:SpotFlatTerrainJoystick", "playground:G1JoystickFlatTerrain", "playground:BarkourJoystick")
+GOOD += ("playground:SpotFlatTerrainJoystick", "playground:G1JoystickFlatTerrain")
 GOOD += ("playground:T1JoystickFlatTerrain", "mjlab:Mjlab-Velocity-Flat-Unitree-Go1")
 ROBOT = ("robot-*", "floor-tilt", "gravity")
 QUICK = (*ROBOT, "foot-*", "creep-wood", "rest-height", "release", "slide-wood", "slide-turned", "point")

@@ -285,6 +285,7 @@ def carry(material: str) -> Phenomenon:
             rationale="standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
         ),
         needs_friction=True,
+        needs_space=True,
         value=lambda rollout: slip_mm(rollout)[-1],
         trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
     )
@@ -313,6 +314,7 @@ def slip() -> Phenomenon:
             "(paper, Table 5)",
         ),
         needs_friction=True,
+        needs_space=True,
         value=lambda rollout: slip_deg(rollout)[rollout.between(*STEADY_S)].mean(),
         trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )
