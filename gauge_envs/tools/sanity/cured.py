@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from gauge_envs.errors import GaugeError
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import ContactCapacity, Cure, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import phenomenon
+from gauge_envs.tools.sanity.phenomena import RIGID, phenomenon
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stated import stated_rows
 from gauge_envs.tools.sanity.subject import subject_of, worst_of
@@ -150,7 +150,9 @@ def _where_it_trains(
     Rows that are flagged are measured on the engine of training, others on that of the rows.
     """
     there, engine = measurements, ""
-    if configuration.trains_on == "mujoco_warp":
+    flagged = [phenomenon(name) for name, is_flag in rows.items() if is_flag and name in RIGID]
+    runs_there = any(one.scenario.seconds <= WARP_S for one in flagged)
+    if configuration.trains_on == "mujoco_warp" and runs_there:
         try:
             from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 

@@ -226,7 +226,7 @@ class TrainingConfiguration:
     foot_contact: FootContact | None = None
     capacity: ContactCapacity | None = None
     trains_on: str = ""
-    robot: Any = None
+    robot: Any = field(default=None, compare=False)
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

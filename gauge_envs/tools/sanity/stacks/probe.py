@@ -109,12 +109,11 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
     if _release(trained) < MARGINS_SINCE and any(data.arrays["geom_margin"] + data.arrays["geom_gap"]):
         notes.append(f"margins and gaps of two geoms are combined as since MuJoCo {MARGINS_TEXT}, not as in training")
     notes += [note for count, note in ABSENT_PARTS.items() if data.counts.get(count)]
-    read = mujoco_configuration(
-        model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip, has_robot=False
-    )
+    read = mujoco_configuration(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
     limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
     capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
-    return replace(read, notes=(*read.notes, *notes), capacity=capacity)
+    # Its actuators have no gains.
+    return replace(read, notes=(*read.notes, *notes), capacity=capacity, robot=None)
 
 
 def _release(version: str | None) -> tuple[int, ...]:
