@@ -66,10 +66,7 @@ test-matrix: $(VENV)/.installed
 # Costs as ratios in one run, all of benchmarks/.
 bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
-	$(BIN)/python benchmarks/import_time.py
-	$(BIN)/python benchmarks/step.py
-	$(BIN)/python benchmarks/dtw.py
-	$(BIN)/python benchmarks/worlds.py --engine-stub --cpu-time --worlds 256
+	$(BIN)/python benchmarks/table.py
 	$(BIN)/python benchmarks/import_memory.py --trials 100
 
 # Pictures and films of docs/gallery.md. The results stay, so that a second time draws alone.

@@ -49,12 +49,10 @@ def cpu_medians_ms(calls: dict[str, Callable[[], object]], repeats: int) -> dict
     return {name: statistics.median(values) for name, values in times_ms.items()}
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repeats", type=int, default=101)
-    repeats = parser.parse_args().repeats
+def inputs() -> dict[str, list[np.ndarray]]:
+    """Return pairs of trajectories by what they are."""
     rng = np.random.default_rng(0)
-    inputs = {
+    return {
         "random walks": [rng.normal(size=(FRAME_COUNT, MARKER_COUNT)).cumsum(axis=0) for _ in range(2)],
         "one motion, warped and noisy": [
             np.sin(np.linspace(0.0, 12.0, FRAME_COUNT)[:, None] ** power + np.arange(MARKER_COUNT))
@@ -62,8 +60,14 @@ def main() -> int:
             for power in (1.0, 1.05)
         ],
     }
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--repeats", type=int, default=101)
+    repeats = parser.parse_args().repeats
     slower = False
-    for title, (first, second) in inputs.items():
+    for title, (first, second) in inputs().items():
         try:
             others = competitors(first, second)
             from threadpoolctl import threadpool_limits  # comes with tslearn

@@ -27,13 +27,14 @@ import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from itertools import product
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 import gauge_envs  # noqa: F401  registers the ids
-from gauge_envs.backends import Recording, Simulation, World, Worlds
+from gauge_envs.backends import ArrayWorlds, Recording, Simulation, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.at_once import RecordedEpisodes
 from gauge_envs.evaluation.worlds import device_array
@@ -60,12 +61,15 @@ class Row:
 
 def measured(
     engine: str, worlds: int, settings: dict[str, Any], repeats: int, name: str = NAME, *, rollout: bool = False
-) -> Row:
-    """Return the times of an engine."""
+) -> Row | None:
+    """Return the times of an engine; None for a rollout of worlds that it cannot record."""
     start = clock()
     envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds, backend=engine, settings=settings, score_arrays=True)
     make_s = clock() - start
     frames = envs.unwrapped.experiment.frame_count - 1
+    scene = envs.unwrapped.experiment.scene
+    if rollout and (scene.drivers or scene.deformables):
+        return None
     measure = _rolled_out if rollout else _stepped
     # The first episode loads kernels.
     parts = [measure(envs) for _ in range(repeats + rollout)][int(rollout) :]
@@ -88,7 +92,7 @@ def _stepped(envs: Any) -> tuple[float, float, float, float]:
     """Return the seconds of an episode in the engine, on the host, running on and scoring."""
     envs.reset(seed=0)
     inner = envs.unwrapped
-    actions = np.zeros(envs.num_envs, dtype=np.int64)
+    actions = np.zeros(envs.action_space.shape, dtype=envs.action_space.dtype)
     spent = _timed_engine(inner)
     stepping_s, over = 0.0, False
     while not over:
@@ -144,15 +148,25 @@ def _wait(recording: Recording) -> None:
     wp.synchronize_device(positions.device)
 
 
-class StillWorlds(Worlds):
-    """Worlds whose states were stored before; reading them costs nothing."""
+class StillWorlds(ArrayWorlds):
+    """Worlds whose states and nodes were stored before; reading them costs nothing."""
 
     can_record = True
 
-    def __init__(self, states: np.ndarray, world: World, count: int) -> None:
+    def __init__(self, simulation: Simulation, scene: Scene, count: int) -> None:
+        super().__init__(simulation.settings, count)
         # One start, and slides of different accelerations, so that scores and shifts differ.
-        self.worlds = [world] * count
-        self._states = np.repeat(states[None], count, axis=0)
+        self._states = {
+            names: np.repeat(simulation.body_states(names)[None], count, axis=0)
+            for names in (
+                tuple(body.name for body in scene.dynamic_bodies),
+                tuple(driver.body for driver in scene.drivers),
+                tuple(body.name for body in scene.dynamic_bodies) + tuple(driver.body for driver in scene.drivers),
+            )
+        }
+        self._nodes = {
+            body.name: np.repeat(simulation.nodes(body.name)[None], count, axis=0) for body in scene.deformables
+        }
         self._rates = np.linspace(0.5, 1.5, count)
         self._recording: Recording | None = None
 
@@ -162,19 +176,26 @@ class StillWorlds(Worlds):
     def advance(self, seconds: float) -> None:
         """Do nothing."""
 
+    def drive(self, body: str, motions: np.ndarray, numbers: np.ndarray) -> None:
+        """Do nothing."""
+
     def body_states(self, names: Sequence[str]) -> np.ndarray:
         """Return the stored states."""
-        return self._states
+        return self._states[tuple(names)]
 
     def body_positions(self, names: Sequence[str]) -> np.ndarray:
         """Return the stored positions."""
-        return self._states[:, :, :3]
+        return self.body_states(names)[:, :, :3]
+
+    def nodes(self, name: str) -> np.ndarray:
+        """Return the stored nodes."""
+        return self._nodes[name]
 
     def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
         """Return the stored record of slides."""
         if self._recording is None:
             times_s = interval_s * np.arange((frame_count - 1) * samples + 1)
-            states = np.repeat(self._states[None], len(times_s), axis=0)
+            states = np.repeat(self.body_states(names)[None], len(times_s), axis=0)
             states[..., 0] += (times_s[:, None] ** 2 * self._rates)[:, :, None]
             self._recording = Recording(
                 device="cpu", positions_m=states[..., :3].copy(), states=states[::samples].copy()
@@ -185,28 +206,11 @@ class StillWorlds(Worlds):
         """Do nothing."""
 
 
-class StillWorld(World):
-    """A world of `StillWorlds`."""
-
-    def __init__(self, simulation: Simulation, names: Sequence[str]) -> None:
-        self.settings = simulation.settings
-        self._states = simulation.body_states(names)
-
-    def drive(self, *_: Any) -> None:
-        """Do nothing."""
-
-    def body_states(self, names: Sequence[str]) -> np.ndarray:
-        """Return the start."""
-        return self._states
-
-
 def stub_engine() -> None:
     """Replace the worlds of MuJoCo by stored states."""
 
     def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None) -> Worlds:
-        names = [body.name for body in scenes[0].dynamic_bodies]
-        world = StillWorld(self.build(scenes[0], settings), names)
-        return StillWorlds(world.body_states(names), world, len(scenes))
+        return StillWorlds(self.build(scenes[0], settings), scenes[0], len(scenes))
 
     BackendMuJoCo.build_worlds = build_worlds  # type: ignore[method-assign]
 
@@ -236,9 +240,14 @@ def _counted(call: Any, spent: list[float], depth: list[int]) -> Any:
     return timed
 
 
+def _line(label: str, texts: Sequence[str]) -> str:
+    return f"{label:14}{texts[0]:>19}" + "".join(f"{text:>9}" for text in texts[1:])
+
+
 def main() -> None:
     """Print a row for each engine and number of worlds."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--names", nargs="+", default=[NAME], help="ids without GAUGE/")
     parser.add_argument("--worlds", type=int, nargs="+", default=[1, 16, 256])
     parser.add_argument("--engines", nargs="+", default=["newton", "mujoco"])
     parser.add_argument("--device", default="cpu", help="Warp device of Newton")
@@ -258,23 +267,32 @@ def main() -> None:
         stub_engine()
         ways = [("mujoco", False), ("mujoco", True)]
     if not options.json:
-        print(f"{NAME}, times for one environment step [us]; Newton on {options.device}")
-        titles = ("worlds", "engine", "host", "run on", "scoring", "steps/s", "ratio")
-        print(f"{'':16}" + "".join(f"{title:>10}" for title in titles))
-    for worlds in options.worlds:
+        print(f"Times for one environment step [us]; Newton on {options.device}")
+        titles = ("id", "worlds", "engine", "host", "run on", "scoring", "steps/s", "ratio")
+        print(
+            f"{'':14}"
+            + "".join(f"{title:>18}" if number == 0 else f"{title:>9}" for number, title in enumerate(titles))
+        )
+    for name, worlds in product(options.names, options.worlds):
         first = 0.0
         for engine, rollout in ways:
             settings = {**changes, **({"device": options.device} if engine == "newton" else {})}
-            row = measured(engine, worlds, settings, options.repeats, rollout=rollout)
+            row = measured(engine, worlds, settings, options.repeats, name, rollout=rollout)
+            if row is None:
+                continue
             first = first or row.steps_per_s
             if options.json:
                 print(json.dumps({**asdict(row), "rollout": rollout, "stub": options.engine_stub}), flush=True)
                 continue
             label = f"{'stub' if options.engine_stub else engine} {'rollout' if rollout else 'step'}"
             times = (row.engine_us, row.host_us, row.run_on_us, row.scoring_us)
-            texts = [str(worlds), *(f"{part:.2f}" for part in times), f"{row.steps_per_s:.0f}"]
+            texts = [name, str(worlds), *(f"{part:.2f}" for part in times), f"{row.steps_per_s:.0f}"]
             texts.append(f"{row.steps_per_s / first:.2f}")
-            print(f"{label:16}" + "".join(f"{text:>10}" for text in texts), flush=True)
+            print(
+                f"{label:14}"
+                + "".join(f"{text:>18}" if number == 0 else f"{text:>9}" for number, text in enumerate(texts)),
+                flush=True,
+            )
 
 
 if __name__ == "__main__":

@@ -17,9 +17,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
-from secrets import token_hex
 from stat import S_ISREG
 from typing import Any
 
@@ -283,6 +281,13 @@ def json_ready(value: Any) -> Any:
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+def processors() -> int:
+    """Return the number of processors that this process may use, at most that of `OMP_NUM_THREADS`."""
+    count = len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
+    given = os.environ.get("OMP_NUM_THREADS", "")
+    return min(count, int(given)) if given.isdecimal() and int(given) else count
+
+
 def versions() -> dict[str, str]:
     """Return the versions of gauge-envs, gymnasium, numpy and python."""
     return dict(_versions())
@@ -291,6 +296,8 @@ def versions() -> dict[str, str]:
 @cache
 def _versions() -> dict[str, str]:
     """Return the versions, read once: reading the metadata of packages takes as long as a short episode."""
+    from importlib.metadata import version
+
     packages = {name: version(name) for name in ("gauge-envs", "gymnasium", "numpy")}
     return packages | {"python": platform.python_version()}
 
@@ -318,6 +325,8 @@ def replaced_whole(file: Path) -> Iterator[Path]:
     After an error the new content is removed, and an older file is unchanged. A device or a FIFO is never replaced:
     root could otherwise put a file in the place of `/dev/null`.
     """
+    from secrets import token_hex
+
     check_replaceable(file)
     part = file.with_name(f".{file.name}.{token_hex(8)}.tmp")
     try:

@@ -8,7 +8,8 @@
 Each variant runs with the default settings, with half the time step, and with half the cell if it has deformable
 bodies. The finer runs are compared with the default one over all frames, at the material points of the markers. A
 finer mesh can change the time step of a preset that depends on the cell. With half the cell, vertex block descent has
-four times the iterations: each one moves information by one node, so a finer mesh with as many is less accurate. A run
+four times the iterations: each one moves information by one node, so a finer mesh with as many is less accurate. A
+third run has the preset `training`, with engines that have one. A run
 that exceeds `--limit-s` is stopped, and its row stays absent. The file is written after each row, so that the script
 can be stopped at any time.
 """
@@ -44,6 +45,9 @@ from gauge_envs.scene import Rod, SoftBody
 
 QUICK = ("BouncingBall-rubber", "SlopeSlider-2-wood", "StickStack-soft")
 """Variants of `--check`."""
+
+TRAINING_ENGINES = ("mujoco", "newton")
+"""Engines with a preset `training`."""
 
 CHECK_TOLERANCE = 0.05
 """Largest relative difference between a row and its repetition on another machine."""
@@ -103,12 +107,14 @@ class Run:
         points_m: Observed points at the frames, markers or bodies [m], shape [frame_count, point_count, 3].
         settings: Settings in force.
         nodes_m: Nodes of each deformable body at the start [m], shape [node_count, 3].
+        steps_per_s: Environment steps per second of processor time.
     """
 
     frames: NDArray[np.float64]
     points_m: NDArray[np.float64]
     settings: Mapping[str, Any]
     nodes_m: Mapping[str, NDArray[np.float64]]
+    steps_per_s: float
 
 
 def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> Run:
@@ -124,12 +130,13 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
         start = time.perf_counter()
         env.reset(seed=0)
         nodes_m = env.episode.nodes_m()
-        over = False
+        over, begin = False, time.process_time()
         while not over:
             *_, terminated, truncated, _ = env.step(zero)
             over = terminated or truncated
             if time.perf_counter() - start > limit_s:
                 raise TooSlowError
+        spent_s = time.process_time() - begin
         trajectory = env.trajectory()
         points = trajectory.bodies[..., :3] if trajectory.bodies.size else trajectory.markers_m
         count = env.experiment.frame_count
@@ -138,6 +145,7 @@ def run(name: str, engine: str, settings: Mapping[str, Any], limit_s: float) -> 
             points_m=points[:count],
             settings=env.simulation.settings,
             nodes_m=nodes_m,
+            steps_per_s=(len(trajectory.frames) - 1) / spent_s,
         )
     finally:
         env.close()
@@ -197,19 +205,29 @@ def measured_rows(
     experiment = load_experiment(name)
     default = run(name, engine, {}, limit_s)
     for setting in wanted:
-        value = default_value(experiment, setting, default)
         start = time.perf_counter()
         try:
-            finer = run(name, engine, finer_settings(setting, value, default), limit_s)
+            if setting == "training":
+                finer = run(name, engine, {"preset": setting}, limit_s)
+                values = (default.steps_per_s, finer.steps_per_s)
+            else:
+                value = default_value(experiment, setting, default)
+                finer = run(name, engine, finer_settings(setting, value, default), limit_s)
+                values = (value, 0.5 * value)
         except TooSlowError:
             print(f"{name}, {setting}: stopped after {limit_s:g} s", flush=True)
             continue
-        yield compare(name, setting, default, finer, (value, 0.5 * value)), time.perf_counter() - start
+        yield compare(name, setting, default, finer, values), time.perf_counter() - start
 
 
-def settings_of(name: str, chosen: Sequence[RefinedSetting]) -> list[RefinedSetting]:
-    """Return the settings that apply to a variant: rigid bodies have no cells."""
-    return [setting for setting in chosen if setting == "timestep_s" or load_experiment(name).scene.deformables]
+def settings_of(name: str, engine: str, chosen: Sequence[RefinedSetting]) -> list[RefinedSetting]:
+    """Return the settings that apply to a variant: rigid bodies have no cells, some engines no preset for training."""
+    applying = ["timestep_s"]
+    if load_experiment(name).scene.deformables:
+        applying.append("cell_m")
+    if engine in TRAINING_ENGINES:
+        applying.append("training")
+    return [setting for setting in chosen if setting in applying]
 
 
 def supported(name: str, engine: str) -> bool:
@@ -238,7 +256,8 @@ def check(table: ConvergenceTable, engine: str, limit_s: float) -> int:
 
 def summary(tables: Mapping[str, ConvergenceTable]) -> str:
     """Return the tables of all engines by family, in Markdown."""
-    titles = [f"{name}, {unit}" for name in ("half step", "half cell") for unit in ("% of the real scatter", "mm")]
+    units = ("% of the real scatter", "mm")
+    titles = [f"{name}, {unit}" for name in ("half step", "half cell", "training") for unit in units]
     found = []
     for family in dict.fromkeys(_family(variant.name) for variant in variants()):
         for engine, table in tables.items():
@@ -309,7 +328,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     known = [variant.name for variant in variants()]
     names = dict.fromkeys(name for pattern in options.ids for name in known if fnmatchcase(name, pattern))
     for name in names:
-        wanted = settings_of(name, options.setting)
+        wanted = settings_of(name, options.backend, options.setting)
         if options.resume:
             wanted = [setting for setting in wanted if (name, setting) not in table.rows]
         if not wanted or not supported(name, options.backend):

@@ -20,8 +20,9 @@ from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.experiments.variants import Variant, variants
-from gauge_envs.references.bands import Band, BandGrade, bundled_band
+from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import published_baselines
 

@@ -30,7 +30,8 @@ from gauge_envs.evaluation.reference_path import reference_path, reference_text
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant, beyond_variants, variants
 from gauge_envs.pages.document import as_markdown
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film import film_writer
 

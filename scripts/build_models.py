@@ -42,7 +42,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import (
     STRIDE,
     EngineSolution,
@@ -52,7 +52,7 @@ from gauge_envs.references.models import (
     solved_model,
 )
 from gauge_envs.references.published import published_baselines
-from gauge_envs.scene import Cloth, SoftBody
+from gauge_envs.scene import SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]
@@ -134,27 +134,22 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
     default = dict(simulation.settings)
     cell_m = default_cell_m(experiment, simulation)
     simulation.close()
-    base: dict[str, Any] = {}
-    only_cloth = all(isinstance(body, Cloth) for body in scene.deformables) and not scene.dynamic_bodies
-    if engine == "mujoco" and scene.deformables and only_cloth and default["solver"] == "Newton":
-        # Conjugate gradients are twice as fast on cloth, and move markers by 0.0001 mm.
-        base["solver"] = "CG"
-    levels = [Level(parameter="base", factor=1.0, settings=base)]
+    levels = [Level(parameter="base", factor=1.0, settings={})]
     count = round(DRIVE_INTERVAL_S / default["timestep_s"])
     vbd = default.get("solver") == "SolverVBD"
     # A much larger step needs more iterations of vertex block descent, and would change two things at once.
     for steps in (math.ceil((0.75 if vbd else 0.5) * count), 2 * count):
         # Drivers move by whole intervals, so a step divides them.
         step = {"timestep_s": DRIVE_INTERVAL_S / steps}
-        levels.append(Level(parameter="step", factor=count / steps, settings=base | step))
+        levels.append(Level(parameter="step", factor=count / steps, settings=step))
     if scene.deformables:
         if vbd:
             for factor in (0.5, 0.25):
                 more = {"iterations": round(default["iterations"] / factor)}
-                levels.append(Level(parameter="iterations", factor=factor, settings=base | more))
+                levels.append(Level(parameter="iterations", factor=factor, settings=more))
         else:
             tighter = {"tolerance": 1e-2 * default["tolerance"], "iterations": 4 * default["iterations"]}
-            levels.append(Level(parameter="iterations", factor=0.25, settings=base | tighter))
+            levels.append(Level(parameter="iterations", factor=0.25, settings=tighter))
     if cell_m is not None:
         is_soft = any(isinstance(body, SoftBody) for body in scene.deformables)
         for factor in COSTLY_CELL_FACTORS if is_soft or vbd else CELL_FACTORS:
@@ -162,7 +157,7 @@ def levels_of(experiment: Experiment, engine: str) -> list[Level]:
             if vbd:
                 # An iteration moves information by one node.
                 cell["iterations"] = max(round(default["iterations"] / factor**2), 1)
-            levels.append(Level(parameter="cell", factor=factor, settings=base | cell))
+            levels.append(Level(parameter="cell", factor=factor, settings=cell))
     return levels
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from generated import SCORING
 
 from gauge_envs import load_experiment, reference_band, variants
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.sensitivities import sensitivities_text
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.sensitivity import measure_sensitivities

@@ -12,7 +12,8 @@ from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import BACKEND_TITLES, GRADE_NOTES, Markdown, short_id, value_text
-from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.bands import SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.catalog.description import description
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 from gauge_envs.tools.catalog.words import (

@@ -26,7 +26,7 @@ from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
 from gauge_envs.runs import isolation
 from gauge_envs.scene import Scene
-from gauge_envs.tools.catalog import listing
+from gauge_envs.tools.catalog import listing, overview
 
 
 def pytest_configure() -> None:
@@ -111,6 +111,7 @@ def rigid_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(BackendMuJoCo, "supports", supports)
     for module in (arguments, listing):
         monkeypatch.setattr(module, "backend_names", lambda: ("mujoco",))
+    monkeypatch.setattr(overview, "stored_rows", lambda variants: None)
 
 
 @pytest.fixture(scope="session")

@@ -1,6 +1,7 @@
 """Physics engines behind one interface, one folder per engine."""
 
 from gauge_envs.backends.base import (
+    ArrayWorlds,
     Backend,
     Feature,
     FileBackend,
@@ -24,6 +25,7 @@ from gauge_envs.backends.registry import (
 from gauge_envs.backends.shared.states import ReplayedSimulation
 
 __all__ = [
+    "ArrayWorlds",
     "Backend",
     "Feature",
     "FileBackend",

@@ -62,8 +62,9 @@ class ModelFile:
 class Recording:
     """States of all worlds on the engine's device, as `Worlds.record` returns them.
 
-    The arrays follow the DLPack protocol (`__dlpack__`), are contiguous and hold 64-bit floats. They stay valid until
-    the next recording of the same worlds, which may reuse their memory.
+    The arrays are NumPy's, or follow the DLPack protocol (`__dlpack__`), are contiguous and hold 64-bit floats. They
+    stay valid until the next recording of the same worlds, which may reuse their memory. Those on the CPU are scored
+    with NumPy, those on a GPU by kernels of Warp, which the extra `newton` installs.
 
     Attributes:
         device: Name of the device, as `cuda:0` or `cpu`.
@@ -159,7 +160,14 @@ class World(ABC):
 
 
 class Simulation(World):
-    """A world that advances on its own."""
+    """A world that advances on its own.
+
+    Attributes:
+        frees_python: Whether `advance` runs without Python's lock, so that several simulations advance at once in as
+            many threads.
+    """
+
+    frees_python: ClassVar[bool] = False
 
     @abstractmethod
     def reset(self, seed: int) -> None:
@@ -216,6 +224,9 @@ class Simulation(World):
 class Worlds(ABC):
     """Instances of a scene with different starts that advance together.
 
+    Environments call the methods that take and return arrays of all worlds. Here they call each world in turn. An
+    engine that holds its worlds in arrays derives from `ArrayWorlds`.
+
     Attributes:
         worlds: The instances, in the order of the scenes.
         can_record: Whether `record` is implemented. Its worlds leave `World.fault` as it is.
@@ -267,6 +278,32 @@ class Worlds(ABC):
         """
         return self.body_states(names)[:, :, :3].copy()
 
+    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Prescribe the motion of a kinematic body in some worlds during the next `advance`; see `World.drive`.
+
+        Args:
+            body: Name of a kinematic body.
+            motions: Position [m] (3) and quaternion w x y z (4) at the start, linear [m/s] (3) and angular [rad/s] (3)
+                velocity, linear [m/s^2] (3) and angular [rad/s^2] (3) acceleration, shape [len(numbers), 19]. It may
+                be a read-only view in which all worlds share one row.
+            numbers: Numbers of the worlds, ascending.
+        """
+        for number, motion in zip(numbers.tolist(), motions, strict=True):
+            values = motion.tolist()
+            pose = Pose(position_m=tuple(values[:3]), quaternion=tuple(values[3:7]))
+            self.worlds[number].drive(body, pose, motion[7:13], motion[13:])
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the nodes of a deformable body in all worlds [m], shape [world_count, node_count, 3]."""
+        return np.stack([world.nodes(name) for world in self.worlds])
+
+    def faults(self) -> Mapping[int, str]:
+        """Return why the engine itself gave up the state of a world, by its number; see `World.fault`."""
+        found = {
+            number: world.fault() for number, world in enumerate(self.worlds) if type(world).fault is not World.fault
+        }
+        return {number: fault for number, fault in found.items() if fault is not None}
+
     def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
         """Advance all worlds from now on, and record them on the engine's device without a copy to the host.
 
@@ -305,6 +342,59 @@ class _SeparateWorlds(Worlds):
     def close(self) -> None:
         for simulation in self.worlds:
             simulation.close()
+
+
+class ArrayWorlds(Worlds):
+    """Worlds of an engine that holds them in arrays, whose first axis are the worlds.
+
+    It implements `reset`, `advance`, `body_states` and `close`; `drive` for scenes with drivers; and `nodes` for scenes
+    with deformable bodies. No method is called for a single world.
+
+    Args:
+        settings: Every numerical setting in force; see `World`.
+        world_count: Number of worlds.
+    """
+
+    def __init__(self, settings: Mapping[str, Any], world_count: int) -> None:
+        self.worlds = [_ArrayWorld(self, settings, number) for number in range(world_count)]
+
+    @abstractmethod
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        """Return the current poses and velocities of bodies in all worlds; see `Worlds.body_states`."""
+
+    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Prescribe the motion of a kinematic body in some worlds; see `Worlds.drive`."""
+        raise BackendError(f"{type(self).__name__} drives no body {body!r}: it does not implement Worlds.drive")
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the nodes of a deformable body in all worlds; see `Worlds.nodes`."""
+        raise BackendError(f"{type(self).__name__} has no nodes of {name!r}: it does not implement Worlds.nodes")
+
+    def faults(self) -> Mapping[int, str]:
+        """Return why the engine gave up the state of a world, by its number; none here."""
+        return {}
+
+
+class _ArrayWorld(World):
+    """One of several worlds in arrays, for what an environment asks of a single one."""
+
+    def __init__(self, worlds: ArrayWorlds, settings: Mapping[str, Any], number: int) -> None:
+        self.settings = settings
+        self._worlds = worlds
+        self._number = number
+
+    def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
+        motion = np.concatenate([pose.position_m, pose.quaternion, velocity, acceleration])
+        self._worlds.drive(body, motion[None], np.array([self._number]))
+
+    def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
+        return self._worlds.body_states(names)[self._number]
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        return self._worlds.nodes(name)[self._number]
+
+    def fault(self) -> str | None:
+        return self._worlds.faults().get(self._number)
 
 
 class Feature(StrEnum):

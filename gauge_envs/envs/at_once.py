@@ -3,8 +3,8 @@
 A loop over worlds in Python costs more than an engine that steps thousands of them on one device. So the records of all
 episodes are parts of two arrays, and each sample is one reading of all worlds. Every number is that of `Episode`.
 
-Where the engine records whole episodes on its device, nothing is copied to the host between start and end. A kernel
-finds worlds that may have diverged. Their states alone are then copied, and judged by the code of single episodes.
+Where the engine records whole episodes on its device, nothing is copied to the host between start and end. A kernel, or
+NumPy for arrays on the CPU, finds worlds that may have diverged. These alone are judged by the code of single episodes.
 """
 
 from __future__ import annotations
@@ -15,42 +15,71 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Backend, Recording, Simulation, World, Worlds, worlds_of
+from gauge_envs.backends.base import Backend, Recording, Simulation, Worlds, worlds_of
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.divergence import RigidBoundsOfWorlds
+from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode, Observation, reward_terms
 from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
-from gauge_envs.evaluation.worlds import device_array, score_recording
+from gauge_envs.evaluation.worlds import copied_array, device_array, host_array, score_recording
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.kinds import Observable
+from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
+from gauge_envs.scene.driver_path import DriverPathOfWorlds
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
 
 
 class EpisodesAtOnce(EpisodesOneByOne):
-    """Episodes of rigid bodies without drivers, on worlds of an engine that advances all of them in one call."""
+    """Episodes on worlds of an engine that advances all of them in one call: driven, observed and judged in arrays."""
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
         super().__init__(episodes, worlds)
         first, count = episodes[0], len(episodes)
-        self._recorded = first.experiment.recorded
-        self._dynamic = tuple(body.name for body in first.experiment.scene.dynamic_bodies)
+        experiment, scenes = first.experiment, [episode.experiment.scene for episode in episodes]
+        self._recorded = experiment.recorded
+        self._dynamic = tuple(body.name for body in scenes[0].dynamic_bodies)
         self._rows = [self._dynamic.index(name) for name in self._recorded]
-        self._bounds = RigidBoundsOfWorlds([episode.experiment.scene for episode in episodes])
-        self._has_faults = any(type(world).fault is not World.fault for world in worlds.worlds)
+        self._bounds = RigidBoundsOfWorlds(scenes)
+        # The bounds of each deformable body, over the worlds.
+        self._deformable_bounds = [
+            DeformableBoundsOfWorlds(bounds)
+            for bounds in zip(*(episode.deformable_bounds for episode in episodes), strict=True)
+        ]
+        observers = [one.observer for one in episodes if isinstance(one.observer, ObserverMarkers)]
+        self._markers = MarkersOfWorlds(observers, worlds) if observers else None
+        frames = experiment.frame_count + first.later_limit
+        self._drivers = [DriverPathOfWorlds(driver, scenes, frames) for driver in scenes[0].drivers]
+        self._driven = tuple(driver.body for driver in scenes[0].drivers)
         # Time comes first, so that a sample of all worlds is one block of memory.
         sample_count, width = first.sample_shape
         self._samples = np.full((sample_count, count, width), np.nan)
-        self._bodies = np.full((first.experiment.frame_count, count, len(self._recorded), 13), np.nan)
+        self._bodies = np.full((experiment.frame_count, count, len(self._recorded), 13), np.nan)
+        self._markers_m = np.full((experiment.frame_count, count, *first.observer.markers_m.shape), np.nan)
+        self._driver_states = np.full((count, len(self._driven), 13), np.nan)
         for number, episode in enumerate(episodes):
-            episode.record_in(self._samples[:, number], self._bodies[:, number])
+            episode.record_in(self._samples[:, number], self._bodies[:, number], self._markers_m[:, number])
+        self._every = np.arange(count)
+        self._no_rates = np.zeros((count, sum(driver.motion_count for driver in self._drivers)))
         self._shown = np.zeros(count, dtype=np.intp)
-        self._reward_terms = reward_terms(first.band)
+        # Worlds with other constants may have bands of their own.
+        bands = {id(episode.band): episode.band for episode in episodes}
+        numbers = np.array([list(bands).index(id(episode.band)) for episode in episodes])
+        self._rewards = [(_BatchReward(band), numbers == number) for number, band in enumerate(bands.values())]
         self._frame = 0
+        self._faults: dict[int, str] = {}
         self._diverged = np.zeros(count, dtype=np.bool_)
+        self._is_behind = False
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """The episode of each world."""
+        if self._is_behind:
+            self._is_behind = False
+            for number, frame in enumerate(self._shown.tolist()):
+                self._episodes[number].frame, self._episodes[number].fault = frame, self._faults.get(number)
+        return self._episodes
 
     @property
     def running(self) -> Numbers:
@@ -60,98 +89,145 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def begin(self, seed: int) -> None:
         """Return all worlds to their starts, and record frame 0."""
         self.worlds.reset(seed)
-        states = self.worlds.body_states(self._dynamic)
-        self.ran, self._frame = np.arange(len(states)), 0
+        self.ran, self._frame, self._faults, self._is_behind = self._every, 0, {}, False
         self._diverged[:] = False
-        self._shown[:] = 0
-        self._bodies[0] = states[:, self._rows]
-        self._samples[0] = 1e3 * self._bodies[0, :, :, :3].reshape(len(states), -1)
-        for episode in self.episodes:
+        for driver in self._drivers:
+            driver.reset()
+        for episode in self._episodes:
             episode.restart()
+        self._samples[0] = self._observed(0)
+        self._record(self._every, self.worlds.body_states(self._dynamic))
 
     def step(self, actions: Any) -> None:
         """Run a frame of the episodes that are not over."""
-        # Episodes without drivers take zeros alone; any other action is an error, which its check states.
-        if not (isinstance(actions, np.ndarray) and actions.shape == self._shown.shape and not actions.any()):
-            self._rates(actions)
+        rates = self._batched_rates(actions)
         self.ran = running = self.running
-        states, faults = self._simulated(running, self._frame)
+        states, faults = self._simulated(running, self._frame, rates)
         self._frame += 1
-        self._bodies[self._frame, running] = states[running][:, self._rows]
-        self._shown[running] = self._frame
-        for number in running.tolist():
-            self.episodes[number].frame, self.episodes[number].fault = self._frame, faults.get(number)
+        self._record(running, states)
+        self._faults |= faults
         self._diverged[[*faults]] = True
+        self._is_behind = True
 
-    def _simulated(self, running: Numbers, frame: int) -> tuple[FloatArray, dict[int, str]]:
-        """Advance all worlds from a frame to the next, and record g(t) of some.
+    def _batched_rates(self, actions: Any) -> FloatArray:
+        """Return the residual rates of all worlds, shape [world_count, motion_count]; 0 for those that do not run."""
+        is_array = isinstance(actions, np.ndarray) and actions.dtype.kind in "fiu"
+        # Episodes without drivers take zeros alone; any other action is an error, which its check states.
+        if not self._drivers:
+            if not (is_array and actions.shape == self._shown.shape and not actions.any()):
+                self._rates(actions)
+            return self._no_rates
+        running = self.running
+        rates = np.zeros_like(self._no_rates)
+        # A comparison with NaN is false.
+        if is_array and actions.shape == rates.shape and (np.abs(actions[running]) <= 1.0).all():
+            rates[running] = actions[running]
+        else:
+            for number, one in self._rates(actions).items():
+                rates[number] = one
+        return rates
+
+    def _simulated(self, running: Numbers, frame: int, rates: FloatArray) -> tuple[FloatArray, dict[int, str]]:
+        """Drive and advance all worlds from a frame to the next, and record g(t) of some.
 
         Returns:
             States of the dynamic bodies then, shape [world_count, body_count, 13], and the reason for each of those
             worlds that has diverged.
         """
-        for sample in range(frame * SAMPLES_PER_FRAME + 1, (frame + 1) * SAMPLES_PER_FRAME + 1):
+        for sample in range(frame * SAMPLES_PER_FRAME, (frame + 1) * SAMPLES_PER_FRAME):
+            first = 0
+            for driver in self._drivers:
+                motions = driver.interval(sample, rates[:, first : first + driver.motion_count])
+                self.worlds.drive(driver.body, motions, self._every)
+                first += driver.motion_count
             self.worlds.advance(SAMPLE_INTERVAL_S)
-            positions_mm = 1e3 * self.worlds.body_positions(self._recorded)
+            g = self._observed(frame + 1 if sample % SAMPLES_PER_FRAME == SAMPLES_PER_FRAME - 1 else None, running)
             # A whole block is copied faster than chosen rows.
-            if len(running) == len(positions_mm):
-                self._samples[sample] = positions_mm.reshape(len(running), -1)
+            if len(running) == len(g):
+                self._samples[sample + 1] = g
             else:
-                self._samples[sample, running] = positions_mm[running].reshape(len(running), -1)
+                self._samples[sample + 1, running] = g[running]
         states = self.worlds.body_states(self._dynamic)
-        suspects = running if self._has_faults else running[self._bounds.suspects(states)[running]]
-        faults = {number: self.episodes[number].fault_of(states[number]) for number in suspects.tolist()}
-        return states, {number: fault for number, fault in faults.items() if fault is not None}
+        suspects = self._bounds.suspects(states)
+        for bounds in self._deformable_bounds:
+            suspects |= bounds.suspects(self.worlds.nodes(bounds.name))
+        suspects[[*self.worlds.faults()]] = True
+        found = {
+            number: self._episodes[number].fault_of(states[number]) for number in running[suspects[running]].tolist()
+        }
+        return states, {number: fault for number, fault in found.items() if fault is not None}
+
+    def _observed(self, frame: int | None, running: Numbers | None = None) -> FloatArray:
+        """Return g(t) of all worlds now, shape [world_count, width]; record the markers of some at a frame, if any."""
+        if self._markers is None:
+            return 1e3 * self.worlds.body_positions(self._recorded).reshape(len(self._every), -1)
+        markers_m = self._markers.positions()
+        if frame is not None and frame < len(self._markers_m):
+            chosen = slice(None) if running is None else running
+            self._markers_m[frame, chosen] = markers_m[chosen]
+        return self._markers.observed(markers_m)
+
+    def _record(self, running: Numbers, states: FloatArray) -> None:
+        """Record what the frame shows of some worlds."""
+        self._bodies[self._frame, running] = states[running][:, self._rows]
+        self._shown[running] = self._frame
+        if self._driven:
+            self._driver_states[running] = self.worlds.body_states(self._driven)[running]
 
     def run_on(self) -> None:
         """Simulate on past the last frame, as `Episode.run_on` does for one world."""
-        started = running = np.flatnonzero([episode.runs_on for episode in self.episodes])
+        episodes = self.episodes
+        started = running = np.flatnonzero([episode.runs_on for episode in episodes])
         if not len(running):
             return
-        states, counts = self.worlds.body_states(self._dynamic), np.zeros(len(self.episodes), dtype=np.intp)
+        moving = (*self._dynamic, *self._driven)
+        poses, counts = self.worlds.body_states(moving)[:, :, :7], np.zeros(len(episodes), dtype=np.intp)
+        nodes = {bounds.name: self.worlds.nodes(bounds.name) for bounds in self._deformable_bounds}
         for number in started.tolist():
-            self.episodes[number].begin_later_frame((dict(zip(self._dynamic, states[number, :, :7], strict=True)), {}))
-        for later in range(self.episodes[started[0]].later_limit):
+            view = {name: one[number].copy() for name, one in nodes.items()}
+            episodes[number].begin_later_frame((dict(zip(moving, poses[number], strict=True)), view))
+        for later in range(episodes[started[0]].later_limit):
             first = (self._frame + later) * SAMPLES_PER_FRAME + 1
-            _, faults = self._simulated(running, self._frame + later)
+            _, faults = self._simulated(running, int(self._frame) + later, self._no_rates)
             is_finite = np.isfinite(self._samples[first : first + SAMPLES_PER_FRAME, running]).all(axis=(0, 2))
             running = running[is_finite & ~np.isin(running, [*faults])]
             counts[running] = later + 1
             if not len(running):
                 break
         for number in started.tolist():
-            self.episodes[number].count_later_frames(int(counts[number]))
+            episodes[number].count_later_frames(int(counts[number]))
 
     def observations(self) -> Observation:
         """Return the observations of all worlds in new arrays; a world whose episode is over keeps its last one."""
-        every = np.arange(len(self.episodes))
-        return {
-            "bodies": self._bodies[self._shown, every],
-            "observable": self._samples[self._shown * SAMPLES_PER_FRAME, every],
-            "time": (self._shown / FRAME_RATE_HZ)[:, None],
-        }
+        every, shown = self._every, self._shown
+        found = {"bodies": self._bodies[shown, every]} if self._recorded else {"markers": self._markers_m[shown, every]}
+        if self._driven:
+            found["driver"] = self._driver_states.copy()
+        observable = self._samples[shown * SAMPLES_PER_FRAME, every]
+        return found | {"observable": observable, "time": (shown / FRAME_RATE_HZ)[:, None]}
 
     def rewards(self) -> FloatArray:
         """Return the reward of each world in this frame, shape [world_count]; 0 for one that did not run."""
-        rewards = np.zeros(len(self.episodes))
-        if self._reward_terms is not None:
-            projection, mean, weight = self._reward_terms
-            g = self._samples[self._frame * SAMPLES_PER_FRAME, self.ran]
-            # A stack of matrix-vector products gives the bits of `Episode.reward`; one matrix product would not.
-            deviations = np.abs(np.matmul(projection, g[:, :, None])[:, :, 0] - mean[self._frame])
-            rewards[self.ran] = -np.matmul(deviations[:, None, :], weight[self._frame][:, None])[:, 0, 0]
+        rewards = np.zeros(len(self._every))
+        g = self._samples[self._frame * SAMPLES_PER_FRAME]
+        for reward, has_band in self._rewards:
+            ran = self.ran[has_band[self.ran]]
+            here = 1e3 * self._markers_m[self._frame, ran].reshape(len(ran), -1) if reward.has_points else g[ran]
+            rewards[ran] = reward.of(here, self._frame)
         return rewards
 
     def infos(self, add: AddInfo) -> dict[str, Any]:
         """Return the infos of the worlds that ran in the last step, which differ in their divergence alone."""
         ran = self.ran
-        common = self.episodes[ran[0]].info()
-        common.pop("diverged", None)
+        first = self._episodes[ran[0]]
+        first.frame, first.fault = self._frame, None
+        common = first.info()
+        self._is_behind = True
         infos = add({}, common, int(ran[0]))
         for key in common:
             infos[key][ran], infos[f"_{key}"][ran] = infos[key][ran[0]], True
         for world in ran[self._diverged[ran]].tolist():
-            infos = add(infos, {"diverged": self.episodes[world].fault}, world)
+            infos = add(infos, {"diverged": self._faults[world]}, world)
         return infos
 
     def flags(self) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -169,7 +245,7 @@ class EpisodesAtOnce(EpisodesOneByOne):
 
     def roll_out(self, actions: Sequence[Any], *, keep: bool) -> Rollout | None:
         """Run the episodes on the engine's device, or return None if the engine records nothing."""
-        if not self.worlds.can_record or self._has_faults:
+        if not self.worlds.can_record or self._driven or self._markers is not None or self._deformable_bounds:
             return None
         for one in actions:
             if np.any(one):
@@ -184,19 +260,48 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def _keep(self, recorded: RecordedEpisodes) -> None:
         """Copy the record of episodes to the host, after which they are as if they had been stepped."""
         recording = recorded.recording
-        positions, states = (device_array(one).numpy() for one in (recording.positions_m, recording.states))
+        positions, states = (copied_array(one) for one in (recording.positions_m, recording.states))
         self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
         self._bodies[:] = states[: len(self._bodies), :, self._rows]
         self._frame = int(recorded.frames.max())
         self.ran = self.ran[:0]
-        self._shown[:] = recorded.frames
+        self._shown[:], self._faults, self._is_behind = recorded.frames, dict(recorded.faults), True
+        self._diverged[[*self._faults]] = True
         for number, episode in enumerate(self.episodes):
-            episode.frame, episode.fault = int(recorded.frames[number]), recorded.faults.get(number)
-            self._diverged[number] = episode.fault is not None
-            last = states[min(episode.frame, len(self._bodies) - 1), number]
+            last = states[min(int(self._shown[number]), len(self._bodies) - 1), number]
             if episode.runs_on:
                 episode.begin_later_frame((dict(zip(self._dynamic, last[:, :7], strict=True)), {}))
                 episode.count_later_frames(int(recorded.later[number]))
+
+
+class _BatchReward:
+    """Rewards of many worlds against one band, with the bits of `Episode.reward`.
+
+    Args:
+        band: The band, or None.
+
+    Attributes:
+        has_points: Whether the positions of markers are compared in place of g(t).
+    """
+
+    def __init__(self, band: Band | None) -> None:
+        self._terms = reward_terms(band)
+        self.has_points = band is not None and band.points is not None
+        projection = None if self._terms is None else self._terms[0]
+        # A product with the identity changes no bit of what is finite.
+        is_identity = projection is not None and np.array_equal(projection, np.eye(*projection.shape))
+        self._projection = None if is_identity else projection
+
+    def of(self, g: FloatArray, frame: int) -> FloatArray:
+        """Return the rewards of g(t), or of marker positions [mm], shape [world_count, coordinate_count]."""
+        if self._terms is None:
+            return np.zeros(len(g))
+        _, mean, weight = self._terms
+        if self._projection is not None:
+            # A stack of matrix-vector products gives the bits of a single one; one matrix product would not.
+            g = np.matmul(self._projection, g[:, :, None])[:, :, 0]
+        deviations = np.abs(g - mean[frame])
+        return -np.matmul(deviations[:, None, :], weight[frame][:, None])[:, 0, 0]
 
 
 class RecordedEpisodes:
@@ -251,17 +356,13 @@ class RecordedEpisodes:
         )
 
     def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
-        states, positions = device_array(self.recording.states), device_array(self.recording.positions_m)
-        firsts = _first_suspects(states, positions, bounds, later=self._last + 1)
-        suspects = np.flatnonzero(firsts < len(states))
-        if not len(suspects):
-            return
-        import warp as wp
-
-        with wp.ScopedDevice(states.device):
-            chosen = wp.array(suspects.astype(np.int32), dtype=wp.int32)
-            near = wp.indexedarray(states, [None, chosen]).numpy()
-            places = wp.indexedarray(positions, [None, chosen]).numpy()
+        states, positions = host_array(self.recording.states), host_array(self.recording.positions_m)
+        if states is not None and positions is not None:
+            firsts = _first_suspects_on_host(states, positions, bounds, later=self._last + 1)
+            suspects = np.flatnonzero(firsts < len(states))
+            near, places = states[:, suspects], positions[:, suspects]
+        else:
+            firsts, suspects, near, places = _suspects_on_device(self.recording, bounds, later=self._last + 1)
         for column, world in enumerate(suspects.tolist()):
             self._decide(world, int(firsts[world]), near[:, column], places[:, column])
 
@@ -281,30 +382,47 @@ class RecordedEpisodes:
                 return
 
 
-def _first_suspects(states: object, positions: object, bounds: RigidBoundsOfWorlds, *, later: int) -> NDArray[np.int32]:
-    """Return the first frame in which each world may be out of bounds, shape [world_count]; the frame count if none."""
+def _first_suspects_on_host(
+    states: FloatArray, positions: FloatArray, bounds: RigidBoundsOfWorlds, *, later: int
+) -> NDArray[np.intp]:
+    """Return the first frame in which each world may be out of bounds, shape [world_count]; the frame count if none.
+
+    In frames from `later` on, a sample that is not finite counts too.
+    """
+    suspects = np.array([bounds.suspects(frame) for frame in states[1:]]).reshape(len(states) - 1, -1)
+    samples = positions[1:].reshape(len(states) - 1, SAMPLES_PER_FRAME, positions.shape[1], -1)
+    suspects[later - 1 :] |= ~np.isfinite(samples[later - 1 :]).all(axis=(1, 3))
+    return np.where(suspects.any(axis=0), suspects.argmax(axis=0) + 1, len(states))
+
+
+def _suspects_on_device(
+    recording: Recording, bounds: RigidBoundsOfWorlds, *, later: int
+) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
+    """Find worlds that may be out of bounds by a kernel, and copy them alone.
+
+    Returns:
+        The first such frame of each world, shape [world_count]; numbers of the worlds with one; and their states and
+        positions.
+    """
     import warp as wp
 
     from gauge_envs.envs.bounds_kernel import find_suspects
 
-    assert isinstance(states, wp.array)
+    states, positions = device_array(recording.states), device_array(recording.positions_m)
     frame_count, world_count = states.shape[:2]
     limits = (bounds.masses_kg, bounds.distances_m, bounds.speeds_m_per_s, bounds.energies_j)
     with wp.ScopedDevice(states.device):
         first = wp.full(world_count, frame_count, dtype=wp.int32)
-        wp.launch(
-            find_suspects,
-            dim=(frame_count - 1, world_count),
-            inputs=[
-                states,
-                positions,
-                *(wp.array(limit, dtype=wp.float64) for limit in limits),
-                SAMPLES_PER_FRAME,
-                later,
-            ],
-            outputs=[first],
-        )
-        return first.numpy()
+        limit_arrays = [wp.array(limit, dtype=wp.float64) for limit in limits]
+        inputs = [states, positions, *limit_arrays, SAMPLES_PER_FRAME, later]
+        wp.launch(find_suspects, dim=(frame_count - 1, world_count), inputs=inputs, outputs=[first])
+        firsts: NDArray[np.intp] = first.numpy().astype(np.intp)
+        suspects = np.flatnonzero(firsts < frame_count)
+        if not len(suspects):
+            return firsts, suspects, np.zeros((0, 0)), np.zeros((0, 0))
+        chosen = wp.array(suspects.astype(np.int32), dtype=wp.int32)
+        near, places = (wp.indexedarray(one, [None, chosen]).numpy() for one in (states, positions))
+    return firsts, suspects, near, places
 
 
 def episodes_in_lockstep(
@@ -324,7 +442,7 @@ def episodes_in_lockstep(
         band: Its band. Worlds with other constants, or with the start of a single-shot trial, have bands of their own.
         together: Whether the engine may build the worlds as one simulation.
     """
-    scene, engine = experiments[0].scene, backend_for(arguments.backend, stated.model_file)
+    engine = backend_for(arguments.backend, stated.model_file)
     build = worlds_of if together else Backend.build_worlds
     worlds = build(engine, [one.scene for one in experiments], arguments.settings)
     episodes = [
@@ -338,8 +456,7 @@ def episodes_in_lockstep(
         for one, world in zip(experiments, worlds.worlds, strict=True)
     ]
     shares_model = not any(isinstance(world, Simulation) for world in worlds.worlds)
-    is_rigid = stated.score.observable is Observable.POSITION and not (scene.drivers or scene.deformables)
     # Single-shot trials have a band each.
-    if not (shares_model and is_rigid and experiments[0].trial is None):
+    if not shares_model or experiments[0].trial is not None:
         return EpisodesOneByOne(episodes, worlds)
     return EpisodesAtOnce(episodes, worlds)

@@ -123,6 +123,8 @@ class DeformableBounds:
 
     Attributes:
         name: Name of the body.
+        distance_m: Largest coordinate of a node [m].
+        largest_extent_m: Largest diagonal of the box around the nodes [m].
     """
 
     STRETCH = 3.0
@@ -130,8 +132,9 @@ class DeformableBounds:
 
     def __init__(self, name: str, scene: Scene, rest_m: FloatArray) -> None:
         self.name = name
-        self._distance_m = scene.distance_limit_m
+        self.distance_m = scene.distance_limit_m
         self._extent_m = _extent_m(rest_m)
+        self.largest_extent_m = self.STRETCH * self._extent_m
 
     def fault(self, nodes: FloatArray) -> str | None:
         """Return why the body is out of bounds, or None.
@@ -140,14 +143,48 @@ class DeformableBounds:
             nodes: Its nodes now [m], shape [node_count, 3].
         """
         extent_m = _extent_m(nodes)
-        if extent_m <= self.STRETCH * self._extent_m and np.abs(nodes).max() <= self._distance_m:
+        if extent_m <= self.largest_extent_m and np.abs(nodes).max() <= self.distance_m:
             return None
         if not np.isfinite(nodes).all():
             return f"a node of {self.name} is not finite"
         return (
             f"{self.name} spans {extent_m:.3g} m ({self._extent_m:.3g} m at rest), or a node is more than "
-            f"{self._distance_m:.3g} m from the origin"
+            f"{self.distance_m:.3g} m from the origin"
         )
+
+
+class DeformableBoundsOfWorlds:
+    """Bounds of a deformable body in many worlds, tested at once.
+
+    Args:
+        bounds: The bounds in each world.
+
+    Attributes:
+        name: Name of the body.
+    """
+
+    def __init__(self, bounds: Sequence[DeformableBounds]) -> None:
+        self.name = bounds[0].name
+        self._extents_m = np.array([one.largest_extent_m for one in bounds])
+        self._distances_m = np.array([one.distance_m for one in bounds])
+
+    def suspects(self, nodes: FloatArray) -> NDArray[np.bool_]:
+        """Return which worlds may be out of bounds; `DeformableBounds.fault` decides, and gives the reason.
+
+        Args:
+            nodes: Nodes of the body [m], shape [world_count, node_count, 3].
+
+        Returns:
+            Shape [world_count]; true for every world that is out of bounds, and for those within rounding of a bound.
+        """
+        with np.errstate(invalid="ignore", over="ignore"):
+            # Reductions over the last axis are several times as fast.
+            axes = np.ascontiguousarray(nodes.transpose(0, 2, 1))
+            most, least = axes.max(axis=2), axes.min(axis=2)
+            extents_m = np.linalg.norm(most - least, axis=1)
+            # A comparison with NaN is false, so that each bound also catches what is not a number.
+            within = extents_m <= self._extents_m * (1.0 - 1e-9)
+            return ~(within & (np.maximum(most, -least).max(axis=1) <= self._distances_m))
 
 
 def _extent_m(nodes: FloatArray) -> float:

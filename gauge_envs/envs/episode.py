@@ -24,7 +24,8 @@ from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarkers, ObserverPositions
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
@@ -93,6 +94,8 @@ class Episode:
         action_space: Action space of the environment.
         observation_space: Observation space of the environment.
         rest_nodes_m: Nodes of each deformable body at the start [m], each of shape [node_count, 3].
+        deformable_bounds: Bounds of each deformable body.
+        observer: Observer of g(t).
     """
 
     def __init__(
@@ -128,9 +131,9 @@ class Episode:
         self._rewards_points = band is not None and band.points is not None
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
-        self._deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
+        self.deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
         observable = experiment.score.observable
-        self._observer: Observer = (
+        self.observer: Observer = (
             ObserverPositions(experiment.recorded)
             if observable is Observable.POSITION
             else ObserverMarkers(scene, observable, world, marker_proxy)
@@ -145,9 +148,9 @@ class Episode:
         }
         frames, bodies = experiment.frame_count, len(experiment.recorded)
         sample_count = (frames - 1 + self._later_frames) * SAMPLES_PER_FRAME + 1
-        self._samples = np.full((sample_count, self._observer.width), np.nan)
+        self._samples = np.full((sample_count, self.observer.width), np.nan)
         self._bodies = np.full((frames, bodies, 13), np.nan)
-        self._markers_m = np.full((frames, *self._observer.markers_m.shape), np.nan)
+        self._markers_m = np.full((frames, *self.observer.markers_m.shape), np.nan)
         self.action_space = action_space_of(experiment)
         self.observation_space = observation_space_of(experiment)
 
@@ -171,7 +174,7 @@ class Episode:
     def begin(self) -> None:
         """Record frame 0; the world is at the start."""
         self.restart()
-        self._samples[0] = self._observer.now(self._world)
+        self._samples[0] = self.observer.now(self._world)
         self._record()
 
     def restart(self) -> None:
@@ -198,7 +201,7 @@ class Episode:
         for sample in range(first, first + SAMPLES_PER_FRAME):
             self._drive(sample, rates)
             yield
-            self._samples[sample + 1] = self._observer.now(self._world)
+            self._samples[sample + 1] = self.observer.now(self._world)
 
     def advance(
         self, simulation: Simulation, rates: NDArray[np.float64], *, after_sample: Callable[[int], None] | None = None
@@ -213,11 +216,11 @@ class Episode:
         first = self._simulated_frame * SAMPLES_PER_FRAME
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
         if not self._drivers and after_sample is None:
-            rows[:] = self._observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
+            rows[:] = self.observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
             return
         for sample, row in enumerate(rows):
             self._drive(first + sample, rates)
-            row[:] = self._observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
+            row[:] = self.observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
             if after_sample is not None:
                 after_sample(sample)
 
@@ -319,15 +322,18 @@ class Episode:
         for record, kept in zip(self._records(), state["recorded"], strict=True):
             record[:] = kept
 
-    def record_in(self, samples: NDArray[np.float64], bodies: NDArray[np.float64]) -> None:
+    def record_in(
+        self, samples: NDArray[np.float64], bodies: NDArray[np.float64], markers_m: NDArray[np.float64]
+    ) -> None:
         """Record in arrays of the caller from now on, which may be parts of those of many worlds.
 
         Args:
             samples: Place of g(t) at the samples, of the shape of `sample_shape`.
             bodies: Place of the states of the recorded bodies at the frames, shape [frame_count, body_count, 13].
+            markers_m: Place of the markers at the frames [m], shape [frame_count, marker_count, 3].
         """
-        samples[:], bodies[:] = self._samples, self._bodies
-        self._samples, self._bodies = samples, bodies
+        samples[:], bodies[:], markers_m[:] = self._samples, self._bodies, self._markers_m
+        self._samples, self._bodies, self._markers_m = samples, bodies, markers_m
 
     @property
     def sample_shape(self) -> tuple[int, int]:
@@ -396,7 +402,7 @@ class Episode:
         frame = self.frame or 0
         self._bodies[frame] = states[self._recorded_rows]
         if self._markers_m.size:
-            self._markers_m[frame] = self._observer.markers_m
+            self._markers_m[frame] = self.observer.markers_m
         return states
 
     def checked(self, action: Any) -> NDArray[np.float64]:
@@ -465,7 +471,7 @@ class Episode:
         engine_fault = self._world.fault()
         if engine_fault is not None:
             return engine_fault
-        for bounds in self._deformable_bounds:
+        for bounds in self.deformable_bounds:
             fault = bounds.fault(self._world.nodes(bounds.name))
             if fault:
                 return fault

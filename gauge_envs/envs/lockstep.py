@@ -8,6 +8,7 @@ one call and the experiment allows it.
 from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, TypeVar, cast
 
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.envs.episode import Episode, Observation, run_on_together
 from gauge_envs.errors import ActionError
+from gauge_envs.files import processors
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 FloatArray = NDArray[np.float64]
@@ -49,6 +51,37 @@ def run_frames(
     return results
 
 
+class WorldThreads:
+    """Threads that share the worlds of an engine which frees Python's lock; for other engines, this thread alone.
+
+    Args:
+        worlds: The worlds.
+    """
+
+    def __init__(self, worlds: Worlds) -> None:
+        is_free = all(isinstance(world, Simulation) and world.frees_python for world in worlds.worlds)
+        self._count = min(processors(), len(worlds.worlds)) if is_free else 1
+        self._threads = ThreadPoolExecutor(self._count) if self._count > 1 else None
+
+    def run(self, function: Callable[[int], None], numbers: Sequence[int]) -> None:
+        """Call a function for the number of each world; an error of a call is raised at the end.
+
+        Args:
+            function: Function that changes nothing but its world.
+            numbers: Numbers of the worlds.
+        """
+
+        def run(part: Sequence[int]) -> None:
+            for number in part:
+                function(number)
+
+        if self._threads is None or len(numbers) < 2:
+            run(numbers)
+            return
+        for _ in self._threads.map(run, [numbers[first :: self._count] for first in range(self._count)]):
+            pass
+
+
 @dataclass(frozen=True, kw_only=True)
 class Rollout:
     """Result of one episode of all worlds.
@@ -70,23 +103,29 @@ class Rollout:
 class EpisodesOneByOne:
     """Episodes of one experiment on the worlds of an engine, which are driven, observed and judged one after another.
 
-    Worlds that are simulations of their own give the same bits as in an environment of one world.
+    Worlds that are simulations of their own give the same bits as in an environment of one world. They share the
+    processors in threads, where the engine frees Python's lock.
 
     Args:
         episodes: The episode of each world.
         worlds: The worlds.
 
     Attributes:
-        episodes: The episode of each world.
         worlds: The worlds.
         ran: Numbers of the worlds whose episodes ran in the last step; all after `begin`.
     """
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
-        self.episodes = episodes
+        self._episodes = episodes
         self.worlds = worlds
         self.ran: Numbers = np.arange(len(episodes))
         self._observations: list[Observation] = []
+        self._threads = WorldThreads(worlds)
+
+    @property
+    def episodes(self) -> Sequence[Episode]:
+        """The episode of each world."""
+        return self._episodes
 
     @property
     def running(self) -> Numbers:
@@ -123,8 +162,11 @@ class EpisodesOneByOne:
         """Drive, advance and observe a frame of the worlds of some numbers."""
         worlds = self.worlds.worlds
         if all(isinstance(world, Simulation) for world in worlds):
-            for number, one in rates.items():
-                self.episodes[number].advance(cast("Simulation", worlds[number]), one)
+
+            def run(number: int) -> None:
+                self.episodes[number].advance(cast("Simulation", worlds[number]), rates[number])
+
+            self._threads.run(run, [*rates])
         else:
             frames = {number: self.episodes[number].simulated(one) for number, one in rates.items()}
             run_frames(frames, lambda _: self.worlds.advance(SAMPLE_INTERVAL_S))

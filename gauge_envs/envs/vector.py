@@ -34,7 +34,7 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.jitter import Jitter
 
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]

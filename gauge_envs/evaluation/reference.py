@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
-from gauge_envs.references.bands import Band, BandGrade, bundled_band
+from gauge_envs.references.bands import Band, bundled_band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DataSource, load_imported
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]

@@ -33,7 +33,8 @@ from gauge_envs.evaluation.metrics.trajectory import (
 from gauge_envs.evaluation.swing import EventTime, event_intervals, swing_metrics, swing_notes
 from gauge_envs.evaluation.uncertainty import BudgetEntry
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline

@@ -40,7 +40,8 @@ from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
 

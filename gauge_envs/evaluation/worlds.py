@@ -1,7 +1,8 @@
 """Scores of many worlds of one experiment in one pass, for training and for batches of thousands.
 
-`score_worlds` reads trajectories on the host. `score_recording` reads positions on the device where the engine recorded
-them, by Warp kernels, and copies the scores alone. Its numbers agree within 1e-9; NumPy stays the reference.
+`score_worlds` reads trajectories on the host. `score_recording` reads positions where the engine recorded them: on the
+CPU with NumPy, on a GPU by Warp kernels, and copies the scores alone. Numbers of the kernels agree within 1e-9; NumPy
+stays the reference.
 """
 
 from __future__ import annotations
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     import warp as wp
 
 FloatArray = NDArray[np.float64]
+
+DLPACK_CPU = 1
+"""Number of the CPU among the devices of DLPack."""
 
 MOST_STEPS = round(MAX_RELEASE_OFFSET_S / SAMPLE_INTERVAL_S)
 """Largest time shift [samples]."""
@@ -149,6 +153,26 @@ def device_array(array: Any) -> wp.array:
     return wp.from_dlpack(array)
 
 
+def host_array(array: Any) -> NDArray[Any] | None:
+    """Return an array of another library as a NumPy array without a copy, or None if it lies on a GPU.
+
+    An array of Warp stays where it is: its kernels score it on the CPU too.
+
+    Args:
+        array: A NumPy array, or one that follows the DLPack protocol.
+    """
+    if isinstance(array, np.ndarray):
+        return array
+    is_on_host = array.__dlpack_device__()[0] == DLPACK_CPU and type(array).__module__.partition(".")[0] != "warp"
+    return np.asarray(np.from_dlpack(array)) if is_on_host else None
+
+
+def copied_array(array: Any) -> FloatArray:
+    """Return an array of another library on the host."""
+    held = host_array(array)
+    return device_array(array).numpy() if held is None else held
+
+
 def score_recording(
     experiment: Experiment,
     band: Band,
@@ -171,11 +195,8 @@ def score_recording(
     Returns:
         As `score_worlds` returns them.
     """
-    positions = device_array(positions_m)
-    import warp as wp
-
-    from gauge_envs.evaluation.score_kernels import align, compare, project
-
+    held = host_array(positions_m)
+    positions: Any = device_array(positions_m) if held is None else held
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
     world_count = len(sample_counts)
     width = 3 * len(rows)
@@ -186,10 +207,28 @@ def score_recording(
             f"{world_count}, body_count, 3] and {band.projection.shape[1] // 3} observed bodies are needed"
         )
     # A kernel reads what is there: outside of the array, or halves of numbers.
-    if positions.dtype is not wp.float64:
-        raise ShapeError(f"positions are of type {positions.dtype.__name__}, expected 64-bit floats")
+    if positions.dtype.__name__ != "float64" if held is None else held.dtype != np.float64:
+        name = positions.dtype.__name__ if held is None else held.dtype.name
+        raise ShapeError(f"positions are of type {name}, expected 64-bit floats")
     if not all(0 <= row < positions.shape[2] for row in rows):
         raise ShapeError(f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0")
+    if held is None:
+        return _scored_on_device(experiment, band, positions, rows, sample_counts)
+    values = 1e3 * held[:, :, list(rows)].reshape(len(held), world_count, width)
+    values[np.arange(len(held))[:, None] >= sample_counts] = np.nan
+    times_s = SAMPLE_INTERVAL_S * np.arange(len(held), dtype=np.float64)
+    return score_worlds(experiment, band, times_s=times_s, values=values.transpose(1, 0, 2))
+
+
+def _scored_on_device(
+    experiment: Experiment, band: Band, positions: wp.array, rows: Sequence[int], sample_counts: NDArray[np.intp]
+) -> dict[str, NDArray[np.float64]]:
+    """Return the distances of recorded worlds from a band, by kernels of Warp."""
+    import warp as wp
+
+    from gauge_envs.evaluation.score_kernels import align, compare, project
+
+    world_count = len(sample_counts)
     known = np.isfinite(band.mean)
     frames = np.flatnonzero(known.any(axis=1))
     with wp.ScopedDevice(positions.device):

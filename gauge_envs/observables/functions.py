@@ -52,10 +52,10 @@ def angle_deficit_curvature(
     to_previous = np.roll(vertices, 1, axis=2) - vertices
     angles = _angle_between(to_next, to_previous)  # 0 for coincident vertices, which leaves them out of the sum
     angles = np.where(np.isnan(angles), 0.0, angles)
-    # One matrix product with the incidence of corners and markers sums the angles of all frames.
+    # A product with the incidence of corners and markers sums the angles of a frame, with the same bits in any batch.
     incidence = np.zeros((faces.size, marker_count))
     incidence[np.arange(faces.size), faces.ravel()] = 1.0
-    curvature = full_angle - angles.reshape(len(angles), -1) @ incidence
+    curvature = full_angle - np.matmul(angles.reshape(len(angles), 1, -1), incidence)[:, 0]
     return np.where(np.isnan(markers_m).any(axis=-1), np.nan, curvature)
 
 
@@ -100,8 +100,12 @@ def face_areas_mm2(markers_m: ArrayLike, faces: ArrayLike) -> FloatArray:
     """
     markers_m = _points("markers_m", markers_m, dimension=3)
     faces = _indices("faces", faces, width=3, marker_count=markers_m.shape[1])
-    a, b, c = np.moveaxis(1e3 * markers_m[:, faces], 2, 0)
-    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=-1)
+    # Whole arrays of x, y and z are several times as fast as vectors of three numbers, with the same bits.
+    axes = 1e3 * np.ascontiguousarray(markers_m.transpose(2, 0, 1))
+    a, b, c = (axes.take(vertex, axis=2) for vertex in faces.T)
+    (x, y, z), (u, v, w) = b - a, c - a
+    normal = (y * w - z * v, z * u - x * w, x * v - y * u)
+    return 0.5 * np.sqrt(normal[0] * normal[0] + normal[1] * normal[1] + normal[2] * normal[2])
 
 
 def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: float = 0.01) -> NDArray[np.intp]:

@@ -9,14 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
-from functools import partial
+from functools import lru_cache, partial
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, QhullError
 
-from gauge_envs.backends.base import Simulation, World
+from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.errors import ShapeError
 from gauge_envs.observables.functions import angle_deficit_curvature, assign_markers, face_areas_mm2, line_turning_angle
 from gauge_envs.observables.kinds import Observable
@@ -88,31 +88,35 @@ class ObserverMarkers:
     Attributes:
         markers_m: Marker positions at the last observation [m], shape [marker_count, 3].
         largest_distance_m: Distance of the worst marker from its proxy at rest.
+        bodies: Names of the bodies with markers.
+        observed: Function that returns g(t) of marker positions; see `observe_markers`.
+        read: The engine's reader of all markers; None if they are interpolated between nodes, as `indices` and
+            `weights` state, shape [marker_count, k] each.
     """
 
     def __init__(self, scene: Scene, observable: Observable, world: World, proxy: MarkerProxy) -> None:
         if scene.markers is None:
             raise ShapeError(f"observable {observable.value!r} needs markers, and the scene has none")
-        self._markers = scene.markers
-        self._observed = partial(observe_markers, markers=scene.markers, observable=observable)
+        self.bodies = scene.markers.bodies
+        self.observed = partial(observe_markers, markers=scene.markers, observable=observable)
         rest = {name: world.nodes(name) for name in scene.markers.bodies}
         targets = np.asarray(scene.markers.positions_m)
-        self._read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
+        self.read = _tracker(world, rest, targets) if proxy is MarkerProxy.MATERIAL else None
         if proxy is MarkerProxy.NODE:
             nodes = np.concatenate(list(rest.values()))
-            self._indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
-            self._weights = np.ones((len(targets), 1))
-        elif self._read is None:
+            self.indices = assign_markers(targets, nodes, max_distance_m=MARKER_REACH_M)[:, None]
+            self.weights = np.ones((len(targets), 1))
+        elif self.read is None:
             deformables = {body.name: body for body in scene.deformables}
-            self._indices, self._weights = material_points(targets, rest, deformables)
+            self.indices, self.weights = material_points(targets, rest, deformables)
         self.markers_m = self._marker_positions(world)
         self.largest_distance_m = float(np.linalg.norm(self.markers_m - targets, axis=1).max())
-        self.width = len(self._observed(self.markers_m[None])[0])
+        self.width = len(self.observed(self.markers_m[None])[0])
 
     def now(self, world: World) -> FloatArray:
         """Return g(t) now, shape [width]."""
         self.markers_m = self._marker_positions(world)
-        return self._observed(self.markers_m[None])[0]
+        return self.observed(self.markers_m[None])[0]
 
     def sample(self, simulation: Simulation, count: int, interval_s: float) -> FloatArray:
         """Advance `count` intervals and return g(t) after each, shape [count, width]."""
@@ -121,13 +125,57 @@ class ObserverMarkers:
             simulation.advance(interval_s)
             row[:] = self._marker_positions(simulation)
         self.markers_m = markers[-1].copy()
-        return self._observed(markers)
+        return self.observed(markers)
 
     def _marker_positions(self, world: World) -> FloatArray:
-        if self._read is not None:
-            return self._read()
-        nodes = np.concatenate([world.nodes(name) for name in self._markers.bodies])
-        return np.einsum("mk,mkc->mc", self._weights, nodes[self._indices])
+        if self.read is not None:
+            return self.read()
+        nodes = np.concatenate([world.nodes(name) for name in self.bodies])
+        return _interpolated(nodes, self.indices.T, self.weights.T)
+
+
+class MarkersOfWorlds:
+    """Observer of the markers of many worlds at once.
+
+    Args:
+        observers: The observer of each world.
+        worlds: The worlds.
+    """
+
+    def __init__(self, observers: Sequence[ObserverMarkers], worlds: Worlds) -> None:
+        first = observers[0]
+        self._worlds = worlds
+        self._bodies = first.bodies
+        self.observed = first.observed
+        self._readers = [one.read for one in observers if one.read is not None]
+        if not self._readers:
+            # Rows of the nodes of all worlds.
+            count = sum(len(worlds.worlds[0].nodes(name)) for name in first.bodies)
+            self._rows = np.concatenate([count * number + one.indices for number, one in enumerate(observers)]).T.copy()
+            self._weights = np.concatenate([one.weights for one in observers]).T.copy()
+
+    def positions(self) -> FloatArray:
+        """Return the positions of the markers [m], shape [world_count, marker_count, 3]."""
+        if self._readers:
+            return np.stack([read() for read in self._readers])
+        parts = [self._worlds.nodes(name) for name in self._bodies]
+        nodes = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
+        markers_m = _interpolated(nodes.reshape(-1, 3), self._rows, self._weights)
+        return markers_m.reshape(len(nodes), -1, 3)
+
+
+def _interpolated(nodes_m: FloatArray, rows: NDArray[np.intp], weights: FloatArray) -> FloatArray:
+    """Return weighted sums of nodes [m], shape [point_count, 3].
+
+    Args:
+        nodes_m: Positions of nodes [m], shape [node_count, 3].
+        rows: Nodes of each point, shape [k, point_count].
+        weights: Their weights, shape [k, point_count].
+    """
+    points_m = weights[0][:, None] * nodes_m.take(rows[0], axis=0)
+    for row, weight in zip(rows[1:], weights[1:], strict=True):
+        points_m += weight[:, None] * nodes_m.take(row, axis=0)
+    return points_m
 
 
 def _tracker(world: World, names: Iterable[str], targets_m: FloatArray) -> Callable[[], FloatArray] | None:
@@ -166,6 +214,8 @@ def material_points(
 ) -> tuple[NDArray[np.intp], FloatArray]:
     """Return the nodes and weights that interpolate each marker at rest; cloth uses three of the four.
 
+    Many worlds have the same ones, which are computed once; the arrays are read-only.
+
     Args:
         targets_m: Marker positions at rest [m], shape [marker_count, 3].
         rest: Node positions at rest [m] of each body with markers, shape [node_count, 3].
@@ -174,12 +224,22 @@ def material_points(
     Returns:
         Node indices over the bodies of `rest` in their order, shape [marker_count, 4], and weights of the same shape.
     """
+    nodes = tuple((name, one.tobytes(), deformables[name]) for name, one in rest.items())
+    return _material_points(targets_m.tobytes(), nodes)
+
+
+@lru_cache(maxsize=8)
+def _material_points(
+    targets: bytes, bodies: tuple[tuple[str, bytes, Deformable], ...]
+) -> tuple[NDArray[np.intp], FloatArray]:
+    targets_m = np.frombuffer(targets).reshape(-1, 3)
     indices = np.zeros((len(targets_m), 4), dtype=np.intp)
     weights = np.zeros((len(targets_m), 4))
     best = np.full(len(targets_m), np.inf)
     first = 0
-    for name, nodes in rest.items():
-        points, queries, body = nodes, targets_m, deformables[name]
+    for name, content, body in bodies:
+        nodes = np.frombuffer(content).reshape(-1, 3)
+        points, queries = nodes, targets_m
         if isinstance(body, Cloth):
             points, queries = body.pose.to_body(nodes)[:, :2], body.pose.to_body(targets_m)[:, :2]
         for marker, (simplex, share) in enumerate(_barycentric(name, points, queries)):
@@ -194,6 +254,8 @@ def material_points(
         raise ShapeError(
             f"marker {worst} is {1e3 * best[worst]:.1f} mm from the material, more than {1e3 * MARKER_REACH_M:.0f} mm"
         )
+    for array in (indices, weights):
+        array.flags.writeable = False
     return indices, weights
 
 

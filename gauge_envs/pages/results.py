@@ -9,8 +9,8 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import number_text, quantity_text, short_id, value_text, with_unit
-from gauge_envs.references.bands import BandGrade
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
@@ -190,21 +190,22 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
 
 # --- convergence ---
 
-NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell"}
+NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell", "training": "preset training"}
 
 
 def convergence_rows(engine: str, variant: str) -> dict[str, dict[str, Any]]:
-    """Return the measured convergence of a variant on an engine, JSON-ready, by the setting that was halved."""
+    """Return the measured convergence of a variant on an engine, JSON-ready, by the setting that differs."""
     return {setting: row.model_dump() for setting, row in convergence_of(engine, variant).items()}
 
 
 def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False) -> str:
-    """Return what half the step and half the cell change, in one line.
+    """Return what half the step, half the cell and the preset `training` change, in one line.
 
     Args:
         rows: Rows of `convergence_rows`.
         has_cells: Whether the experiment has deformable bodies, whose cells can be halved.
-        with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t).
+        with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t), and the preset
+            `training`: nobody asks for it beside a result.
 
     Example:
         >>> row = {"unit": "mm", "rms": 0.062, "max": 0.18, "share": 0.0034}
@@ -216,13 +217,22 @@ def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, 
         if setting == "cell_m" and not has_cells:
             continue
         row = rows.get(setting)
+        if setting == "training" and (row is None or not with_unit):
+            continue
         if row is None:
             parts.append(f"{name}: not measured")
         elif row["rms"] is None:
             parts.append(f"{name}: diverged")
         else:
             parts.append(f"{name} moves the trajectory by {_amount(row, with_unit=with_unit)}")
+            if setting == "training":
+                parts[-1] += f", points by {quantity_text(row['points_rms_mm'])} mm rms; {_speeds(row)}"
     return "; ".join(parts)
+
+
+def _speeds(row: Mapping[str, Any]) -> str:
+    """Return the steps per second of a row of the preset `training`."""
+    return f"{row['refined']:.0f} env-steps/s, by default {row['default']:.0f}"
 
 
 def _amount(row: Mapping[str, Any], *, with_unit: bool) -> str:

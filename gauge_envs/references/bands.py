@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
 
 from gauge_envs.errors import ReferenceFileError, ShapeError
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import (
     FileModel,
     FrameRow,
@@ -37,26 +38,6 @@ MOST_COORDINATES = 10_000
 
 QUANTITIES = ("mean", "sigma", "uncertainty")
 """Quantities that the table of a band has for each coordinate; all but the mean may be absent."""
-
-
-class BandGrade(StrEnum):
-    """Quality of the real reference of a variant, best first."""
-
-    TRIALS = "trials"
-    """Mean and sigma per frame over real trials."""
-    RECORDING = "recording"
-    """Mean from the published recording of one trial, sigma from the published baseline or the measurement."""
-    LAW = "law"
-    """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
-    MODEL = "model"
-    """Solution of the calibrated scene by several engines, with its uncertainty. It says nothing of reality."""
-    NONE = "none"
-    """No reference: no score."""
-
-    @property
-    def is_real(self) -> bool:
-        """Whether the mean was measured. The motion of a law or a model starts at frame 0, so it is not aligned."""
-        return self in (BandGrade.TRIALS, BandGrade.RECORDING)
 
 
 class SigmaSource(StrEnum):

@@ -1,4 +1,4 @@
-"""Convergence: the change of a whole episode when the time step or the cells of the mesh are halved.
+"""Convergence: the change of a whole episode when the time step or the cells are halved, or with the training preset.
 
 `scripts/build_convergence.py` measures it and writes `scoring/convergence/<engine>.csv`. A row that is absent was not
 measured.
@@ -15,24 +15,25 @@ from pydantic import NonNegativeFloat, PositiveFloat
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.references.tables import FileModel, read_rows, scoring_folder
 
-RefinedSetting = Literal["timestep_s", "cell_m"]
-"""Setting that is halved: the time step, or the edge of the cells of a deformable body."""
+RefinedSetting = Literal["timestep_s", "cell_m", "training"]
+"""Setting that differs: the time step or the edge of the cells of a deformable body, halved, or preset `training`."""
 
 REFINED_SETTINGS: tuple[RefinedSetting, ...] = get_args(RefinedSetting)
-"""The settings that are halved, in the order of reports."""
+"""The settings that differ, in the order of reports."""
 
 
 class Convergence(FileModel):
-    """Difference between an episode with default settings and one with a finer step or mesh, over all frames.
+    """Difference between an episode with default settings and one with other settings, over all frames.
 
     The distance of one frame is Euclidean over the coordinates of g(t), as in the paper's RMSE. Deformable bodies are
     observed at the material points of their markers.
 
     Attributes:
         variant: Variant id, as in `SlopeSlider-2-wood`.
-        setting: Setting that differs: `timestep_s` [s] or `cell_m` [m].
-        default: Its value in the default run; for a mesh that has no single edge, the smallest edge of its cells.
-        refined: Its value in the finer run.
+        setting: Setting that differs: `timestep_s` [s], `cell_m` [m], or `training`, the preset.
+        default: Its value in the default run; for a mesh that has no single edge, the smallest edge of its cells. Of
+            `training` the environment steps per second of processor time, both runs in turn on one core.
+        refined: The same in the other run.
         unit: Unit of rms and max.
         rms: Root mean square of the distance over frames; None if one of the runs diverged.
         max: Largest distance of a frame; None if one of the runs diverged.

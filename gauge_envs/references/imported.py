@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import hashlib
 import io
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -23,14 +22,15 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-from platformdirs import user_data_path
 from pydantic import ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.references.deformation import DeformationReference
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, read_content
+from gauge_envs.references.user_data import trials_folder
 from gauge_envs.scene.drivers import Driver, SampledProfile
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -177,24 +177,6 @@ class ImportedVariant:
     start_quaternions: FloatArray | None = None
 
 
-# --- folder ----------------------------------------------------------------------------------------------------------
-
-
-def user_data_folder() -> Path:
-    """Return the folder of imported data, which need not exist."""
-    given = os.environ.get("GAUGE_DATA_DIR")
-    if not given:
-        return user_data_path("gauge-envs", appauthor=False)
-    try:
-        return Path(given).expanduser()
-    except RuntimeError:
-        raise DatasetError(f"GAUGE_DATA_DIR={given}: the home folder is unknown. Set the full path.") from None
-
-
-def _trials_folder() -> Path:
-    return user_data_folder() / "trials"
-
-
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -239,7 +221,7 @@ def write_imported(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         gauge_envs=version("gauge-envs"),
     )
-    folder = _trials_folder()
+    folder = trials_folder()
     text = record.model_dump_json(indent=1) + "\n"
     with os_errors(lambda cause: DatasetError(f"{folder}: {facts.variant} cannot be written: {cause}")):
         folder.mkdir(parents=True, exist_ok=True)
@@ -254,7 +236,7 @@ def write_imported(
 
 def remove_leftovers() -> None:
     """Remove the files of imports that were killed: half-written files, and arrays that no variant names."""
-    folder = _trials_folder()
+    folder = trials_folder()
     if not folder.is_dir():
         return
     with os_errors(lambda cause: DatasetError(f"{folder}: cannot be written: {cause}")), locked(folder):
@@ -275,14 +257,9 @@ def _arrays_name(file: Path) -> str | None:
 # --- reading ---------------------------------------------------------------------------------------------------------
 
 
-def has_import(variant: str) -> bool:
-    """Return whether trials of a variant were imported, without reading them."""
-    return (_trials_folder() / f"{variant}.json").is_file()
-
-
 def load_imported(variant: str) -> ImportedVariant | None:
     """Return the import of a variant, or None."""
-    file = _trials_folder() / f"{variant}.json"
+    file = trials_folder() / f"{variant}.json"
     for _ in range(READ_ATTEMPTS):
         stamp = _stamp(file)
         if stamp is None:
@@ -398,7 +375,7 @@ def recorded_drivers(variant: str, bundled: tuple[Driver, ...]) -> tuple[Driver,
 def _recorded(driver: Driver, values: FloatArray, variant: str) -> Driver:
     if values.ndim != 2 or values.shape[1] != len(driver.motions):
         raise ReferenceFileError(
-            _trials_folder() / f"{variant}.json",
+            trials_folder() / f"{variant}.json",
             None,
             f"the driver of {driver.body} has {len(driver.motions)} motions, imported were {values.shape[-1]}; "
             "gauge data import renews it",

@@ -18,7 +18,8 @@ from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAd
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.bands import Band, SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.references.tables import FileModel, faults_of, read_content, scoring_folder
 from gauge_envs.scene.geometry import FloatArray

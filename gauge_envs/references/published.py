@@ -16,7 +16,8 @@ from numpy.typing import ArrayLike
 from pydantic import Field, PositiveInt
 
 from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.bands import Band, SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
 from gauge_envs.scene.geometry import Positive

@@ -16,8 +16,8 @@ from pydantic import AfterValidator, PlainSerializer, PositiveInt, TypeAdapter
 
 from gauge_envs.errors import DatasetError, ReferenceFileError
 from gauge_envs.files import os_errors, write_whole
-from gauge_envs.references.imported import user_data_folder
 from gauge_envs.references.tables import FileModel, faults_of, read_content, read_toml, scoring_folder
+from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.scene.geometry import FloatArray, Positive
 
 FALLBACK_ENGINE = "mujoco"

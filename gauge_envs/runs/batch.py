@@ -6,9 +6,11 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, support_of, versions_of
 from gauge_envs.envs.arguments import check_support, start_of
@@ -29,6 +31,9 @@ LEFTOVER_AGE_S = 3600.0
 
 CHECK_LIMIT_S = 120.0
 """Time limit of the check of a request in another process [s]."""
+
+CLOSE_LOOK_S = 0.2
+"""Time between two attempts to end the processes of an interrupted run [s]."""
 
 _log = logging.getLogger(__name__)
 
@@ -78,8 +83,9 @@ def run_many(
     isolate: bool | None = False,
     time_limit_s: float = TIME_LIMIT_S,
     memory_limit_gb: float | None = None,
+    jobs: int = 1,
 ) -> Iterator[Result]:
-    """Run episodes one after another, repeats together; each result is written before it is yielded.
+    """Run episodes, repeats together; each result is written before it is yielded, in the order of the requests.
 
     An episode that is declined or fails is yielded with its `error` and is not written. The others continue.
 
@@ -95,11 +101,14 @@ def run_many(
             the same bits.
         time_limit_s: Time limit of a request that runs in another process, with all its repeats [s].
         memory_limit_gb: Limit of the resident memory of another process [GB], on Linux; None: no limit.
+        jobs: Number of requests that run at once. More than one run in as many other processes, with the same bits.
 
     Returns:
-        Iterator over the results; it runs an episode when its result is asked for.
+        Iterator over the results. With one job it runs an episode when its result is asked for.
     """
-    place = _Place(isolate, Worker(time_limit_s, memory_limit_gb))
+    is_shared = jobs > 1
+    workers = [Worker(time_limit_s, memory_limit_gb, single_thread=is_shared) for _ in range(jobs)]
+    place = _Place(isolate, workers)
     runs = [(replace(request, jitter=request.scatter), request.calibrated_experiment()) for request in requests]
     if out is not None:
         check_writable(out)
@@ -109,7 +118,7 @@ def run_many(
 def _results(
     runs: Sequence[tuple[RunRequest, Experiment]], place: _Place, out: Path | None, notify: Notify | None
 ) -> Iterator[Result]:
-    """Yield the results of requests: those in a folder if all of a request are there, else new ones.
+    """Yield the results of requests.
 
     Args:
         runs: Requests with the jitter that applies, and their calibrated experiments.
@@ -117,24 +126,46 @@ def _results(
         out: Folder of the result files, or None.
         notify: Receives a sentence for each file that cannot be taken; None takes no files.
     """
-    try:
-        for request, calibrated in runs:
-            planned = _planned(request, calibrated)
-            files = [None if out is None else out / result_file_name(one) for one in planned]
-            taken = [
-                _earlier_result(file, one, place, notify)
-                for file, one in zip(files, planned, strict=True)
-                if file is not None and notify is not None
-            ]
-            if taken and None not in taken:
-                yield from filter(None, taken)
-                continue
-            for result, file in zip(place.episodes(request, planned), files, strict=True):
-                if file is not None and result.error is None:
-                    write_result(result, file)
-                yield result
-    finally:
-        place.close()
+    if place.job_count == 1:
+        try:
+            for run in runs:
+                yield from _results_of(run, place, out, notify)
+        finally:
+            place.close()
+        return
+    with ThreadPoolExecutor(place.job_count) as threads:
+        waiting = [threads.submit(_results_of, run, place, out, notify) for run in runs]
+        try:
+            for one in waiting:
+                yield from one.result()
+        finally:
+            threads.shutdown(wait=False, cancel_futures=True)
+            # A thread may just have started the process of its next request.
+            while not all(one.done() for one in waiting):
+                place.close()
+                wait(waiting, CLOSE_LOOK_S)
+            place.close()
+
+
+def _results_of(
+    run: tuple[RunRequest, Experiment], place: _Place, out: Path | None, notify: Notify | None
+) -> list[Result]:
+    """Return the results of a request: those in a folder if all of them are there, else new ones, which are written."""
+    request, calibrated = run
+    planned = _planned(request, calibrated)
+    files = [None if out is None else out / result_file_name(one) for one in planned]
+    taken = [
+        _earlier_result(file, one, place, notify)
+        for file, one in zip(files, planned, strict=True)
+        if file is not None and notify is not None
+    ]
+    if taken and None not in taken:
+        return [one for one in taken if one is not None]
+    results = place.episodes(request, planned)
+    for result, file in zip(results, files, strict=True):
+        if file is not None and result.error is None:
+            write_result(result, file)
+    return results
 
 
 class _Place:
@@ -142,36 +173,58 @@ class _Place:
 
     Args:
         isolate: As for `run_many`.
-        worker: The other process.
+        workers: The other processes, one for each job. With several, no episode runs in this process.
     """
 
-    def __init__(self, isolate: bool | None, worker: Worker) -> None:
+    def __init__(self, isolate: bool | None, workers: Sequence[Worker]) -> None:
         self._isolate = isolate
-        self._worker = worker
+        self._workers = workers
+        self._free: SimpleQueue[Worker] = SimpleQueue()
+        for worker in workers:
+            self._free.put(worker)
         self._unsafe: set[str] = set()
+
+    @property
+    def job_count(self) -> int:
+        """Number of requests that run at once."""
+        return len(self._workers)
+
+    @contextmanager
+    def _worker(self) -> Iterator[Worker]:
+        """Take one of the other processes, and wait until one is free."""
+        worker = self._free.get()
+        try:
+            yield worker
+        finally:
+            self._free.put(worker)
 
     def versions(self, backend: str) -> dict[str, str]:
         """Return the versions of an engine's packages."""
-        return self._worker.call(versions_of, backend) if self._is_isolated(backend) else versions_of(backend)
+        if not self._is_isolated(backend):
+            return versions_of(backend)
+        with self._worker() as worker:
+            return worker.call(versions_of, backend)
 
     def episodes(self, request: RunRequest, planned: Sequence[Result]) -> list[Result]:
         """Return the results of a request; those that were declined or failed hold the reason."""
-        if not self._is_isolated(request.backend):
+        if self.job_count == 1 and not self._is_isolated(request.backend):
             results, is_safe = attempt(request, planned)
             if not is_safe:
                 self._unsafe.add(request.backend)
             return results
-        try:
-            return self._worker.call(attempt, request, planned)[0]
-        except GaugeError as error:
-            return not_run(planned, Outcome.FAILED, str(error))
-        finally:
-            if self._isolate:
-                self._worker.close()
+        with self._worker() as worker:
+            try:
+                return worker.call(attempt, request, planned)[0]
+            except GaugeError as error:
+                return not_run(planned, Outcome.FAILED, str(error))
+            finally:
+                if self._isolate:
+                    worker.close()
 
     def close(self) -> None:
-        """End the other process."""
-        self._worker.close()
+        """End the other processes."""
+        for worker in self._workers:
+            worker.close()
 
     def _is_isolated(self, backend: str) -> bool:
         if self._isolate is not None:

@@ -17,7 +17,7 @@ from gauge_envs.envs.episode import Episode
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import dataset_record
 from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest

@@ -20,7 +20,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
 from gauge_envs.runs.result import Result
 

@@ -64,6 +64,60 @@ class DriverPath:
         return _intervals([before, after], self.interval_s)[0]
 
 
+class DriverPathOfWorlds:
+    """A driver's motion in many worlds, whose actions differ, in the rows of `Worlds.drive`.
+
+    Args:
+        driver: The driver.
+        scenes: The scene of each world.
+        frame_count: Number of driven frames, including the first.
+    """
+
+    def __init__(self, driver: Driver, scenes: Sequence[Scene], frame_count: int) -> None:
+        self.body = driver.body
+        self.motion_count = len(driver.motions)
+        self._driver = driver
+        self._scale = np.array([motion.residual_rate for motion in driver.motions])
+        poses = [scene.body(driver.body).pose for scene in scenes]
+        kinds = list(dict.fromkeys(poses))
+        numbers = {pose: number for number, pose in enumerate(kinds)}
+        self._kinds = np.array([numbers[pose] for pose in poses])
+        self._starts = np.array([[*pose.position_m, *pose.quaternion] for pose in poses])
+        count = round((frame_count - 1) / FRAME_RATE_HZ / SAMPLE_INTERVAL_S)
+        paths = [_recorded_path(driver, pose, count, SAMPLE_INTERVAL_S) for pose in kinds]
+        self._paths = np.array(
+            [[[*pose.position_m, *pose.quaternion, *at, *by] for pose, at, by in path] for path in paths]
+        )
+        self.offsets = np.zeros((len(poses), self.motion_count))
+
+    def reset(self) -> None:
+        """Return to the recorded motion in all worlds."""
+        self.offsets[:] = 0.0
+
+    def interval(self, sample: int, actions: FloatArray) -> FloatArray:
+        """Return the motions of an interval for `Worlds.drive`, and add the displacements of the actions.
+
+        Args:
+            sample: Index of the interval.
+            actions: Normalized rate of each motion, shape [world_count, motion_count].
+
+        Returns:
+            Shape [world_count, 19]; worlds that share their motion may share its memory.
+        """
+        at = self._paths[:, sample]
+        rows = np.broadcast_to(at[0], (len(self._kinds), 19)) if len(at) == 1 else at[self._kinds]
+        moved = np.flatnonzero((self.offsets != 0.0).any(axis=1) | (actions != 0.0).any(axis=1))
+        if not len(moved):
+            return rows
+        starts, rates = self._starts[moved], actions[moved] * self._scale
+        before = self._driver.states(starts, sample * SAMPLE_INTERVAL_S, self.offsets[moved], rates)
+        self.offsets[moved] += rates * SAMPLE_INTERVAL_S
+        after = self._driver.states(starts, (sample + 1) * SAMPLE_INTERVAL_S, self.offsets[moved], rates)
+        rows = rows.copy()
+        rows[moved] = np.concatenate([before[:, :7], *_between(before, after, SAMPLE_INTERVAL_S)], axis=1)
+        return rows
+
+
 @lru_cache(maxsize=32)
 def _recorded_path(driver: Driver, start: Pose, count: int, interval_s: float) -> tuple[Interval, ...]:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
@@ -77,13 +131,18 @@ def _intervals(states: Sequence[tuple[Pose, FloatArray]], interval_s: float) -> 
         states: Pose and velocity at the ends of the intervals; each motion ends at the next pose.
         interval_s: Length of an interval [s].
     """
-    poses, velocities = [pose for pose, _ in states], np.array([velocity for _, velocity in states])
-    turns = Rotation.from_quat([pose.quaternion for pose in poses], scalar_first=True)
-    linear = np.diff([pose.position_m for pose in poses], axis=0) / interval_s
-    angular = (turns[1:] * turns[:-1].inv()).as_rotvec() / interval_s
-    starts, ends = velocities[:-1], velocities[1:]
-    miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
-    motions = starts + miss, (ends - starts) / interval_s
+    rows = np.array([[*pose.position_m, *pose.quaternion, *velocity] for pose, velocity in states])
+    motions = _between(rows[:-1], rows[1:], interval_s)
     for motion in motions:
         motion.flags.writeable = False
-    return tuple(zip(poses[:-1], *motions, strict=True))
+    return tuple(zip([pose for pose, _ in states[:-1]], *motions, strict=True))
+
+
+def _between(before: FloatArray, after: FloatArray, interval_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return velocity and acceleration of the motions from some states to others, shape [count, 6] each."""
+    turns = Rotation.from_quat(after[:, 3:7], scalar_first=True)
+    turns = turns * Rotation.from_quat(before[:, 3:7], scalar_first=True).inv()
+    linear, angular = (after[:, :3] - before[:, :3]) / interval_s, turns.as_rotvec() / interval_s
+    starts, ends = before[:, 7:], after[:, 7:]
+    miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
+    return starts + miss, (ends - starts) / interval_s

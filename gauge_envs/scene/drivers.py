@@ -244,23 +244,46 @@ class Driver:
             The pose; and the linear velocity of the body origin [m/s] and the angular velocity [rad/s] in the world
             frame, shape [6].
         """
-        position, rotation = np.asarray(start.position_m), start.rotation
-        linear, angular = np.zeros(3), np.zeros(3)
+        single = (np.zeros(len(self.motions)) if one is None else np.asarray(one) for one in (offsets, rates))
+        state = self.states(np.array([[*start.position_m, *start.quaternion]]), time_s, *(one[None] for one in single))[
+            0
+        ]
+        w, x, y, z = state[3:7].tolist()
+        return Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z)), state[7:]
+
+    def states(self, starts: FloatArray, time_s: float, offsets: FloatArray, rates: FloatArray) -> FloatArray:
+        """Return poses and velocities in many worlds at a time.
+
+        Args:
+            starts: Position [m] (3) and quaternion w x y z (4) in each world before anything moves, shape
+                [world_count, 7].
+            time_s: Time since the start of the episode [s].
+            offsets: Displacement of each motion by actions [m or rad], shape [world_count, motion_count].
+            rates: Rate of each motion due to actions [m/s or rad/s], shape [world_count, motion_count].
+
+        Returns:
+            Position, quaternion, linear velocity of the body origin [m/s] (3) and angular velocity [rad/s] (3) in the
+            world frame, shape [world_count, 13].
+        """
+        position, rotation = starts[:, :3], Rotation.from_quat(starts[:, 3:], scalar_first=True)
+        linear, angular = np.zeros_like(position), np.zeros_like(position)
         for index, motion in enumerate(self.motions):
-            value = motion.value(time_s) + (0.0 if offsets is None else float(offsets[index]))
-            rate = motion.rate(time_s) + (0.0 if rates is None else float(rates[index]))
+            value = (motion.value(time_s) + offsets[:, index])[:, None]
+            rate = (motion.rate(time_s) + rates[:, index])[:, None]
             axis = np.asarray(motion.axis)
             if motion.kind == "translate":
                 position = position + value * axis
                 linear = linear + rate * axis
             else:
                 own_rotation = Rotation.from_rotvec(value * axis)
-                arm = own_rotation.apply(position - motion.point_m)
+                # `Rotation.apply` of one rotation is this product, and of several another one with other last bits.
+                turn = own_rotation.as_matrix()
+                arm = np.matmul(turn, (position - motion.point_m)[:, :, None])[:, :, 0]
                 position = arm + motion.point_m
                 rotation = own_rotation * rotation
-                linear = own_rotation.apply(linear) + np.cross(rate * axis, arm)
-                angular = own_rotation.apply(angular) + rate * axis
-        return Pose.from_rotation(vector(position), rotation), np.concatenate([linear, angular])
+                linear = np.matmul(turn, linear[:, :, None])[:, :, 0] + np.cross(rate * axis, arm)
+                angular = np.matmul(turn, angular[:, :, None])[:, :, 0] + rate * axis
+        return np.concatenate([position, rotation.as_quat(scalar_first=True), linear, angular], axis=1)
 
     def speed_limit_m_per_s(self, body: RigidBody) -> float:
         """Return a bound on the speed of any point of the driven body [m/s]."""

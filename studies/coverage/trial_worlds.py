@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.evaluation.deviation import LEAST_OVERLAP, SHIFT_STEP_S
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 FloatArray = NDArray[np.float64]

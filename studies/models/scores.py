@@ -1,4 +1,4 @@
-"""Score every engine on the models and laws, with its default settings and out of the box, and write `scores.csv`.
+"""Score every engine on the models, with its default settings and out of the box, and write `scores.csv`.
 
     python studies/models/scores.py run --out FOLDER [--ids 'Foam*'] [--engine newton] [--solved RUNS]
     python studies/models/scores.py write --out FOLDER
@@ -25,12 +25,12 @@ import numpy as np
 from gauge_envs.backends import backend
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.evaluation.deviation import Deviation, band_deviations
-from gauge_envs.evaluation.reference import reference_band
+from gauge_envs.evaluation.reference import band_grade, reference_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
 from gauge_envs.pages.text import BACKEND_TITLES
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import published_baselines
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -40,16 +40,16 @@ from build_convergence import supported
 from build_models import Level, digits, solve
 
 PRESETS = ("default", "out_of_box")
-COLUMNS = ("id", "grade", "engine", "preset", "rmse", "low_95", "high_95", "unit", "frames", "rmse_without", "scatter")
+COLUMNS = ("id", "engine", "preset", "rmse", "low_95", "high_95", "unit", "frames", "rmse_without", "scatter")
 TABLE = Path(__file__).with_name("scores.csv")
 
 
-def scored_ids(patterns: Sequence[str]) -> Iterator[tuple[str, BandGrade]]:
-    """Yield the ids whose reference is a model or a law."""
+def scored_ids(patterns: Sequence[str]) -> Iterator[str]:
+    """Yield the ids whose reference is a model."""
     for variant in variants():
-        band = reference_band(load_experiment(variant.name))
-        if band is not None and not band.grade.is_real and any(fnmatchcase(variant.name, one) for one in patterns):
-            yield variant.name, band.grade
+        is_wanted = any(fnmatchcase(variant.name, one) for one in patterns)
+        if is_wanted and band_grade(variant.name) is BandGrade.MODEL:
+            yield variant.name
 
 
 def installed() -> list[str]:
@@ -63,7 +63,7 @@ def installed() -> list[str]:
 
 def run(options: argparse.Namespace) -> int:
     """Run the episodes that the folder lacks."""
-    for name, _ in scored_ids(options.ids):
+    for name in scored_ids(options.ids):
         for engine in options.engine or installed():
             if not supported(name, engine):
                 continue
@@ -76,9 +76,12 @@ def run(options: argparse.Namespace) -> int:
                 if preset == "default" and done and done.exists():
                     shutil.copy(done, file)
                     continue
-                settings = {} if preset == "default" else {"preset": preset}
+                settings = {} if preset == "default" else backend(engine).configurations[preset]
                 level = Level(parameter="preset", factor=1.0, settings=settings)
-                values = solve(load_experiment(name), engine, level, limit_s=options.limit_s)
+                try:
+                    values = solve(load_experiment(name), engine, level, limit_s=options.limit_s)
+                except Exception as error:  # An engine that fails is a result.
+                    values = {"fault": f"{type(error).__name__}: {error}".splitlines()[0]}
                 content = io.BytesIO()
                 np.savez_compressed(content, **values)
                 write_whole(file, content.getvalue())
@@ -93,7 +96,7 @@ def score(name: str, engine: str, file: Path) -> tuple[Deviation | None, dict[st
     assert band is not None
     with np.load(file) as archive:
         fault, frames = str(archive["fault"]), np.asarray(archive["frames"]) if "frames" in archive.files else None
-    row: dict[str, Any] = {"id": name, "grade": band.grade.value, "engine": engine, "unit": band.unit}
+    row: dict[str, Any] = {"id": name, "engine": engine, "unit": band.unit}
     if fault or frames is None:
         return None, row | {"rmse": fault or "no frames"}
     times_s = np.arange(len(frames)) / FRAME_RATE_HZ
@@ -101,7 +104,7 @@ def score(name: str, engine: str, file: Path) -> tuple[Deviation | None, dict[st
     low, high = deviation.interval or (float("nan"), float("nan"))
     row |= {"rmse": digits(deviation.rmse), "low_95": digits(low), "high_95": digits(high)}
     row["frames"] = int(np.isfinite(band.mean).any(axis=1).sum())
-    if model is not None and band.grade is BandGrade.MODEL and engine in model.others:
+    if model is not None and engine in model.others:
         apart = band.project(frames) - model.others[engine]
         row["rmse_without"] = digits(float(np.sqrt(np.nanmean(np.square(apart).sum(axis=1)))))
     baseline = published_baselines(name).get("rmse")
@@ -113,7 +116,7 @@ def score(name: str, engine: str, file: Path) -> tuple[Deviation | None, dict[st
 def write(options: argparse.Namespace) -> int:
     """Write the table of scores, and print which differences the uncertainty of the references does not explain."""
     rows, apart = [], {preset: [0, 0] for preset in ("default", "out_of_box", "both")}
-    for name, _ in scored_ids(options.ids):
+    for name in scored_ids(options.ids):
         found: dict[tuple[str, str], Deviation] = {}
         for engine in BACKEND_TITLES:
             for preset in PRESETS:

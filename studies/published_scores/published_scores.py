@@ -23,7 +23,7 @@ from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.pages.text import markdown_row
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import ENGINES, published_baselines, published_variants
 from gauge_envs.runs.episodes import run_episode

@@ -21,7 +21,8 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs import load_experiment
-from gauge_envs.references.imported import load_imported, user_data_folder
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.user_data import user_data_folder
 
 FOLDERS = {
     "SlopeSlider-1-wood": "data/rigid/slope slider/json/wood/task-1",

@@ -44,14 +44,14 @@ DROPPED = {
 
 LISTED = """
 import os, signal
-from gauge_envs.tools.catalog import listing
+from gauge_envs.tools.catalog import overview
 
 
 def rows(*_, **__):
 {}
 
 
-listing.list_rows = rows
+overview.stored_rows = rows
 """
 """A list of experiments in which a library gets Ctrl-C."""
 
@@ -173,7 +173,7 @@ def test_an_engine_that_exits_ends_no_command_without_a_word(tmp_path: Path, mon
         raise SystemExit(0)
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("gauge_envs.tools.catalog.listing.list_rows", exits)
+    monkeypatch.setattr("gauge_envs.tools.catalog.overview.stored_rows", exits)
     result = CliRunner().invoke(app, ["list"])
     assert result.exit_code == 1
     assert "an engine or a library ended the command" in result.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import threading
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
@@ -15,6 +16,8 @@ from worlds import measured
 from gauge_envs import GaugeEnv
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.envs import lockstep
 from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.envs.vector import ScoreEpisodes
@@ -98,6 +101,64 @@ def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together:
     frames = many.unwrapped.experiment.frame_count
     # To the end with the scores, the restart, and into the next episode.
     assert_same_steps(many, loop, frames + 4)
+
+
+@pytest.mark.parametrize(
+    "name", ["Turntable-1-wood", "SlopeSlider-3-metal", "FoamShearing-soft", "TextileBending-satin"]
+)
+def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str, together: None) -> None:
+    """Also with actions, which differ between the worlds."""
+    count = 2 if name.startswith("Textile") else 3
+    many = gymnasium.make_vec(f"GAUGE/{name}", num_envs=count)
+    assert isinstance(many.unwrapped._lockstep, EpisodesAtOnce)
+    loop = SyncVectorEnv([lambda: GaugeEnv(name)] * count)
+    many.reset(seed=4)
+    loop.reset(seed=4)
+    draw = np.random.default_rng(0)
+    for frame in range(4):
+        actions = draw.uniform(-1.0, 1.0, many.action_space.shape) * (frame > 0)
+        actions[0] = 0.0
+        ours, theirs = many.step(actions), loop.step(actions)
+        assert ours[0].keys() == theirs[0].keys()
+        assert all(np.array_equal(ours[0][key], theirs[0][key]) for key in theirs[0])
+        assert all(np.array_equal(a, b) for a, b in zip(ours[1:4], theirs[1:4], strict=True))
+    for episode, env in zip(many.unwrapped.episodes, loop.envs, strict=True):
+        mine, its = episode.trajectory(), env.unwrapped.trajectory()
+        assert all(np.array_equal(getattr(mine, key), getattr(its, key)) for key in vars(mine))
+
+
+@pytest.mark.parametrize("name", ["GAUGE/SlopeSlider-3-metal", "GAUGE/FoamShearing-soft", "GAUGE/Push-Limit-wood"])
+def test_worlds_in_threads_have_the_bits_of_one_thread(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And the threads are used."""
+    steps, used = {}, set()
+    advance = SimulationMuJoCo._step
+
+    def noted(self: SimulationMuJoCo, count: int) -> None:
+        used.add(threading.get_ident())
+        advance(self, count)
+
+    monkeypatch.setattr(SimulationMuJoCo, "_step", noted)
+    for count in (1, 3):
+        monkeypatch.setattr(lockstep, "processors", lambda count=count: count)
+        used.clear()
+        envs = gymnasium.make_vec(name, num_envs=3)
+        envs.reset(seed=1)
+        actions = np.random.default_rng(0).uniform(-1.0, 1.0, (3, *envs.action_space.shape))
+        steps[count] = [envs.step(one.astype(envs.action_space.dtype))[:2] for one in actions]
+        assert (len(used) > 1) == (count > 1)
+        envs.close()
+    for (alone, reward), (shared, rewards) in zip(steps[1], steps[3], strict=True):
+        same = alone == shared if not isinstance(alone, dict) else {key: alone[key] == shared[key] for key in alone}
+        assert all(np.all(one) for one in (same.values() if isinstance(same, dict) else [same]))
+        assert np.array_equal(reward, rewards)
+
+
+def test_a_wrong_action_of_a_driven_world_at_once_is_named(together: None) -> None:
+    many = gymnasium.make_vec("GAUGE/Turntable-1-wood", num_envs=2)
+    many.reset(seed=0)
+    for wrong in (np.full((2, 1), 1.5), np.full((2, 1), np.nan), np.zeros((2, 2)), [[0.0], ["x"]]):
+        with pytest.raises(ActionError):
+            many.step(wrong)
 
 
 def test_a_world_that_diverges_at_once_ends_alone(together: None) -> None:

@@ -13,7 +13,7 @@ from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import MissingExtraError, ParameterError
 from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.resolve import with_trial
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episodes

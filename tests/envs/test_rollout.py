@@ -16,6 +16,7 @@ from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ActionError, BackendError, EpisodeError
+from gauge_envs.evaluation.worlds import device_array
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
 
@@ -28,6 +29,7 @@ class Recorded(Together):
     """MuJoCo simulations that record in arrays, as an engine does on its device."""
 
     can_record = True
+    on_device = False
     plant: Plant | None = None
 
     def record(self, names: Sequence[str], *, frame_count: int, samples: int, interval_s: float) -> Recording:
@@ -40,11 +42,15 @@ class Recorded(Together):
         positions, frames = states[..., :3].copy(), states[::samples].copy()
         if self.plant is not None:
             self.plant(positions, frames)
+        if self.on_device:
+            positions, frames = device_array(positions), device_array(frames)
         return Recording(device="cpu", positions_m=positions, states=frames)
 
 
-@pytest.fixture
-def together(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+@pytest.fixture(params=["numpy", "kernels"])
+def together(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest) -> Iterator[None]:
+    monkeypatch.setattr(Recorded, "on_device", request.param == "kernels")
+
     def build_worlds(self: BackendMuJoCo, scenes: Sequence[Scene], settings: Any = None) -> Worlds:
         return Recorded([self.build(scene, settings) for scene in scenes])
 

@@ -12,7 +12,8 @@ from scipy.optimize import fsolve
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.bar_law import CLAMP_DECAY, bar_band
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.bands import Band, SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import UniaxialLaw, law_for
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest

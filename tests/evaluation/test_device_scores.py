@@ -10,7 +10,7 @@ import pytest
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation import worlds
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.worlds import score_recording, score_worlds
+from gauge_envs.evaluation.worlds import device_array, score_recording, score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -82,11 +82,30 @@ def test_kernels_give_the_scores_of_numpy(name: str) -> None:
     experiment = load_experiment(name)
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
-    kernels = score_recording(experiment, band, positions_m=positions, rows=[0], sample_counts=counts)
+    kernels = score_recording(experiment, band, positions_m=device_array(positions), rows=[0], sample_counts=counts)
     host = on_the_host(experiment, band, positions, counts)
     assert_same(kernels, host)
     # Some laws end before the last frame, which is then not needed.
     assert np.flatnonzero(np.isnan(kernels["rmse"])).tolist() == ([8, 9] if np.isfinite(band.mean[-1]).any() else [9])
+
+
+def test_arrays_on_the_cpu_are_scored_without_kernels() -> None:
+    """NumPy's, and those of a library that hands them over by DLPack."""
+    experiment = load_experiment("SlopeSlider-2-wood")
+    band = reference_band(experiment)
+    positions, counts = recorded(experiment, band)
+    host = on_the_host(experiment, band, positions, counts)
+
+    class Handed:
+        def __dlpack__(self, **options: object) -> object:
+            return positions.__dlpack__(**options)
+
+        def __dlpack_device__(self) -> tuple[int, int]:
+            return positions.__dlpack_device__()
+
+    for array in (positions, Handed()):
+        found = score_recording(experiment, band, positions_m=array, rows=[0], sample_counts=counts)
+        assert all(np.array_equal(values, host[key], equal_nan=True) for key, values in found.items())
 
 
 @pytest.mark.parametrize("fault", ["one world shifted", "row of the band", "release offset", "range of shifts"])
@@ -105,7 +124,7 @@ def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(worlds, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
     else:
         counts[2:8] += 1
-    kernels = score_recording(experiment, band, positions_m=positions, rows=[0], sample_counts=counts)
+    kernels = score_recording(experiment, band, positions_m=device_array(positions), rows=[0], sample_counts=counts)
     with pytest.raises(AssertionError):
         assert_same(kernels, host)
 
@@ -116,7 +135,7 @@ def test_the_observed_body_is_chosen_among_several() -> None:
     positions, counts = recorded(experiment, band)
     among = np.ascontiguousarray(np.concatenate([positions + 1.0, positions, positions - 1.0], axis=2))
     one, other = (
-        score_recording(experiment, band, positions_m=array, rows=[row], sample_counts=counts)
+        score_recording(experiment, band, positions_m=device_array(array), rows=[row], sample_counts=counts)
         for array, row in ((positions, 0), (among, 1))
     )
     assert all(np.array_equal(one[key], other[key], equal_nan=True) for key in one)
@@ -131,7 +150,7 @@ def test_positions_of_another_shape_are_refused(change: str) -> None:
     positions = positions[:50].copy() if change == "length" else positions
     counts = counts[1:] if change == "worlds" else counts
     with pytest.raises(ShapeError, match="are needed"):
-        score_recording(experiment, band, positions_m=positions, rows=rows, sample_counts=counts)
+        score_recording(experiment, band, positions_m=device_array(positions), rows=rows, sample_counts=counts)
 
 
 @pytest.mark.parametrize(

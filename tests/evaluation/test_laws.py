@@ -12,7 +12,8 @@ from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.laws import distance_to_contact_m, free_flight, slide
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Box, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 

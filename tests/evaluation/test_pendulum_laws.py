@@ -16,7 +16,8 @@ from gauge_envs.backends import backend
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.pendulum_laws import Pendulum, chain_end_s, chain_motion, swing_motion
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import ChainLaw, SwingLaw, law_for, published_baselines
 from gauge_envs.scene import Pose
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2 as GRAVITY

@@ -17,6 +17,7 @@ from gauge_envs.errors import ReferenceFileError, TaskFileError, UnknownNameErro
 from gauge_envs.experiments import variants as module
 from gauge_envs.experiments.task_files import load_task, task_file_faults, task_spec
 from gauge_envs.experiments.variants import task_path, variants
+from gauge_envs.tools.catalog import overview
 
 EXAMPLE = ROOT / "examples" / "usd_experiment"
 
@@ -35,7 +36,8 @@ def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A copy of the folder of task files, which is read in place of the package's."""
     folder = tmp_path / "tasks"
     shutil.copytree(task_path("Pendulum").parent, folder)
-    monkeypatch.setattr(module, "task_files", lambda: tuple(sorted(folder.glob("*.toml"))))
+    for reader in (module, overview):
+        monkeypatch.setattr(reader, "task_files", lambda: tuple(sorted(folder.glob("*.toml"))))
     cached = (module._read_files, variants, task_spec)
     for function in cached:
         function.cache_clear()

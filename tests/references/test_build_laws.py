@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment, reference_band
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 

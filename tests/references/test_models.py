@@ -18,7 +18,7 @@ from gauge_envs.evaluation.score import score_trajectory
 from gauge_envs.files import data_folder
 from gauge_envs.pages.results import reality_lines
 from gauge_envs.references import models
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM, interpolated, packed, solved_model, unpacked
 from gauge_envs.tools.catalog.description import description
 

@@ -15,7 +15,8 @@ from gauge_envs.errors import ReferenceFileError, ShapeError, UnknownNameError
 from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource
+from gauge_envs.references.bands import Band, SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import (
     CarriedLaw,
     FlightLaw,

@@ -24,7 +24,8 @@ from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import data_folder
 from gauge_envs.references import tables
-from gauge_envs.references.bands import Band, BandGrade, SigmaSource, bundled_band
+from gauge_envs.references.bands import Band, SigmaSource, bundled_band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline, law_for, published_baselines
 from gauge_envs.scene.drivers import Driver
 

@@ -16,7 +16,8 @@ from gauge_envs import beyond_variants, load_experiment, variants
 from gauge_envs.evaluation.implied import fit_ringing, implied_parameters
 from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.files import data_folder
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.timing import FRAME_RATE_HZ

@@ -9,6 +9,7 @@ from interruption import interrupt_in_episode
 
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.runs import batch
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -91,6 +92,32 @@ def test_file_names_differ_between_requests(result):
         replace(result, backend="newton"),
     ]
     assert len({result_file_name(r) for r in [result, *others]}) == 8
+
+
+def test_jobs_at_once_give_the_same_bits_in_the_same_order(tmp_path):
+    requests = [RunRequest(name) for name in THREE]
+    alone, shared = (list(run_many(requests, jobs=jobs, out=tmp_path / str(jobs))) for jobs in (1, 2))
+    for one, other in zip(alone, shared, strict=True):
+        assert one.id == other.id
+        np.testing.assert_array_equal(one.trajectory.samples, other.trajectory.samples)
+        assert one.score == other.score
+    assert {file.name for file in (tmp_path / "2").iterdir()} == {file.name for file in (tmp_path / "1").iterdir()}
+
+
+def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monkeypatch):
+    workers = []
+
+    class Counted(batch.Worker):
+        def __init__(self, *args, **kwargs):
+            super().__init__(*args, **kwargs)
+            workers.append(self)
+
+    monkeypatch.setattr(batch, "Worker", Counted)
+    results = run_many([RunRequest(name) for name in (*THREE, SOFT)], jobs=2, out=tmp_path)
+    assert next(results).error is None
+    results.close()
+    assert len(workers) == 2
+    assert all(worker._process is None for worker in workers)
 
 
 @pytest.mark.usefixtures("rigid_only")

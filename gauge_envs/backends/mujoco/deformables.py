@@ -49,7 +49,7 @@ def add_deformables(spec: mujoco.MjSpec, scene: Scene, settings: SettingsMuJoCo)
         elif not isinstance(body, SoftBody):
             parts[body.name] = add_rod(spec, body, attachments=attachments, cell_m=settings.cell_m)
     for soft_row in soft_rows(scene):
-        part = add_soft(spec, soft_row, cell_m=settings.cell_m)
+        part = add_soft(spec, soft_row, grip_mass_kg=settings.kinematic_mass_kg, cell_m=settings.cell_m)
         parts |= dict.fromkeys(soft_row.names, part)
     return parts
 

@@ -77,6 +77,19 @@ def replay_note(
     )
 
 
+def add_grips(simulation: SimulationMuJoCo) -> list[str]:
+    """Add the nodes that move with driven bodies as custom numbers; return instructions for their use."""
+    notes = []
+    for grip in simulation.grips:
+        ids = [simulation.model.body(name).id for name in grip.names]
+        simulation.spec.add_numeric(name=f"grip/{grip.body}", size=len(ids), data=ids)
+        notes.append(
+            f"Nodes that move with {grip.body!r}: custom numeric 'grip/{grip.body}' holds the ids of their bodies."
+            f"\n    After each row of {grip.body!r} write their qpos, qvel and xfrc_applied as assets/README.md says."
+        )
+    return notes
+
+
 # --- compiled tables of deformable bodies ----------------------------------------------------------------------------
 
 

@@ -178,8 +178,31 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     ),
     # Deformable bodies: the integrator `discrete` treats elasticity implicitly. At 1/900 s the marker trajectories of a
     # flung cloth are within 0.5 mm of those at half the step for 2 s, and within 6 mm (rms) for a whole episode. Cells
-    # of 25 mm put a vertex under each marker.
-    "cloth": SettingsMuJoCo(preset="cloth", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0),
+    # of 25 mm put a vertex under each marker. Newton's method assembles and factors the stiffness of the whole cloth in
+    # every step, also without any contact; conjugate gradients multiply with it, and are twice as fast at the same
+    # tolerance (studies/cost). `iterations` also limits the inner solve with the stiffness, where a tolerance of 1e-6
+    # moves a flung satin by 0.005 mm (rms) in 1.3 s.
+    "cloth": SettingsMuJoCo(
+        preset="cloth",
+        timestep_s=1 / 900,
+        integrator="discrete",
+        cone="pyramidal",
+        impratio=1.0,
+        solver="CG",
+        iterations=2000,
+        tolerance=1e-6,
+    ),
+    # Bodies push into the cloth. Contacts need the smaller tolerance, and a larger one saves nothing here: the time
+    # goes into the assembly of the stiffness.
+    "cloth_probed": SettingsMuJoCo(
+        preset="cloth_probed",
+        timestep_s=1 / 900,
+        integrator="discrete",
+        cone="pyramidal",
+        impratio=1.0,
+        solver="CG",
+        iterations=2000,
+    ),
     # Dynamic bodies on cloth. Three requirements decide: a cube rests on a slope of 10 degrees, slides on 30 degrees,
     # and moves along with the cloth at constant speed. MuJoCo softens the contacts of light bodies: with its default
     # impedance, a cube of 0.34 kg on vertices of 0.3 g creeps by 15 mm/s on 10 degrees. With much stiffer contacts the
@@ -228,6 +251,34 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     ),
 }
 
+TRAINING = "training"
+"""Preset for many episodes; its numbers depend on the preset of the scene."""
+
+TRAINING_CHANGES: dict[str, dict[str, Any]] = {
+    # A slide ends within 0.6 mm of the default, at 1/1080 s within 7 mm: two steps then fill the time constant of
+    # contacts, and the cube hops.
+    "contact": {"timestep_s": 1 / 1800},
+    "impact_chain": {"timestep_s": 1 / 4500},
+    "contact_free": {"timestep_s": 1 / 540},
+    "stack": {"timestep_s": 1 / 540},
+    # With a quarter of the nodes and this step a flung satin is within 1 mm (rms) of the default for 2 s; cells alone
+    # make 0.8 mm of it. The collision radius grows with the displacement in a step.
+    "cloth": {"timestep_s": 1 / 540, "cell_m": 0.05, "cloth_fold_radius_m": 0.003},
+    "cloth_probed": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6},
+    "cloth_loaded": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6},
+    "drape": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6, "cloth_fold_radius_m": 0.003},
+    # Foam has the error of its cells: this step and this tolerance add a tenth to what they leave. Coarser cells are
+    # one or two across a block.
+    "soft": {"timestep_s": 1 / 180, "tolerance": 1e-6},
+    # A longer step needs as many more iterations.
+    "rod": {},
+    "rope": {"timestep_s": 1 / 1800},
+}
+"""What the preset `training` changes in the preset of a scene; `rope` stands for scenes with a rope.
+
+Chosen by distance to the default settings and cost; `scoring/convergence/mujoco.csv` has both for each id.
+"""
+
 CLOTH_CELL_M = 0.025
 """Default edge of a cloth's cells [m]."""
 
@@ -247,10 +298,12 @@ def _preset_name(scene: Scene) -> str:
         if cloths:
             touched = [set(c.first) | set(c.second) for c in scene.contacts if cloths & {*c.first, *c.second}]
             folds = any(cloths & set(c.first) & set(c.second) for c in scene.contacts)
-            if folds and set().union(*touched) - cloths:
+            bodies = set().union(*touched) - cloths
+            if folds and bodies:
                 return "drape"
-            loads = {body.name for body in scene.dynamic_bodies}
-            return "cloth_loaded" if loads & set().union(*touched) else "cloth"
+            if bodies & {body.name for body in scene.dynamic_bodies}:
+                return "cloth_loaded"
+            return "cloth_probed" if bodies else "cloth"
         if any(isinstance(body, SoftBody) for body in scene.deformables):
             return "soft"
         # A rope is a chain of constraints without elasticity, so it needs the short time step of contacts.
@@ -262,9 +315,16 @@ def _preset_name(scene: Scene) -> str:
     return "impact_chain" if scene.has_impact_chain else "contact"
 
 
+def _training_preset(scene: Scene) -> SettingsMuJoCo:
+    name = _preset_name(scene)
+    kind = "rope" if any(isinstance(body, Rope) for body in scene.deformables) else name
+    return PRESETS[name].model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[kind])
+
+
 def settings_for(scene: Scene, overrides: Mapping[str, Any] | None = None) -> SettingsMuJoCo:
     """Return the settings of a scene: its preset with the user's overrides."""
-    settings = resolve_settings("MuJoCo", PRESETS, preset=_preset_name(scene), changes=overrides)
+    presets = PRESETS | {TRAINING: _training_preset(scene)}
+    settings = resolve_settings("MuJoCo", presets, preset=_preset_name(scene), changes=overrides)
     check_installed(settings.model_dump(), overrides or {})
     if settings.cell_m is not None and (overrides or {}).get("cell_m") is not None:
         check_cells("MuJoCo", scene, settings.cell_m, node_limit=NODE_LIMIT, soft_nodes_per_edge=2)

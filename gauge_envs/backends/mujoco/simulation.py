@@ -43,7 +43,10 @@ class SimulationMuJoCo(Simulation):
         spec: The editable model, for export and inspection.
         model: The compiled model.
         data: MuJoCo's state of the model.
+        grips: Nodes of soft bodies that move with driven bodies.
     """
+
+    frees_python = True
 
     def __init__(
         self,
@@ -58,6 +61,8 @@ class SimulationMuJoCo(Simulation):
         self.data = mujoco.MjData(self.model)
         for part in dict.fromkeys(self._parts.values()):
             part.bind(self.model, self.data)
+        soft = [part for part in dict.fromkeys(self._parts.values()) if isinstance(part, SoftPartMuJoCo)]
+        self.grips = [grip for part in soft for grip in part.grips]
         self._timestep_s = float(settings["timestep_s"])
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
@@ -98,6 +103,9 @@ class SimulationMuJoCo(Simulation):
         speed[3:] = rotated_back(pose.quaternion, velocity[3:])
         # The mass and all moments of inertia of a driven body are the same number.
         force[:] = mass_kg * acceleration
+        for grip in self.grips:
+            if grip.body == body:
+                grip.follow()
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""

@@ -19,7 +19,7 @@ from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.scene import SoftBody
+from gauge_envs.scene import Motion, SoftBody
 
 LONE_CELLS = (4, 2)
 """Default cells along and across a single body: torsion of a 1:3.5 bar is within 3 % of theory, shear within 3 % of a
@@ -44,6 +44,53 @@ CONTACT_SOLIMP = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 through the foam with MuJoCo's default impedance, and by 0.2 mm with this one."""
 
 
+class Grip:
+    """The nodes of a soft body that move with a driven body: heavy point bodies, written before each interval.
+
+    As points of the driven body they would double the cost of a step: MuJoCo assembles the stiffness of a flex node by
+    node only if every node is fixed or a body with three slide joints along the world axes. Each node is as heavy as a
+    driven body, so that the foam does not move it.
+
+    Args:
+        body: Name of the driven body.
+        names: Names of the bodies of the nodes.
+    """
+
+    def __init__(self, body: str, names: Sequence[str]) -> None:
+        self.body, self.names = body, tuple(names)
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Look up the bodies in a compiled model."""
+        carrier, joint = model.body(self.body), model.joint(self.body)
+        place, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+        # Views of the pose, the velocity and the force of the driven body.
+        self._pose, self._speed = data.qpos[place : place + 7], data.qvel[speed : speed + 6]
+        self._force, self._mass_kg = data.xfrc_applied[carrier.id], float(carrier.mass[0])
+        self._nodes = np.array([model.body(name).id for name in self.names])
+        joints = model.body_jntadr[self._nodes][:, None] + np.arange(3)
+        self._addresses, self._freedoms = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
+        self._rest_m, self._masses_kg = model.body_pos[self._nodes], model.body_mass[self._nodes, None]
+        self._own_m = (self._rest_m - carrier.pos) @ _matrix(carrier.quat)
+        self._data = data
+
+    def follow(self) -> None:
+        """Write position, velocity and force of the nodes from those that were written for the driven body."""
+        turn, pose, speed, rates = _matrix(self._pose[3:]), self._pose, self._speed, self._force / self._mass_kg
+        arms, spin = self._own_m @ turn.T, turn @ speed[3:]
+        relative = np.cross(spin, arms)
+        self._data.qpos[self._addresses] = pose[:3] + arms - self._rest_m
+        self._data.qvel[self._freedoms] = speed[:3] + relative
+        pull = rates[:3] + np.cross(rates[3:], arms) + np.cross(spin, relative)
+        self._data.xfrc_applied[self._nodes, :3] = self._masses_kg * pull
+
+
+def _matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix of a rotation w, x, y, z, shape [3, 3]."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
+
+
 class SoftPartMuJoCo(FlexPart):
     """One soft body, or one soft row, of a MuJoCo model.
 
@@ -52,14 +99,21 @@ class SoftPartMuJoCo(FlexPart):
 
     Attributes:
         names: Names of the bodies, in their order along the soft row.
+        grips: Nodes that move with driven bodies.
     """
 
     def __init__(
-        self, flex: mujoco.MjsFlex, lattice: _Lattice, soft_row: SoftRow, points: Points, layers: Sequence[int]
+        self,
+        flex: mujoco.MjsFlex,
+        lattice: _Lattice,
+        soft_row: SoftRow,
+        points: Points,
+        layers: Sequence[int],
+        grips: Sequence[Grip],
     ) -> None:
         # The nodes are a regular grid of points, surface included.
         super().__init__(flex, lattice.grid_m(lattice.subdivisions), points)
-        self.names = soft_row.names
+        self.names, self.grips = soft_row.names, tuple(grips)
         self._lattice = lattice
         self._soft_row = soft_row
         self._layers = tuple(layers)
@@ -78,6 +132,12 @@ class SoftPartMuJoCo(FlexPart):
             first += count
         # Recompute the constants that MuJoCo derives from the stiffness.
         mujoco.mj_setConst(model, mujoco.MjData(model))
+
+    def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """Look up the joints of all nodes."""
+        super().bind(model, data)
+        for grip in self.grips:
+            grip.bind(model, data)
 
     def nodes(self) -> NDArray[np.float64]:
         """Return the current world positions of the grid of points [m], shape [node_count, 3]."""
@@ -148,6 +208,7 @@ def add_soft(
     spec: mujoco.MjSpec,
     soft_row: SoftRow,
     *,
+    grip_mass_kg: float,
     cell_m: float | None = None,
     damping_s: float = 1e-4,
 ) -> SoftPartMuJoCo:
@@ -156,6 +217,7 @@ def add_soft(
     Args:
         spec: Editable model that contains the rigid bodies.
         soft_row: The soft row.
+        grip_mass_kg: Mass of each node that moves with a driven body.
         cell_m: Largest edge of a cell [m]; None gives each body `LONE_CELLS` or `BONDED_CELLS` along and across.
         damping_s: Viscous part of the stress, as the time that multiplies the rate of strain [s].
     """
@@ -186,13 +248,20 @@ def add_soft(
         spec.body(node).mass = mass
     sections = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
     held: dict[int, RigidAttachment] = {}
+    grips = []
     for side, attachment in soft_row.ends.items():
-        held |= dict.fromkeys(sections[0 if side == "low" else -1].ravel().tolist(), attachment)
+        section = sections[0 if side == "low" else -1].ravel().tolist()
+        if attachment.motion is Motion.FIXED:
+            held |= dict.fromkeys(section, attachment)
+        else:
+            grips.append(Grip(attachment.body, [flex.nodebody[index] for index in section]))
+            for name in grips[-1].names:
+                spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
         _add_gripped_material(spec, flex, soft_row, side)
     points = Points(list(flex.nodebody), lattice.rest_m, held)
     flex.nodebody, flex.node = points.carriers()
     points.delete_held(spec)
-    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers)
+    return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips)
 
 
 def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) -> tuple[int, ...]:

@@ -288,6 +288,27 @@ PRESETS: dict[str, SettingsNewton] = {
 }
 
 
+TRAINING = "training"
+"""Preset for many episodes; its numbers depend on the preset of the scene."""
+
+TRAINING_CHANGES: dict[str, dict[str, Any]] = {
+    "rigid": {"timestep_s": 1 / 1800},
+    "impact_chain": {"timestep_s": 1 / 4500},
+    "contact_free": {"timestep_s": 1 / 540},
+    # The step is halved where a fabric needs it, as for the other presets.
+    "cloth": {"timestep_s": 1 / 360, "cell_m": 0.05},
+    "cloth_probed": {"timestep_s": 1 / 360, "cell_m": 0.05},
+    "cloth_loaded": {"timestep_s": 1 / 720, "cell_m": 0.05},
+    "soft": {"timestep_s": 1 / 900, "cell_m": 0.025},
+    "soft_row": {"timestep_s": 1 / 1800, "cell_m": 0.0125},
+    "rope": {"timestep_s": 1 / 3600, "cell_m": 0.02},
+    "rod": {"timestep_s": 1 / 1800, "iterations": 20},
+}
+"""What the preset `training` changes in the preset of a scene.
+
+Chosen by distance to the default settings and cost; `scoring/convergence/newton.csv` has both for each id.
+"""
+
 CLOTH_CELL_M = 0.025
 """Default edge of a cloth's cells [m]."""
 
@@ -365,8 +386,10 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
     A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
     halved until the iterations are enough, unless the changes define it.
     """
+    own = PRESETS[_preset_name(scene)]
+    training = own.model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[own.preset])
     is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
-    presets = PRESETS | {PAPER: _paper_preset(scene)} if is_paper else PRESETS
+    presets = PRESETS | {TRAINING: training} | ({PAPER: _paper_preset(scene)} if is_paper else {})
     settings = _with_cells(
         resolve_settings("Newton", presets, preset=_preset_name(scene), changes=changes),
         scene,

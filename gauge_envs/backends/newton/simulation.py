@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
+from typing import cast
 
+import newton
 import numpy as np
 import warp as wp
 from numpy.typing import NDArray
@@ -13,11 +15,10 @@ from gauge_envs.backends.base import Recording, Simulation, Worlds
 from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
 from gauge_envs.backends.newton.settings import SettingsNewton
-from gauge_envs.backends.newton.stepper import Stepper
+from gauge_envs.backends.newton.stepper import HostState, Stepper
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Motion, Pose, Scene
-from gauge_envs.scene.geometry import vector
 
 
 class _WorldNewton(PlacedWorld):
@@ -31,8 +32,9 @@ class _WorldNewton(PlacedWorld):
 
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; see `World.drive`."""
-        near = Pose(position_m=vector(np.subtract(pose.position_m, self._layout.origin_m)), quaternion=pose.quaternion)
-        self._stepper.drive(self._layout.rigid.bodies[body], near, velocity, acceleration)
+        near_m = np.subtract(pose.position_m, self._layout.origin_m)
+        motion = np.concatenate([near_m, pose.quaternion, velocity, acceleration])
+        self._stepper.drive(np.array([self._layout.rigid.bodies[body]]), motion[None])
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body if the solver supports it; see `World.apply_wrench`."""
@@ -160,6 +162,7 @@ class WorldsNewton(Worlds):
             name: np.array([layout.rigid.bodies[name] for layout in layouts], dtype=np.intp) for name in moving
         }
         self._origins_m = np.array([layout.origin_m for layout in layouts])[:, None]
+        self._layouts = layouts
         self._recorder: Recorder | None = None
 
     def reset(self, seed: int) -> None:
@@ -173,6 +176,21 @@ class WorldsNewton(Worlds):
     def advance(self, seconds: float) -> None:
         """Step the model, which contains all worlds."""
         self._stepper.advance(seconds)
+
+    def drive(self, body: str, motions: NDArray[np.float64], numbers: NDArray[np.intp]) -> None:
+        """Prescribe a kinematic body in some worlds; see `Worlds.drive`."""
+        near = motions.copy()
+        near[:, :3] -= self._origins_m[numbers, 0]
+        self._stepper.drive(self._bodies[body][numbers], near)
+
+    def nodes(self, name: str) -> NDArray[np.float64]:
+        """Return the nodes of a deformable body in all worlds, with one copy from the device."""
+        state = cast("newton.State", HostState(self._stepper.now))
+        return np.stack([layout.nodes(name, state) for layout in self._layouts])
+
+    def faults(self) -> dict[int, str]:
+        """Return no world: Newton does not report that it gave up a state."""
+        return {}
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies in all worlds, with one copy from the device."""

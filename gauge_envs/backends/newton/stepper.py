@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, cached_property
 from typing import Any
 
 import newton
@@ -80,8 +80,9 @@ class Stepper(ABC):
             self._acceleration = wp.zeros(count, dtype=wp.spatial_vector)
             body_q = model.body_q.numpy() if model.body_count else np.zeros((0, 7))
             self._start = wp.array(body_q[list(driven)].reshape(count, 7), dtype=wp.transform)
-        # The next `advance` sends all collected drives to the device at once.
-        self._commands: dict[int, tuple[Any, ...]] = {}
+        # The next `advance` sends all collected drives to the device at once, in the rows of `Worlds.drive`.
+        self._commands = np.zeros((count, 19))
+        self._has_command = np.zeros(count, dtype=np.bool_)
         self._current = 0
         self._graphs: list[Any] = []
         self._first: Snapshot = []
@@ -110,7 +111,7 @@ class Stepper(ABC):
     def reset(self) -> None:
         """Return to the start."""
         self._restore_arrays(self._first)
-        self._commands.clear()
+        self._has_command[:] = False
         self._current = 0
 
     def restart(self, world: int, world_count: int) -> None:
@@ -130,10 +131,15 @@ class Stepper(ABC):
                 values[world * size : (world + 1) * size] = first[world * size : (world + 1) * size]
                 array.assign(values)
 
-    def drive(self, body: int, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
-        """Prescribe a kinematic body from the next step on; see `World.drive`."""
-        w, x, y, z = pose.quaternion
-        self._commands[self._rows[body]] = ([*pose.position_m, x, y, z, w], velocity, acceleration)
+    def drive(self, bodies: NDArray[np.intp], motions: NDArray[np.float64]) -> None:
+        """Prescribe kinematic bodies from the next step on.
+
+        Args:
+            bodies: Their indices in the model.
+            motions: Their motions in the model's coordinates; see `Worlds.drive`.
+        """
+        rows = [self._rows[body] for body in bodies.tolist()]
+        self._commands[rows], self._has_command[rows] = motions, True
 
     def apply_wrench(self, body: int, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a body from the next step on; see `World.apply_wrench`."""
@@ -149,19 +155,19 @@ class Stepper(ABC):
             self._current = 1 - self._current
 
     def _send_commands(self) -> None:
-        if not self._commands:
+        rows = np.flatnonzero(self._has_command)
+        if not len(rows):
             return
-        rows = list(self._commands)
         elapsed = self._elapsed.numpy()
         elapsed[rows] = 0
         self._elapsed.assign(elapsed)
-        for array, values in zip(
-            (self._start, self._velocity, self._acceleration), zip(*self._commands.values(), strict=True), strict=True
-        ):
+        # Warp's quaternions are x, y, z, w.
+        columns = ([0, 1, 2, 4, 5, 6, 3], [*range(7, 13)], [*range(13, 19)])
+        for array, chosen in zip((self._start, self._velocity, self._acceleration), columns, strict=True):
             table = array.numpy()
-            table[rows] = values
+            table[rows] = self._commands[rows][:, chosen]
             array.assign(table)
-        self._commands.clear()
+        self._has_command[:] = False
 
     @property
     def now(self) -> newton.State:
@@ -181,14 +187,15 @@ class Stepper(ABC):
         """Return positions of body origins by index [m], shape [len(bodies), 3]."""
         return self.now.body_q.numpy()[bodies, :3].astype(np.float64)
 
-    def state(self) -> tuple[int, dict[int, tuple[Any, ...]], Snapshot]:
+    def state(self) -> tuple[int, Snapshot, Snapshot]:
         """Return a snapshot for `restore`."""
-        return self._current, dict(self._commands), [array.numpy().copy() for array in self._arrays()]
+        commands = [self._commands.copy(), self._has_command.copy()]
+        return self._current, commands, [array.numpy().copy() for array in self._arrays()]
 
-    def restore(self, state: tuple[int, dict[int, tuple[Any, ...]], Snapshot]) -> None:
+    def restore(self, state: tuple[int, Snapshot, Snapshot]) -> None:
         """Restore a snapshot that `state` returned."""
-        self._current, commands, snapshot = state
-        self._commands = dict(commands)
+        self._current, (commands, has_command), snapshot = state
+        self._commands[:], self._has_command[:] = commands, has_command
         self._restore_arrays(snapshot)
 
     # --- snapshots ---
@@ -230,6 +237,42 @@ class Stepper(ABC):
                 outputs=[body_q, body_qd],
                 device=self.model.device,
             )
+
+
+class HostState:
+    """A state whose arrays are copied from the device once, whoever reads them.
+
+    Args:
+        state: The state.
+    """
+
+    def __init__(self, state: newton.State) -> None:
+        self._state = state
+
+    @cached_property
+    def particle_q(self) -> HostArray:
+        """Positions of the particles."""
+        return HostArray(self._state.particle_q.numpy())
+
+    @cached_property
+    def body_q(self) -> HostArray:
+        """Poses of the rigid bodies."""
+        return HostArray(self._state.body_q.numpy())
+
+
+class HostArray:
+    """An array with the method of Warp's arrays that copies them.
+
+    Args:
+        values: The values on the host, which nobody changes.
+    """
+
+    def __init__(self, values: NDArray[Any]) -> None:
+        self._values = values
+
+    def numpy(self) -> NDArray[Any]:
+        """Return the values."""
+        return self._values
 
 
 def _arrays_in(root: Any, *, depth: int) -> Iterator[wp.array]:

@@ -18,7 +18,7 @@ from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.control.env import ControlEnv, Step
 from gauge_envs.envs.control.tasks import find_control_task
-from gauge_envs.envs.lockstep import check_length, run_frames
+from gauge_envs.envs.lockstep import WorldThreads, check_length, run_frames
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
@@ -188,6 +188,7 @@ class ControlWorlds:
         scenes = [env.experiment.scene for env in self.envs]
         engine = backend_for(backend, first.experiment.model_file)
         self._worlds = worlds_of(engine, scenes, settings, restart_alone=True)
+        self._threads = WorldThreads(self._worlds)
         self._readings: _Readings | None = None
         worlds = list(self._worlds.worlds)
         if not all(isinstance(one, Simulation) for one in worlds):
@@ -229,8 +230,8 @@ class ControlWorlds:
 
     def _advance(self, numbers: Iterable[int]) -> None:
         if self._readings is None:
-            for number in numbers:
-                cast("Simulation", self._worlds.worlds[number]).advance(SAMPLE_INTERVAL_S)
+            worlds = cast("Sequence[Simulation]", self._worlds.worlds)
+            self._threads.run(lambda number: worlds[number].advance(SAMPLE_INTERVAL_S), [*numbers])
         else:
             self._worlds.advance(SAMPLE_INTERVAL_S)
             self._readings.states = None

@@ -11,6 +11,7 @@ from pxr import Usd
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
 from gauge_envs.backends.mujoco.mjcf_writer import (
+    add_grips,
     add_stiffness_tables,
     exact_xml,
     replay_note,
@@ -71,8 +72,9 @@ def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, 
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 
-    Custom numbers `driver/<body>` hold the motion of driven bodies. Custom numbers `<table>/<body>/...` hold the
-    compiled tables of deformable bodies that MuJoCo cannot derive from XML. A comment at the top explains their use.
+    Custom numbers `driver/<body>` hold the motion of driven bodies, `grip/<body>` the nodes that move with them.
+    Custom numbers `<table>/<body>/...` hold the compiled tables of deformable bodies that MuJoCo cannot derive from
+    XML. A comment at the top explains their use.
     """
     text = mjcf_text(experiment)
     with os_errors(lambda cause: ResultFileError(f"{path}: cannot be written: {cause}: choose another path")):
@@ -102,6 +104,7 @@ def mjcf_text(experiment: TaskExperiment) -> str:
         name = f"{DRIVER_PREFIX}{driver.body}"
         simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
         notes.append(replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
+    notes += add_grips(simulation)
     root = exact_xml(simulation)
     root.set("model", experiment.name)
     comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated
 
 import typer
@@ -10,6 +10,7 @@ import typer
 from gauge_envs.cli import arguments
 from gauge_envs.cli.commands import LISTINGS, load
 from gauge_envs.cli.output import Format, message, note, print_document
+from gauge_envs.errors import TaskFileError
 
 
 def list_(
@@ -38,19 +39,23 @@ def list_(
 
 def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bool:
     """Print the experiments of patterns, and return whether a task file was skipped."""
-    from gauge_envs.experiments.task_files import task_file_faults
     from gauge_envs.experiments.variants import beyond_variants, matching_variants
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.references.bands import BandGrade
-    from gauge_envs.tools.catalog.listing import list_rows
-    from gauge_envs.tools.catalog.words import control_summary, list_table
+    from gauge_envs.references.grades import BandGrade
+    from gauge_envs.tools.catalog.overview import control_summary, list_table, stored_rows
 
-    faults = task_file_faults()
-    for fault in faults.values():
-        message(fault, "skipped")
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
-    found = list_rows([one for one in variants if one.family not in faults], notify=note)
+    faults: Mapping[str, TaskFileError] = {}
+    found = stored_rows(variants)
+    if found is None:
+        from gauge_envs.experiments.task_files import task_file_faults
+        from gauge_envs.tools.catalog.listing import list_rows
+
+        faults = task_file_faults()
+        for fault in faults.values():
+            message(fault, "skipped")
+        found = list_rows([one for one in variants if one.family not in faults], notify=note)
     rows = [row for row in found if not scored or row["grade"] != BandGrade.NONE]
     families = len({row["family"] for row in rows})
     lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]

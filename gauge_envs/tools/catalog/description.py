@@ -23,11 +23,12 @@ from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import json_ready
 from gauge_envs.pages.results import convergence_rows
-from gauge_envs.references.bands import BandGrade
-from gauge_envs.references.imported import DataSource, DriverRecord, has_import, load_imported
+from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.imported import DataSource, DriverRecord, load_imported
 from gauge_envs.references.limits import episode_costs, known_limits
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
+from gauge_envs.references.user_data import has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.drivers import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows

@@ -10,10 +10,10 @@ from gauge_envs.backends.base import with_declared
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import GaugeError, MissingExtraError
 from gauge_envs.evaluation.reference import band_grade
-from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.references.imported import has_import
+from gauge_envs.references.user_data import has_import
 from gauge_envs.runs.isolation import Worker
 
 QUERY_LIMIT_S = 60.0
@@ -30,18 +30,25 @@ def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = la
     experiments = {variant: load_experiment(variant) for variant in variants}
     lacking = {name: lacking_features(name, list(experiments.values()), notify) for name in backend_names()}
     return [
-        {
-            "id": variant.id,
-            "family": variant.family,
-            "group": experiment.spec.group.value,
-            "observable": experiment.score.observable.value,
-            "frames": experiment.frame_count,
-            "grade": band_grade(variant.name).value,
+        facts_of(experiment)
+        | {
             "imported": has_import(variant.name),
             "backends": {name: lacks[index] for name, lacks in lacking.items()},
         }
         for index, (variant, experiment) in enumerate(experiments.items())
     ]
+
+
+def facts_of(experiment: TaskExperiment) -> dict[str, Any]:
+    """Return what a row says of an experiment in any installation."""
+    return {
+        "id": experiment.variant.id,
+        "family": experiment.variant.family,
+        "group": experiment.spec.group.value,
+        "observable": experiment.score.observable.value,
+        "frames": experiment.frame_count,
+        "grade": band_grade(experiment.name).value,
+    }
 
 
 def engine_rows(experiment: Experiment) -> list[dict[str, Any]]:

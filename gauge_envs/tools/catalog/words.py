@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
 
 from gauge_envs.envs.arguments import EnvArguments
-from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part, Tone
 from gauge_envs.pages.results import convergence_text
@@ -21,12 +20,12 @@ from gauge_envs.pages.text import (
     pairs_text,
     plus_minus_text,
     quantity_text,
-    short_id,
     shortened,
     vector_text,
     with_unit,
 )
-from gauge_envs.references.bands import BandGrade, SigmaSource
+from gauge_envs.references.bands import SigmaSource
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
 SIGMA_NOTES = {
@@ -38,41 +37,6 @@ SIGMA_NOTES = {
 
 SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
 COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
-
-
-def list_table(rows: Sequence[Mapping[str, Any]]) -> Table:
-    """Return the rows of `list_rows` as a table."""
-    imported = [short_id(row["id"]) for row in rows if row["imported"]]
-    # An engine that runs nothing is not installed or broken; it is no exception in each row.
-    working = {name for row in rows for name, lacks in row["backends"].items() if not lacks}
-    return Table(
-        columns=(
-            Column("id", "id"),
-            Column("group", "group", wide_only=True),
-            Column("observable", "observable", wide_only=True),
-            Column("frames", "frames", is_number=True, wide_only=True),
-            Column("grade", "grade"),
-            Column("imported", "imported trials", lambda known: "yes" if known else "no", wide_only=True),
-            Column("backends", "runs on", partial(_usable_text, working=working)),
-        ),
-        rows=rows,
-        notes=(f"Real trials imported for {shortened(imported)}.",) if imported else (),
-    )
-
-
-def _usable_text(backends: Mapping[str, Sequence[str]], *, working: Collection[str]) -> str:
-    """Return the engines that run an experiment, of those that run any."""
-    usable = [name for name, lacks in backends.items() if not lacks]
-    others = [name for name, lacks in backends.items() if lacks and name in working]
-    if len(usable) > 2 and len(others) < 2:
-        return f"all {len(usable)}" if not others else f"all but {others[0]}"
-    return ", ".join(usable) or "none"
-
-
-def control_summary() -> str:
-    """Return the control tasks in a line."""
-    ids = [task.id for task in control_tasks()]
-    return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"
 
 
 def control_document(values: Mapping[str, Any]) -> Document:

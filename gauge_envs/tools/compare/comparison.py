@@ -23,7 +23,7 @@ from gauge_envs.pages.results import (
     score_interval,
 )
 from gauge_envs.pages.text import counted, short_id
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
 from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
 from gauge_envs.runs.result import Outcome, Result

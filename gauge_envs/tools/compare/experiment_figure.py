@@ -18,7 +18,8 @@ from gauge_envs.pages.figures import ENGINES, OURS, REAL, legend_above, new_figu
 from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, configuration_labels
 from gauge_envs.pages.svg import runs
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, score_text, short_id, with_unit
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result

@@ -17,7 +17,7 @@ from gauge_envs.evaluation.pendulum_laws import Pendulum
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Hinge, Motion, Plane, RigidBody, Scene, Sphere
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import DatasetError, MissingExtraError
-from gauge_envs.references.imported import user_data_folder
+from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.layout import write_revision
 
 DATASET = "InternRobotics/GAUGE-Dataset"

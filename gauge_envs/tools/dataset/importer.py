@@ -17,8 +17,9 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.files import json_ready, os_errors, read_regular
 from gauge_envs.observables.deformation import STATISTICS, marked_solid, trial_statistics
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
 from gauge_envs.references.deformation import DeformationReference
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import (
     DriverRecord,
     ImportFacts,

@@ -29,7 +29,8 @@ from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.motion_kinds import Change, recognized
 from gauge_envs.evaluation.reference import load_band, reference_band
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment

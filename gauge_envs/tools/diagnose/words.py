@@ -14,7 +14,7 @@ from gauge_envs.pages.figures import ENGINES, OURS, new_figure, tidy_axis
 from gauge_envs.pages.results import result_label
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id, with_unit
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.diagnose.model import MARKERS, SEVERAL_BODIES, BudgetStage, Diagnosis, StagePart
 

@@ -23,7 +23,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 

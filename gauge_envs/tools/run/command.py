@@ -14,10 +14,15 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.interrupts import EXIT_INTERRUPTED
 from gauge_envs.cli.output import Format, Progress, message, note, print_document, print_json_lines, stderr_console
 from gauge_envs.errors import ParameterError, ResultFileError
+from gauge_envs.files import processors
 from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
+    from gauge_envs.runs.request import RunRequest
     from gauge_envs.runs.result import Result
+
+FEW_EPISODES = 20
+"""Most episodes of rigid bodies that run in this process by default."""
 
 
 def run(
@@ -38,6 +43,10 @@ def run(
     out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("results"),
     resume: Annotated[bool, typer.Option("--resume", help="Keep results that exist already.")] = False,
     limits: arguments.Limits = "",
+    jobs: Annotated[
+        int | None,
+        typer.Option(min=1, help="Experiments at once, each in a process; all processors by default for long runs."),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Run experiments, score them against reality, and write a result file for each.
@@ -94,6 +103,7 @@ def run(
         time_limit_s=TIME_LIMIT_S if time_s is None else time_s,
         memory_limit_gb=memory_gb,
         notify=note,
+        jobs=min(jobs or _default_jobs(requests), max(1, len(requests))),
     )
     try:
         with Progress("episodes", sum(request.repeats for request in requests), line_interval_s=0.0) as progress:
@@ -144,6 +154,13 @@ def score(
     if interpolated:
         note(f"{counted(interpolated, 'frame')} between samples: interpolated linearly")
     print_document(replace(summary_document([result]), rows=[result.to_dict(trajectory=False)]), form)
+
+
+def _default_jobs(requests: Sequence[RunRequest]) -> int:
+    """Return the number of processors; 1 for a few rigid episodes, which end before another process has started."""
+    episodes = sum(request.repeats for request in requests)
+    is_long = episodes > FEW_EPISODES or any(one.calibrated_experiment().scene.deformables for one in requests)
+    return processors() if is_long else 1
 
 
 def _totals(results: Sequence[Result], out: Path) -> str:

@@ -30,7 +30,7 @@ from gauge_envs.pages.text import (
     shortened,
     with_unit,
 )
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.result import Outcome, Result

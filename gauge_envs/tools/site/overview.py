@@ -11,7 +11,7 @@ from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, quantity_text
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare import (
     DIFFERENT,
     PUBLISHED,

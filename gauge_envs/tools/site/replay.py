@@ -20,7 +20,8 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.evaluation.reference_path import reference_path, reference_words
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.replay import Replay
 from gauge_envs.scene import (
     Box,

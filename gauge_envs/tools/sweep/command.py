@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import sys
@@ -29,6 +28,7 @@ from gauge_envs.cli.output import (
     print_json_lines,
 )
 from gauge_envs.errors import ParameterError
+from gauge_envs.files import processors
 from gauge_envs.pages.text import counted
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def sweep(
     if shard is not None:
         plan = part_of(plan, *_part(shard))
     if dry_run:
-        _show_plan(plan, out, workers or _processors(), retry_failed=retry_failed, form=form)
+        _show_plan(plan, out, workers or processors(), retry_failed=retry_failed, form=form)
         return False
     return _run(plan, spec, out, partial(_lanes, ray, workers, bounds), shard is not None, retry_failed, form)
 
@@ -157,18 +157,13 @@ def _part(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _processors() -> int:
-    """Return the number of processors that this process may use."""
-    return len(os.sched_getaffinity(0)) if sys.platform == "linux" else os.cpu_count() or 1
-
-
 def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list[Lane]:
     """Return the lanes, at most so many as there are tasks."""
     from gauge_envs.tools.sweep.lanes import WorkerLane, ray_lanes
 
     if ray is not None:
         return [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
-    return [WorkerLane(limits) for _ in range(min(workers or _processors(), most))]
+    return [WorkerLane(limits) for _ in range(min(workers or processors(), most))]
 
 
 def _write_slurm(

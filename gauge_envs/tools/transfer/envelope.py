@@ -22,7 +22,7 @@ from gauge_envs.evaluation.reference import band_grade
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Scene
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 

@@ -473,3 +473,42 @@ def test_frictions_that_neither_flex_nor_geoms_can_carry_are_declined() -> None:
     support = BackendMuJoCo().supports(replace(scene, contacts=(*scene.contacts, both)))
     assert "['other', 'textile'] touch each other and other bodies with different friction" in support.missing[0]
     assert BackendMuJoCo().supports(scene)
+
+
+# --- solver -----------------------------------------------------------------------------------------------------------
+
+
+def swung(settings: dict[str, object], duration_s: float = 0.3) -> np.ndarray:
+    """Nodes of a satin that a rod swings [m]."""
+    experiment = load_experiment("TextileFlinging-satin")
+    scene = replace(experiment.scene, deformables=(replace(experiment.scene.deformables[0], size_m=(0.5, 0.1)),))
+    simulation = BackendMuJoCo().build(scene, settings)
+    simulation.reset(0)
+    path = DriverPath(scene.drivers[0], scene, experiment.frame_count)
+    for sample in range(round(duration_s / SAMPLE_INTERVAL_S)):
+        simulation.drive("rod", *path.interval(sample, np.zeros(path.motion_count)))
+        simulation.advance(SAMPLE_INTERVAL_S)
+    return simulation.nodes("textile")
+
+
+def test_the_contents_of_a_scene_choose_the_solver_of_cloth() -> None:
+    alone, loaded = load_experiment("TextileBending-satin").scene, load_experiment("TableclothPulling-wood").scene
+    probed = load_experiment("TextileStretching-satin").scene
+    for scene, changes, preset, solver in (
+        (alone, {}, "cloth", "CG"),
+        (alone, {"solver": "Newton"}, "cloth", "Newton"),
+        (probed, {}, "cloth_probed", "CG"),
+        (loaded, {}, "cloth_loaded", "Newton"),
+        (load_experiment("FoamTwisting-soft").scene, {}, "soft", "Newton"),
+    ):
+        settings = BackendMuJoCo().resolved_settings(scene, changes)
+        assert (settings["preset"], settings["solver"]) == (preset, solver)
+
+
+def test_conjugate_gradients_move_cloth_like_newtons_method() -> None:
+    tight = swung({"solver": "Newton", "tolerance": 1e-12})
+    assert np.abs(tight - swung({}, 0.0)).max() > 0.01, "the cloth swings"
+    # A tenth of what half the step moves a flung cloth in 2 s, 0.5 mm.
+    assert np.abs(swung({}) - tight).max() < 5e-5
+    assert np.abs(swung({"tolerance": 1e-8}) - tight).max() < 5e-6
+    assert np.abs(swung({"iterations": 1}) - tight).max() > 5e-5, "one iteration does not solve a step"

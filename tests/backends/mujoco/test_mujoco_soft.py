@@ -32,7 +32,7 @@ def part_of(
     with pytest.MonkeyPatch.context() as patch:
         for name in ("LONE_CELLS", "BONDED_CELLS"):
             patch.setattr(soft, name, cells or getattr(soft, name))
-        return add_soft(spec, row, damping_s=damping_s)
+        return add_soft(spec, row, grip_mass_kg=1e3, damping_s=damping_s)
 
 
 class Bench:
@@ -79,6 +79,8 @@ class Bench:
         self.data.qpos[position : position + 3] = move_m
         self.data.qpos[position + 3 : position + 7] = (turn or Rotation.identity()).as_quat(scalar_first=True)
         self.data.qvel[speed : speed + 6] = 0.0
+        for grip in self.part.grips:
+            grip.follow()
 
     def run(self, seconds: float, path: Callable[[float], tuple] = lambda time: ([0, 0, 0], None)) -> None:
         """Simulate while the driven plate follows a path, placed at 180 Hz."""
@@ -93,8 +95,12 @@ class Bench:
         self.run(0.5, lambda time: (move_m, turn))
         self.place(move_m, turn)
         mujoco.mj_forward(self.model, self.data)
-        speed = int(self.model.joint("high").dofadr[0])
-        return -self.data.qfrc_passive[speed : speed + 6]
+        ids = [self.model.body(name).id for grip in self.part.grips for name in grip.names]
+        dofs = self.model.body_dofadr[ids][:, None] + np.arange(3)
+        # `qfrc_spring` and `qfrc_damper` without the compensation of the nodes' weight.
+        forces = -(self.data.qfrc_spring + self.data.qfrc_damper)[dofs]
+        torques = np.cross(self.data.xpos[ids] - np.asarray(move_m), forces)
+        return np.concatenate([forces.sum(axis=0), torques.sum(axis=0)])
 
 
 def static(*bodies: SoftBody, **options) -> Bench:
@@ -197,6 +203,28 @@ def test_points_are_those_of_the_elements() -> None:
 
 def ramp(time: float, seconds: float) -> float:
     return min(time / seconds, 1.0)
+
+
+def test_a_driven_grip_moves_its_nodes_rigidly() -> None:
+    bench = Bench(block(), depth_m=0.01285)
+    end = bench.part.rest_m[:, 2] == bench.part.rest_m[:, 2].max()
+    turn = Rotation.from_rotvec([0.1, 0.2, 0.3])
+    bench.run(0.1, lambda time: ([0.001, 0.0, 0.002], turn))
+    expected = turn.apply(bench.part.rest_m[end]) + np.array([0.001, 0.0, 0.002])
+    # 10 N on 1000 kg move it by 0.15 um until the plate is placed again.
+    assert np.abs(bench.part.nodes()[end] - expected).max() < 1e-6
+    # At a steady rate the nodes have the velocity of the plate, and its acceleration towards the axis.
+    joint = bench.model.joint("high")
+    bench.place([0.0, 0.0, 0.0])
+    bench.data.qvel[joint.dofadr[0] : joint.dofadr[0] + 6] = [0.0, 0.0, 0.1, 0.0, 0.0, 2.0]
+    (grip,) = bench.part.grips
+    grip.follow()
+    ids = [bench.model.body(name).id for name in grip.names]
+    arms = bench.model.body_pos[ids]
+    dofs = bench.model.body_dofadr[ids][:, None] + np.arange(3)
+    assert bench.data.qvel[dofs] == pytest.approx(np.cross([0.0, 0.0, 2.0], arms) + np.array([0.0, 0.0, 0.1]))
+    inward = -4.0 * arms * [1.0, 1.0, 0.0]
+    assert bench.data.xfrc_applied[ids, :3] == pytest.approx(1e3 * inward)
 
 
 @pytest.mark.slow
@@ -356,4 +384,4 @@ def test_what_cannot_be_built_is_named(bodies: list[SoftBody], attachments: dict
     for name in ("low", "high"):
         spec.worldbody.add_body(name=name)
     with pytest.raises(UnsupportedSceneError, match=message):
-        add_soft(spec, SoftRow.of(bodies, attachments))
+        add_soft(spec, SoftRow.of(bodies, attachments), grip_mass_kg=1e3)

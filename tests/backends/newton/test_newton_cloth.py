@@ -159,7 +159,9 @@ class Bench:
     def step(self) -> None:
         for path in self.paths:
             for index in self.indices:
-                self.stepper.drive(index.bodies[path.body], *path.interval(self.sample, np.zeros(path.motion_count)))
+                pose, *motion = path.interval(self.sample, np.zeros(path.motion_count))
+                row = np.concatenate([pose.position_m, pose.quaternion, *motion])
+                self.stepper.drive(np.array([index.bodies[path.body]]), row[None])
         self.stepper.advance(SAMPLE_INTERVAL_S)
         self.sample += 1
 

@@ -8,7 +8,8 @@ import pytest
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ghost_trajectory, reference_path, reference_text
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 
 
 def band_along(direction: list[float], mean: list[float]) -> Band:

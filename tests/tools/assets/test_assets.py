@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
+import textwrap
 from collections.abc import Iterator
 from dataclasses import fields, replace
 from itertools import combinations, pairwise
@@ -610,6 +611,11 @@ def replayed(experiment: Experiment, text: str, frames: int) -> tuple[mujoco.MjD
             data.qpos[joint.qposadr[0] :][:7] = row[:7]
             data.qvel[joint.dofadr[0] :][:6] = row[7:13]
             data.xfrc_applied[model.body(path.body).id] = row[13:]
+            if f"grip/{path.body}" in text:
+                readme = (assets_folder() / "README.md").read_text(encoding="utf-8")
+                begin = readme.index("    base, turn, turned =")
+                lines = textwrap.dedent(readme[begin : readme.index("\n\n", begin)]).replace("base-2", path.body)
+                exec(lines, {"np": np, "mujoco": mujoco, "model": model, "data": data, "row": row})
         simulation.advance(1 / 180)
         mujoco.mj_step(model, data, nstep=steps)
     return data, simulation.data

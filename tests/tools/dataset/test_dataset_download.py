@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
 from gauge_envs.errors import DatasetError, MissingExtraError
-from gauge_envs.references.imported import user_data_folder
+from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.download import DATASET, PINNED_REVISION, download_dataset, resolved_revision
 from gauge_envs.tools.dataset.layout import find_trials
 

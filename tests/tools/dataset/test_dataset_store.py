@@ -17,7 +17,8 @@ from dataset_writer import synthetic_trials, trial_folder, write_synthetic, writ
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.references import imported
-from gauge_envs.references.imported import load_imported, user_data_folder
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials

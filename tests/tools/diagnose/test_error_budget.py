@@ -19,7 +19,8 @@ from gauge_envs.errors import ParameterError, ShapeError
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact
 from gauge_envs.pages.document import Terminal, as_rows
-from gauge_envs.references.bands import Band, BandGrade
+from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import carried_band, published_baselines
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest

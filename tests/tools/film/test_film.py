@@ -20,7 +20,7 @@ from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, RenderError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_words
-from gauge_envs.references.bands import BandGrade
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import ReplayError

@@ -1,0 +1,169 @@
+"""All costs that users wait for, each as a ratio in one run, with its limit. Exits 1 when one is beyond its limit.
+
+    python benchmarks/table.py [--only TEXT]
+
+Times are processor times, so that other programs matter little; those of threads and jobs are wall times, which need an
+idle machine, and are left out on a busy one. Limits with a reason:
+
+- a step over bare MuJoCo: a frame of the pendulum takes MuJoCo a quarter of a millisecond, and six samples, bounds,
+  reward and observation take Python 20 microseconds. Experiments whose frame takes longer are below 1.04;
+- dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
+  Here it is NumPy.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import subprocess
+import sys
+import time
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import dtw
+import gymnasium
+import numpy as np
+import step
+import worlds
+
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.envs import lockstep
+from gauge_envs.errors import MissingExtraError
+
+BUSY = 0.3
+"""Load of the machine from which wall times say nothing."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One cost.
+
+    Attributes:
+        what: What is measured, over what.
+        ratio: The ratio; None where it was not measured.
+        limit: Its limit.
+        is_least: Whether the limit is the least ratio, in place of the largest.
+    """
+
+    what: str
+    ratio: float | None
+    limit: float
+    is_least: bool = False
+
+    @property
+    def is_beyond(self) -> bool:
+        """Whether the ratio is beyond its limit."""
+        return self.ratio is not None and (self.ratio < self.limit if self.is_least else self.ratio > self.limit)
+
+
+def child_s(code: str) -> float:
+    """Return the processor time of a fresh interpreter that runs a program, the least of five [s]."""
+    times = []
+    for _ in range(5):
+        before = os.times()
+        subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
+        after = os.times()
+        times.append(after.children_user + after.children_system - before.children_user - before.children_system)
+    return min(times)
+
+
+def starts() -> Iterator[Row]:
+    """Yield the costs of an import and of commands, over an import of Gymnasium."""
+    gymnasium_s = child_s("import gymnasium")
+    yield Row("import gauge_envs / import gymnasium", child_s("import gauge_envs") / gymnasium_s, 1.3)
+    command = "import sys; sys.argv = ['gauge', 'list']; from gauge_command import main; main()"
+    yield Row("gauge list / import gymnasium", child_s(command) / gymnasium_s, 3.5)
+
+
+def steps() -> Iterator[Row]:
+    """Yield the cost of a step over that of bare MuJoCo."""
+    for name, limit in (("SlopeSlider-2-wood", 1.04), ("Turntable-1-wood", 1.06), ("Pendulum-metal", 1.1)):
+        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], limit)
+
+
+def warping() -> Iterator[Row]:
+    """Yield the cost of dynamic time warping over that of other libraries."""
+    first, second = dtw.inputs()["one motion, warped and noisy"]
+    calls = {"ours": lambda: dtw.dtw_path(first, second)} | dtw.competitors(first, second)
+    medians = dtw.cpu_medians_ms(calls, 31)
+    ours = medians.pop("ours")
+    for name, theirs in medians.items():
+        yield Row(f"dtw_path / {name}", ours / theirs, 1.3 if "from_metric" in name else 0.6)
+
+
+def many_worlds() -> Iterator[Row]:
+    """Yield the time of an environment step on an engine that costs nothing, over what it may take."""
+    worlds.clock = time.process_time
+    build = BackendMuJoCo.build_worlds
+    worlds.stub_engine()
+    try:
+        for name, most_us in (
+            ("SlopeSlider-2-wood", {64: 5.0, 1024: 1.0}),
+            ("Turntable-1-wood", {64: 5.0, 1024: 1.0}),
+            ("FoamShearing-soft", {64: 40.0, 1024: 40.0}),
+        ):
+            for count, limit_us in most_us.items():
+                row = worlds.measured("mujoco", count, {}, 2, name)
+                assert row is not None
+                yield Row(f"{name}, {count} worlds on the stub, us / {limit_us:g} us", row.host_us / limit_us, 1.0)
+    finally:
+        BackendMuJoCo.build_worlds = build  # type: ignore[method-assign]
+
+
+def threads() -> Iterator[Row]:
+    """Yield the speed of make_vec in threads over that in one thread."""
+    count = lockstep.processors()
+    for name, number, least in (("SlopeSlider-2-wood", 16, 0.9), ("TextileBending-satin", 2, 0.8)):
+        busy = os.getloadavg()[0] > BUSY * count or count < 2
+        ratio = None if busy else _one_thread_s(name, number, 1) / _one_thread_s(name, number, count)
+        yield Row(f"make_vec, {name}, {count} threads / one", ratio, least * min(count, number), is_least=True)
+
+
+def _one_thread_s(name: str, worlds_count: int, thread_count: int) -> float:
+    processors, lockstep.processors = lockstep.processors, lambda: thread_count
+    try:
+        envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds_count)
+    finally:
+        lockstep.processors = processors
+    envs.reset(seed=0)
+    actions, times = np.zeros(envs.action_space.shape, envs.action_space.dtype), []
+    for _ in range(10):
+        start = time.perf_counter()
+        envs.step(actions)
+        times.append(time.perf_counter() - start)
+    return statistics.median(times)
+
+
+PARTS: dict[str, Callable[[], Iterator[Row]]] = {
+    "starts": starts,
+    "threads": threads,
+    "steps": steps,
+    "warping": warping,
+    "worlds": many_worlds,
+}
+
+
+def main() -> int:
+    """Print the table, and return 1 if a ratio is beyond its limit."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--only", nargs="+", choices=PARTS, default=[*PARTS])
+    warnings.simplefilter("ignore")
+    has_failed = False
+    for part in parser.parse_args().only:
+        try:
+            for row in PARTS[part]():
+                ratio = "not measured" if row.ratio is None else f"{row.ratio:.2f}"
+                bound = f"{'at least' if row.is_least else 'at most'} {row.limit:g}"
+                print(f"{row.what:62} {ratio:>13} {bound:>14}{'  BEYOND' if row.is_beyond else ''}", flush=True)
+                has_failed |= row.is_beyond
+        except MissingExtraError as error:
+            print(f"{part}: {error}", file=sys.stderr)
+            has_failed = True
+    return int(has_failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
