@@ -300,9 +300,12 @@ def candidates_of(
     if not flagged:
         return []
     found: list[dict[str, Any]] = []
+    least: dict[str, Any] = {}
     if configuration.settings.get("iterations", math.inf) < FEW_ITERATIONS[0]["iterations"]:
+        # Other changes let a body slide that starts to move, and not one that has rested.
         found += [{k: v for k, v in few.items() if configuration.settings.get(k) != v} for few in FEW_ITERATIONS]
-    found += _greedy(flagged, others, dialect, named)
+        least = found[0]
+    found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
     if recommended := _recommended(configuration):
         # Of many, the last one is tried too.
         found = [*found[: MOST_CANDIDATES - 1], recommended]

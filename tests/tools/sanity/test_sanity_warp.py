@@ -133,13 +133,11 @@ def test_what_mends_few_iterations_is_measured_where_it_trains() -> None:
     (row,) = [row for row in report.rows if row.phenomenon == "slide-wood"]
     assert row.configured == pytest.approx(0.02, abs=0.02)
     assert report.cure is not None and "on mujoco_warp, where it trains" in report.cure.line
-    # The elliptic cone alone corrects the cube on MuJoCo's C engine, and not there.
-    assert set(report.cure.changes) != {"cone"}
+    # The elliptic cone alone lets this cube slide, and not one that has rested (studies/few_iterations).
+    assert report.cure.changes["iterations"] >= 4
     measurements = Measurements(BackendMuJoCoWarp())
     subject = subject_of(measurements, applied(trained, report.cure.changes)[0], phenomena(["slide-wood"])[0])
     assert subject.worst().value == pytest.approx(2.72, rel=0.02)
-    alone = subject_of(measurements, applied(trained, {"cone": "elliptic"})[0], phenomena(["slide-wood"])[0])
-    assert alone.worst().value < 1.0
     assert check(applied(trained, report.cure.changes)[0], only=["slide-wood"]).cure is None
 
 
