@@ -86,7 +86,9 @@ def test_commands_of_a_page(
             timeout=TIMEOUT_S,
             check=False,
         )
-        assert done.returncode == 0, f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
+        # A sanity check that finds flags ends with 1.
+        codes = (0, 1) if command.text.startswith("gauge sanity ") else (0,)
+        assert done.returncode in codes, f"{page}: {command.text}\n{done.stdout[-2000:]}\n{done.stderr[-2000:]}"
 
 
 def test_the_first_command_of_a_reader_is_run() -> None:

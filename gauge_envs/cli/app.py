@@ -18,7 +18,7 @@ from gauge_envs.cli.interrupts import (
     report_interrupt,
     was_interrupted,
 )
-from gauge_envs.cli.output import EXIT_FAILED, EXIT_USAGE, echo, message
+from gauge_envs.cli.output import EXIT_USAGE, echo, message
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 
@@ -47,7 +47,10 @@ def _below(name: str) -> list[str]:
 
 
 class _Command(typer.core.TyperCommand):
-    """Command whose function returns whether it failed. Its stdout holds its results only, whatever engines print."""
+    """Command whose function returns whether it failed, or its exit code.
+
+    Its stdout holds its results only, whatever engines print.
+    """
 
     def parse_args(self, ctx: Any, args: list[str]) -> Any:
         known = {option for one in self.params for option in (*one.opts, *one.secondary_opts)}
@@ -68,7 +71,8 @@ class _Command(typer.core.TyperCommand):
                 message(f"an engine or a library ended the command: SystemExit: {error}", "error")
                 has_failed = True
         if has_failed:
-            raise typer.Exit(EXIT_FAILED)
+            # True is a failure, and a number is the exit code itself.
+            raise typer.Exit(int(has_failed))
 
 
 class _Named(typer.core.TyperCommand):
@@ -133,7 +137,7 @@ app = typer.Typer(
     cls=_Root,
     name="gauge",
     epilog="Exit codes: 0 done; 1 done, with a failure that the help of the command describes; 2 the request cannot be "
-    "met; 130 interrupted.",
+    "met; 3 done, and not all could be measured; 130 interrupted.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

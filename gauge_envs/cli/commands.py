@@ -103,7 +103,6 @@ OLD_SPELLINGS = {
     "sweep --jobs": "--shard 16",
     "sanity --list": "gauge list phenomena",
     "sanity --all": "--only '*'",
-    "sanity --on-engine": "--backend mujoco_warp",
     "sanity judge --engine": "--label NAME",
     "recipe --list-materials": "gauge list materials",
     "recipe --material": "wood-on-wood",

@@ -39,6 +39,9 @@ LINE_INTERVAL_S = 5.0
 EXIT_FAILED = 1
 """The command ran, with a bad outcome: a failed episode or check, a damaged file, a stale asset."""
 
+EXIT_INCOMPLETE = 3
+"""The command ran, and not all that was asked for could be measured."""
+
 EXIT_USAGE = 2
 """The request is wrong: an unknown name, a missing file, an unsupported option."""
 

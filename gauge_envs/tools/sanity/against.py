@@ -24,7 +24,7 @@ from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.stated import GRAVITY_ROW
@@ -112,8 +112,15 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(asdict(self))
+        values: dict[str, Any] = json_ready(
+            asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed)))
+        )
         return values
+
+
+def _bare(configuration: TrainingConfiguration) -> TrainingConfiguration:
+    """Return a configuration without its model, which is not written."""
+    return replace(configuration, robot=None)
 
 
 def compare(
@@ -145,7 +152,7 @@ def compare(
         rows = [_step_row(sides)]
         if GRAVITY_ID in chosen:
             rows.append(_gravity_row(sides))
-        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID)]
+        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)]
         measured = {one.id: _measured_row(one, sides) for one in simulated}
     found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
     return Comparison(

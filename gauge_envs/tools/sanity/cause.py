@@ -1,4 +1,4 @@
-"""Find the responsible settings, and the change of a few settings that mends most flags.
+"""Find the responsible settings, and changes of a few settings that may mend flags.
 
 Settings are changed one at a time, or a few together, and phenomena are measured again.
 """
@@ -12,10 +12,11 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
+from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives, preset_label
 from gauge_envs.tools.sanity.measure import Measured, Measurements
-from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, Cure, SettingTrial, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.subject import Subject
@@ -273,26 +274,21 @@ LARGEST_DEVIATION = 1000.0
 """Deviation at which errors no longer count as larger."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Step:
-    """Changes added at once, and the number of flags that are mended with all changes so far."""
+MOST_CANDIDATES = 5
+"""Most sets of changes that are applied to the target."""
 
-    changes: Mapping[str, Any]
-    mended: int
-    source: str
+FEW_ITERATIONS = ({"iterations": 4, "ls_iterations": 20}, {"iterations": 4, "ls_iterations": 20, "cone": "elliptic"})
+"""Least iterations with which bodies slide as they should on engines for GPUs (studies/few_iterations)."""
 
 
-def find_cure(
+def candidates_of(
     configuration: TrainingConfiguration,
     flagged: Sequence[Subject],
     others: Sequence[Subject],
     dialect: Dialect,
     named: Collection[str] = (),
-) -> Cure | None:
-    """Return the change that mends most flagged rows; None when no change mends one.
-
-    Single changes are tried first, then further ones beside the best. If flags are left, or come instead, the settings
-    that this package recommends for the target are tried as a whole. Rows that were inside are measured again.
+) -> list[dict[str, Any]]:
+    """Return sets of changes that may mend flagged rows: single ones, further ones beside them, recommended settings.
 
     Args:
         configuration: The checked configuration.
@@ -302,28 +298,18 @@ def find_cure(
         named: Settings that are responsible for rows; of changes that mend as much, theirs come first.
     """
     if not flagged:
-        return None
-    steps = list(_greedy(flagged, others, dialect, named))
-    changes = {name: value for step in steps for name, value in step.changes.items()}
-    mended = steps[-1].mended if steps else 0
-    new = _new_flags(others, changes) if mended else ()
-    recommended = _recommended(configuration)
-    if recommended and (mended < len(flagged) or len(new) >= mended):
-        count = _score(flagged, recommended)[0]
-        if count > mended or (count and len(new) >= mended):
-            first = steps[:1] if count > mended else []
-            steps = [*first, _Step(changes=recommended, mended=count, source="this package's recommendation")]
-            changes, mended = recommended, count
-            new = _new_flags(others, changes)
-    if len(new) >= mended:
-        return None
-    return Cure(
-        changes=changes,
-        line=_line(configuration, steps, dialect, len(flagged), new),
-        flag_count=len(flagged),
-        mended_count=mended,
-        new_flags=new,
-    )
+        return []
+    found: list[dict[str, Any]] = []
+    least: dict[str, Any] = {}
+    if configuration.settings.get("iterations", math.inf) < FEW_ITERATIONS[0]["iterations"]:
+        # Other changes let a body slide that starts to move, and not one that has rested.
+        found += [{k: v for k, v in few.items() if configuration.settings.get(k) != v} for few in FEW_ITERATIONS]
+        least = found[0]
+    found += [{**least, **one} for one in _greedy(flagged, others, dialect, named)]
+    if recommended := _recommended(configuration):
+        # Of many, the last one is tried too.
+        found = [*found[: MOST_CANDIDATES - 1], recommended]
+    return list({json.dumps(json_ready(one), sort_keys=True): one for one in found[:MOST_CANDIDATES]}.values())
 
 
 def _greedy(
@@ -331,14 +317,14 @@ def _greedy(
     others: Sequence[Subject],
     dialect: Dialect,
     named: Collection[str],
-) -> Iterator[_Step]:
-    """Yield the single change that mends most, then further ones beside it; each must mend a further flag.
+) -> Iterator[dict[str, Any]]:
+    """Yield the single change that mends most, then it with further ones; each must mend a further flag.
 
     Of the changes that mend most, the one with the fewest new flags is taken.
     """
     candidates = [one for one in _candidates(flagged) if dialect.writes(one.name)]
     changes: dict[str, Any] = {}
-    left, mended = list(flagged), 0
+    left = list(flagged)
     while left and candidates and len(changes) < MOST_CHANGES:
         scored = [(_score(left, {**changes, one.name: one.value}), one) for one in candidates]
         scored.sort(key=lambda pair: _preference(pair[1], named, *pair[0]), reverse=True)
@@ -348,8 +334,7 @@ def _greedy(
         if not count:
             return
         changes[best.name] = best.value
-        mended += count
-        yield _Step(changes={best.name: best.value}, mended=mended, source=best.source)
+        yield dict(changes)
         left = [one for one in left if one.worst(changes).verdict is not Verdict.INSIDE]
         candidates = [one for one in candidates if one.name not in changes]
 
@@ -408,39 +393,3 @@ def _recommended(configuration: TrainingConfiguration) -> dict[str, Any]:
         if (tuple(was) if isinstance(was, list) else was) != value:
             changes[name] = value
     return changes
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
-
-
-def _line(
-    configuration: TrainingConfiguration, steps: Sequence[_Step], dialect: Dialect, flags: int, new: Sequence[str]
-) -> str:
-    parts = []
-    for number, step in enumerate(steps):
-        geoms = _geoms_that_change(configuration, step.changes)
-        text = dialect.paste_text(step.changes, geoms=geoms)
-        whole = step.source == "this package's recommendation"
-        if not number:
-            count = f"{step.mended} of {flags} flags go" if flags > 1 else "the one flag goes"
-            parts.append(f"{text}: {count}")
-        else:
-            parts.append(f"{'all of' if whole else 'with'} {text}{'' if whole else ' too'}: {step.mended} of {flags}")
-    sources = ", ".join(dict.fromkeys(step.source for step in steps))
-    harm = f"; new flags: {', '.join(new)}" if new else ""
-    return f"{'; '.join(parts)}{harm} (from {sources})"
-
-
-def _geoms_that_change(configuration: TrainingConfiguration, changes: Mapping[str, Any]) -> str:
-    """Return the geoms whose contact constants change, if there are several sets and not all change."""
-    sets = configuration.contact_sets
-    changing = [
-        geoms
-        for geoms, settings in sets.items()
-        if any(name in settings and _plain(settings[name]) != _plain(value) for name, value in changes.items())
-    ]
-    return "; ".join(changing) if len(changing) < len(sets) else ""
-
-
-def _plain(value: Any) -> Any:
-    return tuple(value) if isinstance(value, list | tuple) else value

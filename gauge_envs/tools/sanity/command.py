@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, echo, message, print_document
+from gauge_envs.cli.output import EXIT_FAILED, EXIT_INCOMPLETE, Format, Progress, echo, message, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -19,10 +19,16 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity import Report
 
 
-class OtherEngine(StrEnum):
-    """Engine on which flagged rows are run again."""
+class ReportFormat(StrEnum):
+    """Format of a sanity check on stdout."""
 
-    MUJOCO_WARP = "mujoco_warp"
+    TEXT = "text"
+    WIDE = "wide"
+    MARKDOWN = "markdown"
+    JSON = "json"
+    JUNIT = "junit"
+    SARIF = "sarif"
+    GITHUB = "github"
 
 
 class FailOn(StrEnum):
@@ -33,7 +39,14 @@ class FailOn(StrEnum):
     NEVER = "never"
 
 
-FailOnOption = Annotated[FailOn, typer.Option(help="Exit code 1 when a phenomenon is at least as bad as this.")]
+FailOnOption = Annotated[
+    FailOn | None, typer.Option(help="Exit code 1 when a row is at least as bad; visible, with --against never.")
+]
+
+ReportForm = Annotated[
+    ReportFormat,
+    typer.Option("--format", help="wide has all columns; --json is short for json; junit, sarif, github for CI."),
+]
 
 BaselineOption = Annotated[
     Path | None, typer.Option(metavar="FILE", help="JSON of an earlier run; exit code 1 on regressions only.")
@@ -62,28 +75,23 @@ def sanity(
         str | None, typer.Option(metavar="TARGET", help="Where the policy runs: report what changes to this target.")
     ] = None,
     only: arguments.Only = None,
-    fail_on: FailOnOption = FailOn.NEVER,
+    fail_on: FailOnOption = None,
     baseline: BaselineOption = None,
     limits: Annotated[
         str, typer.Option(metavar="TIME", help="Start no simulation after this time, as 60s; decline other rows.")
     ] = "",
-    backend: Annotated[
-        OtherEngine | None,
-        typer.Option(help="Run flagged rows of a MuJoCo model again, which takes a minute."),
-    ] = None,
     out: OutOption = None,
-    form: arguments.Form = Format.TEXT,
-) -> bool:
+    form: ReportForm = ReportFormat.TEXT,
+) -> int:
     """Report which physics a training configuration gets wrong, and what corrects it.
 
     Runs measured objects with the numerical settings of the target and of this package's presets, and compares both
     with real trials and laws; gauge list phenomena shows them. Deformable bodies, which take longer, are checked where
-    a pattern of --only is '*' or names them alone. Exit code 1 for a phenomenon as bad as --fail-on states, for a
-    regression from --baseline, or when nothing could be measured.
+    a pattern of --only is '*' or names them alone. Exit code 0 when all that was asked for was measured and passed, 1
+    for a row as bad as --fail-on states or farther from reality than in --baseline, 3 when rows were not measured.
     """
     from gauge_envs.tools.sanity import check, configuration
     from gauge_envs.tools.sanity.phenomena import selection
-    from gauge_envs.tools.sanity.stacks import compiled_model
 
     if target is None:
         raise ParameterError("no target is given: name one, as in gauge sanity HalfCheetah-v5")
@@ -96,7 +104,7 @@ def sanity(
             raise ParameterError("--against goes with neither --baseline nor --pair: leave them out")
         files = arguments.by_suffix(out, ".md", ".json")
         return _compare(target, against, common | {"time_limit_s": time_limit_s}, fail_on, files, form)
-    is_bad, files = _judged_by(fail_on, baseline), _checked_files(out)
+    exit_code, files = _judged_by(fail_on, baseline), _checked_files(out)
     geoms = None if pair is None else tuple(map(str.strip, pair.split(",")))
     if geoms is not None and (len(geoms) != 2 or not all(geoms)):
         raise ParameterError(f"--pair {pair!r}: expected the names of two geoms, as floor,foot")
@@ -105,13 +113,8 @@ def sanity(
         report = check(
             checked, notify=lambda row: progress.advance(row.phenomenon), time_limit_s=time_limit_s, **common
         )
-        if backend is not None:
-            from gauge_envs.tools.sanity.mujoco_warp_run import with_mujoco_warp
-
-            progress.show(backend.value)
-            report = with_mujoco_warp(report, model=compiled_model(target))
     _print_report(report, form, files)
-    return is_bad(report)
+    return exit_code(report)
 
 
 def _with_deformables(patterns: Sequence[str]) -> bool:
@@ -132,47 +135,69 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
     return files
 
 
-def _print_report(report: Report, form: Format, files: Mapping[str, Path]) -> None:
-    from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.sanity.words import sanity_document, sanity_page
+def _print_report(report: Report, form: ReportFormat, files: Mapping[str, Path]) -> None:
+    from gauge_envs.pages.document import Document, Paragraph, save_file
+    from gauge_envs.tools.sanity.formats import WRITERS
+    from gauge_envs.tools.sanity.words import is_clean, sanity_document, sanity_page, top_line
 
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
-    print_document(sanity_document(report), form, files=files, writers=writers)
+    shown = sanity_document(report)
+    if form is ReportFormat.TEXT and is_clean(report):
+        line = Paragraph(f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s")
+        shown = Document(parts=(line,), rows=shown.rows, markdown=shown.markdown)
+    if form.value in WRITERS:
+        echo(WRITERS[form.value](report))
+        shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)
+    printed = Format.TEXT if form.value in WRITERS else Format(form.value)
+    print_document(shown, printed, files=files, writers=writers)
 
 
-def _judged_by(fail_on: FailOn, baseline: Path | None) -> Callable[[Report], bool]:
-    """Return what decides whether a check fails, and prints regressions from a baseline."""
+def _judged_by(fail_on: FailOn | None, baseline: Path | None) -> Callable[[Report], int]:
+    """Return what decides the exit code of a check, and prints regressions from a baseline."""
     from gauge_envs.tools.sanity import Verdict
     from gauge_envs.tools.sanity.run import read_baseline, regressions
 
     before = None if baseline is None else read_baseline(baseline)
-    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.VISIBLE: (Verdict.WRONG, Verdict.VISIBLE), FailOn.NEVER: ()}
+    bad = {FailOn.WRONG: (Verdict.WRONG,), FailOn.NEVER: ()}.get(
+        fail_on or FailOn.VISIBLE, (Verdict.WRONG, Verdict.VISIBLE)
+    )
 
-    def is_bad(report: Report) -> bool:
-        if report.worst is Verdict.DECLINED and any(row.applies for row in report.rows):
-            return True
-        if before is None:
-            return report.worst in bad[fail_on]
-        worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
-        for row in worse:
-            was = before.get(row.phenomenon, Verdict.DECLINED)
-            message(f"regression: {row.phenomenon}: {row.verdict.value}, was {was.value}")
-        return bool(worse)
+    def exit_code(report: Report) -> int:
+        worse = [row for row in report.rows if row.is_flag and row.verdict in bad]
+        if before is not None:
+            worse = regressions(report, before, least=Verdict.WRONG if fail_on is FailOn.WRONG else Verdict.VISIBLE)
+            for row in worse:
+                was = before.get(row.phenomenon)
+                text = "not in the baseline" if was is None else f"{was:.3g} half-widths from reality at most"
+                message(
+                    f"regression: {row.phenomenon}: {row.verdict.value}, {row.deviation:.3g} half-widths; was {text}"
+                )
+        return EXIT_FAILED if worse else EXIT_INCOMPLETE if report.unmeasured else 0
 
-    return is_bad
+    return exit_code
 
 
 def _compare(
-    trained: str, deployed: str, options: dict[str, Any], fail_on: FailOn, files: Mapping[str, Path], form: Format
-) -> bool:
-    """Print what changes between two targets, and return whether a change is as large as --fail-on states."""
+    trained: str,
+    deployed: str,
+    options: dict[str, Any],
+    fail_on: FailOn | None,
+    files: Mapping[str, Path],
+    form: ReportFormat,
+) -> int:
+    """Print what changes between two targets, and return the exit code."""
     from gauge_envs.tools.sanity.against import Change, compare
     from gauge_envs.tools.sanity.words import against_document
 
     comparison = compare(trained, deployed, **options)
-    print_document(against_document(comparison), form, files=files)
-    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE), FailOn.NEVER: ()}
-    return any(row.change in bad[fail_on] for row in comparison.rows)
+    if form.value not in {one.value for one in Format}:
+        raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
+    print_document(against_document(comparison), Format(form.value), files=files)
+    bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
+        fail_on or FailOn.NEVER, ()
+    )
+    changes = {row.change for row in comparison.rows}
+    return EXIT_FAILED if changes & set(bad) else EXIT_INCOMPLETE if changes == {Change.UNKNOWN} else 0
 
 
 def list_phenomena(patterns: Sequence[str]) -> list[Table]:
@@ -225,19 +250,19 @@ def sanity_judge(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sanity export, with your motion.")],
     label: Annotated[str, typer.Option(metavar="NAME", help="Name of your simulator for the report.")] = "",
     only: arguments.Only = None,
-    fail_on: FailOnOption = FailOn.NEVER,
+    fail_on: FailOnOption = None,
     baseline: BaselineOption = None,
     out: OutOption = None,
-    form: arguments.Form = Format.TEXT,
-) -> bool:
+    form: ReportForm = ReportFormat.TEXT,
+) -> int:
     """Report which physics a simulator gets wrong, from its motion in exported scenes.
 
-    Exit code 1 for a phenomenon as bad as --fail-on states, for a regression from --baseline, or when nothing could be
-    measured. A scene without a motion file is declined.
+    Exit code 0 when all was measured and passed, 1 for a row as bad as --fail-on states or farther from reality than in
+    --baseline, 3 when rows were not measured. A scene without a motion file is not measured.
     """
     from gauge_envs.tools.sanity.exchange.judge import judge
 
-    files, is_bad = _checked_files(out), _judged_by(fail_on, baseline)
+    files, exit_code = _checked_files(out), _judged_by(fail_on, baseline)
     report = judge(folder, only=only or [], engine=label)
     _print_report(report, form, files)
-    return is_bad(report)
+    return exit_code(report)

@@ -30,6 +30,9 @@ SIMULATION_LIMIT_S = 600.0
 FAILURE_DEVIATION = 2.0 * VISIBLE_WITHIN
 """Least deviation of a failure of another kind; half of it is at the limit of `wrong`."""
 
+OF_CONTACTS = ("contact_", "condim", "cone", "impratio", "torsional_", "rolling_", "o_friction")
+"""Starts of names of settings without effect where nothing can touch."""
+
 _Run = Callable[[Backend, Scenario, Mapping[str, Any]], Any]
 
 
@@ -180,6 +183,8 @@ class Measurements:
 
 
 def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
+    if not scenario.scene.contacts:
+        settings = {name: value for name, value in settings.items() if not name.startswith(OF_CONTACTS)}
     return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
 
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
@@ -56,6 +57,8 @@ class Need(StrEnum):
     CONTACT = "contact"
     FRICTION = "friction"
     FOOT = "foot"
+    SPACE = "space"
+    """Motion in space, not in a plane along an axis of the world."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -202,6 +205,8 @@ class TrainingConfiguration:
         language: Name of the dialect in which changes are written; see `gauge_envs.tools.sanity.stacks`.
         foot_contact: Friction and restitution that a foot meets, as the target's materials state them; None if unknown.
         capacity: Limits of the memory for contacts, and what the target's model needs; None when it states no limit.
+        trains_on: Engine that the target trains on where it differs from `backend`, as `mujoco_warp`; empty otherwise.
+        robot: The target's own model, a `Robot`, which reports do not hold; None when it is not known.
     """
 
     name: str
@@ -220,6 +225,8 @@ class TrainingConfiguration:
     language: str = "toml"
     foot_contact: FootContact | None = None
     capacity: ContactCapacity | None = None
+    trains_on: str = ""
+    robot: Any = field(default=None, compare=False)
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
@@ -246,6 +253,7 @@ class Reality:
         rationale: Reason for the tolerance.
         scatter: Standard deviation of real trials, or standard uncertainty of one recording; None for a law.
         trial_count: Number of real trials; 0 for a law.
+        limits: The interval in words, where a value has a limit on one side; empty for centre and half-width.
     """
 
     kind: RealityKind
@@ -255,6 +263,7 @@ class Reality:
     rationale: str
     scatter: float | None = None
     trial_count: int = 0
+    limits: str = ""
 
     @classmethod
     def measured(cls, value: float, *, scatter: float, trial_count: int, source: str) -> Reality:
@@ -403,6 +412,7 @@ class PhenomenonResult:
         applies: Whether the phenomenon applies to the target.
         geoms: Geoms whose contact constants decide the row; empty when all contacts have the same.
         groups: Outcome for each set of contact constants; empty when all contacts have the same.
+        consequence: What a flag means for a policy, in one sentence; empty when the title says it.
     """
 
     phenomenon: str
@@ -421,11 +431,19 @@ class PhenomenonResult:
     applies: bool = True
     geoms: str = ""
     groups: tuple[GroupOutcome, ...] = ()
+    consequence: str = ""
 
     @property
     def is_flag(self) -> bool:
         """Whether the row is visible or wrong, and counts."""
         return self.verdict in (Verdict.VISIBLE, Verdict.WRONG) and not self.advisory
+
+    @property
+    def deviation(self) -> float:
+        """Distance from reality in half-widths of its interval; infinite for a failure, 0 if nothing was measured."""
+        if self.configured is None:
+            return 0.0 if self.verdict is Verdict.DECLINED else math.inf
+        return abs(self.configured - self.reality.value) / self.reality.tolerance
 
     @property
     def effect(self) -> float | None:
@@ -449,6 +467,7 @@ class Report:
         wall_s: Time that the check took [s].
         cure: The change that mends most rows; None when no row is flagged or no change mends one.
         notes: What limits the check, such as an expired time limit.
+        asked: Ids of rows that were asked for one by one.
     """
 
     configuration: TrainingConfiguration
@@ -457,6 +476,14 @@ class Report:
     wall_s: float
     cure: Cure | None = None
     notes: tuple[str, ...] = ()
+    asked: tuple[str, ...] = ()
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Ids of rows that apply, or were asked for by name, and were not measured; all rows when none was measured."""
+        declined = [row for row in self.rows if row.verdict is Verdict.DECLINED]
+        every = len(declined) == len(self.rows)
+        return tuple(r.phenomenon for r in declined if every or r.applies or r.phenomenon in self.asked)
 
     @property
     def worst(self) -> Verdict:
@@ -467,5 +494,7 @@ class Report:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(asdict(self))
-        return values | {"worst": self.worst.value}
+        bare = replace(self, configuration=replace(self.configuration, robot=None))
+        values: dict[str, Any] = json_ready(asdict(bare))
+        del values["configuration"]["robot"]
+        return values | {"worst": self.worst.value, "unmeasured": list(self.unmeasured)}

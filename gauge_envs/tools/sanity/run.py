@@ -12,7 +12,8 @@ from typing import Any
 
 from gauge_envs.errors import ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
-from gauge_envs.tools.sanity.cause import find_cause, find_cure
+from gauge_envs.tools.sanity.cause import candidates_of, find_cause
+from gauge_envs.tools.sanity.cured import Candidate, find_cure
 from gauge_envs.tools.sanity.measure import (
     Engine,
     Measured,
@@ -22,8 +23,16 @@ from gauge_envs.tools.sanity.measure import (
     result_of,
     simulation_limit_s,
 )
-from gauge_envs.tools.sanity.model import Cure, GroupOutcome, PhenomenonResult, Report, TrainingConfiguration, Verdict
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, phenomenon, selection
+from gauge_envs.tools.sanity.model import (
+    INSIDE_WITHIN,
+    Cure,
+    GroupOutcome,
+    PhenomenonResult,
+    Report,
+    TrainingConfiguration,
+    Verdict,
+)
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
 from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of
@@ -35,12 +44,13 @@ def check(
     only: Sequence[str] = (),
     include_deformables: bool = False,
     time_limit_s: float | None = None,
+    explain: bool = True,
     notify: Callable[[PhenomenonResult], None] | None = None,
 ) -> Report:
     """Return what physics a training configuration gets wrong, and which of its settings are responsible.
 
-    All phenomena are measured in the configuration first. Then come those of this package's preset, the causes, and the
-    change that mends most.
+    All phenomena are measured in the configuration first. Then come those of this package's preset and the causes where
+    a row is not inside, and the change that mends most, which is applied and measured.
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
@@ -48,6 +58,7 @@ def check(
         include_deformables: Whether to measure phenomena of deformable bodies.
         time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
             declined. It bounds each simulation of an engine of another package too. None for no limit.
+        explain: Whether to find the responsible settings and the change that mends most.
         notify: Function that is called with each row as soon as it is complete.
 
     Returns:
@@ -63,7 +74,7 @@ def check(
     chosen = selection(only, include_deformables=include_deformables)
     with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
-        run = _Run(measurements, configuration)
+        run = _Run(measurements, configuration, explain=explain)
         rows = []
         for row in run.rows(chosen):
             rows.append(row)
@@ -75,7 +86,7 @@ def check(
         refused = simulated and all(row.verdict is Verdict.DECLINED for row in simulated) and not run.is_cut_short
         if refused and any(row.default is not None for row in simulated):
             raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
-        cure = run.cure(rows)
+        cure = run.cure(rows) if explain else None
     return Report(
         configuration=configuration,
         rows=tuple(rows),
@@ -83,6 +94,7 @@ def check(
         wall_s=time.perf_counter() - started,
         cure=cure,
         notes=(f"the time limit, {time_limit_s} s, is reached: the check is incomplete",) if run.is_cut_short else (),
+        asked=tuple(name for name in chosen if name in only),
     )
 
 
@@ -92,9 +104,11 @@ class _Run:
     Args:
         measurements: Measurements on the backend.
         configuration: The checked configuration.
+        explain: Whether to find causes.
     """
 
-    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration) -> None:
+    def __init__(self, measurements: Measurements, configuration: TrainingConfiguration, *, explain: bool) -> None:
+        self._explain = explain
         self._measurements = measurements
         self._configuration = configuration
         self._subjects: list[Subject] = []
@@ -103,12 +117,13 @@ class _Run:
 
     def rows(self, chosen: Sequence[str]) -> Iterator[PhenomenonResult]:
         """Yield a row for each phenomenon, those on what the target states at the end."""
-        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID)]
+        stated = (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)
+        simulated = [phenomenon(name) for name in chosen if name not in stated]
         self._subjects = [subject_of(self._measurements, self._configuration, one) for one in simulated]
         outcomes = [self._in_time(one.measured) or {} for one in self._subjects]
         defaults = [
-            self._in_time(partial(self._measurements.measure, one.phenomenon, {})) if one.sets else None
-            for one in self._subjects
+            self._in_time(partial(self._measurements.measure, one.phenomenon, {})) if _is_off(outcome) else None
+            for one, outcome in zip(self._subjects, outcomes, strict=True)
         ]
         for subject, outcome, default in zip(self._subjects, outcomes, defaults, strict=True):
             yield self._row(subject, outcome, default)
@@ -122,11 +137,18 @@ class _Run:
         flagged = [one for one in self._subjects if one.phenomenon.id in flags & explained]
         others = [one for one in self._subjects if one.sets and one.phenomenon.id not in flags and not one.advisory]
         named = {name for row in rows if row.cause is not None for name in row.cause.settings}
-        cure = self._in_time(partial(find_cure, self._configuration, flagged, others, self._dialect, named))
-        for name, (text, changes) in stated_fixes(self._configuration, self._dialect).items():
-            if name in flags:
-                cure = _with_fix(cure, name, text, changes, flag_count=len(flags))
-        return cure
+        search = (self._configuration, flagged, others, self._dialect, named)
+        found = self._in_time(partial(candidates_of, *search)) or []
+        fixes = stated_fixes(self._configuration, self._dialect, flags)
+        texts = tuple(dict.fromkeys(text for name, (text, _) in fixes.items() if name != CAPACITY_ID))
+        changes = {key: value for _, several in fixes.values() for key, value in several.items()}
+        candidates = [Candidate(changes={**one, **changes}, texts=texts) for one in found]
+        if changes:
+            candidates.append(Candidate(changes=changes, texts=texts))
+        counted = {row.phenomenon: row.is_flag for row in rows if row.is_flag or row.verdict is Verdict.INSIDE}
+        cure = partial(find_cure, self._configuration, self._dialect, self._measurements, candidates, counted)
+        mended: Cure | None = self._in_time(cure) if candidates else None
+        return mended
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
         """Return the result of work; None when the time limit is reached."""
@@ -147,13 +169,16 @@ class _Run:
         if configured.rollout is None:
             # A rollout that diverges is wrong whatever the target states.
             advisory = ""
-        if not advisory and default is not None:
+        if self._explain and not advisory and default is not None:
             search = (self._measurements, phenomenon, subject.sets[geoms], configured, default, self._dialect)
             cause = self._in_time(partial(find_cause, *search))
+        # What an engine cannot simulate at all is no part of a check.
+        unknown = default is not None and {configured.verdict, default.verdict} == {Verdict.DECLINED}
         row = result_of(
             phenomenon,
             configured,
             default,
+            applies=not unknown,
             cause=cause,
             curve=curve_of(phenomenon, configured, default),
             advisory=advisory,
@@ -164,18 +189,9 @@ class _Run:
         return replace(row, geoms=geoms, groups=tuple(groups))
 
 
-def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], *, flag_count: int) -> Cure:
-    """Return a cure with a further change that mends one row on what the target states."""
-    if cure is None:
-        line = f"{text}: {f'1 of {flag_count} flags goes' if flag_count > 1 else 'the one flag goes'}"
-        return Cure(changes=changes, line=line, flag_count=flag_count, mended_count=1)
-    return replace(
-        cure,
-        changes={**cure.changes, **changes},
-        line=f"{cure.line}; and {text} for the row {name}",
-        flag_count=flag_count,
-        mended_count=cure.mended_count + 1,
-    )
+def _is_off(outcome: Mapping[str, Measured]) -> bool:
+    """Return whether an outcome needs that of the preset beside it."""
+    return any(one.verdict is not Verdict.INSIDE for one in outcome.values())
 
 
 # --- comparison with an earlier run ----------------------------------------------------------------------------------
@@ -183,12 +199,12 @@ def _with_fix(cure: Cure | None, name: str, text: str, changes: dict[str, Any], 
 MOST_BASELINE_BYTES = 16 * MEGABYTE
 """Largest size of a file with an earlier run."""
 
-RANKS = {Verdict.DECLINED: 0, Verdict.INSIDE: 0, Verdict.VISIBLE: 1, Verdict.WRONG: 2}
-"""Verdicts by how bad they are."""
+GROWTH = 1.0
+"""Growth of a deviation, in half-widths of the interval of reality, from which on a flagged row is a regression."""
 
 
-def read_baseline(path: Path) -> dict[str, Verdict]:
-    """Return the verdict of each row of an earlier run, by its id.
+def read_baseline(path: Path) -> dict[str, float]:
+    """Return the deviation of each row of an earlier run, in half-widths of the interval of reality, by its id.
 
     Args:
         path: File with the output of `gauge sanity TARGET --json`.
@@ -197,23 +213,33 @@ def read_baseline(path: Path) -> dict[str, Verdict]:
         content = read_regular(path, MOST_BASELINE_BYTES)
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
-        found = {line["phenomenon"]: Verdict(line["verdict"]) for line in lines if "phenomenon" in line}
-    except (TypeError, ValueError, KeyError) as error:
+        found = {line["phenomenon"]: _deviation(line) for line in lines if "phenomenon" in line}
+    except (TypeError, ValueError, KeyError, ZeroDivisionError) as error:
         raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
     if not found:
         raise TargetError(f"{path}: has no row; write it with gauge sanity TARGET --json > {path}")
     return found
 
 
-def regressions(report: Report, baseline: Mapping[str, Verdict], *, least: Verdict) -> list[PhenomenonResult]:
-    """Return the rows that count, are at least as bad as `least`, and are worse than in the baseline.
+def _deviation(line: Mapping[str, Any]) -> float:
+    verdict, value, reality = Verdict(line["verdict"]), line["configured"], line["reality"]
+    if verdict in (Verdict.INSIDE, Verdict.DECLINED):
+        return INSIDE_WITHIN
+    return math.inf if value is None else abs(value - reality["value"]) / reality["tolerance"]
 
-    A row that the baseline does not have, or that it declined, is compared with `inside`.
+
+def regressions(report: Report, baseline: Mapping[str, float], *, least: Verdict) -> list[PhenomenonResult]:
+    """Return flagged rows, at least as bad as `least`, that are farther from reality than in the baseline.
+
+    Farther is by more than a half-width of the interval, or out of the interval. A row that the baseline does not have,
+    or that it declined, is compared with `inside`.
     """
-    return [
-        row
-        for row in report.rows
-        if row.is_flag
-        and RANKS[row.verdict] >= RANKS[least]
-        and RANKS[row.verdict] > RANKS[baseline.get(row.phenomenon, Verdict.INSIDE)]
-    ]
+    counted = (Verdict.WRONG,) if least is Verdict.WRONG else (Verdict.WRONG, Verdict.VISIBLE)
+    worse = []
+    for row in report.rows:
+        before = baseline.get(row.phenomenon, INSIDE_WITHIN)
+        after = row.deviation
+        grown = after > before + GROWTH or before <= INSIDE_WITHIN
+        if row.is_flag and row.verdict in counted and grown:
+            worse.append(row)
+    return worse

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from contextlib import closing
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from math import floor
 from typing import Any
+
+import numpy as np
 
 from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
@@ -44,6 +46,8 @@ class Scenario:
         change: Function that changes the scene, for example removes a body.
         nodes_of: Deformable bodies whose nodes are recorded.
         engine_settings: Settings that belong to the scene, by name of the backend; those of a configuration come first.
+        released: Body that rests on a fixed one at the start. It starts apart by the margin of a configuration, at
+            which it settles; from a touching pose it would be thrown up.
     """
 
     name: str
@@ -54,6 +58,7 @@ class Scenario:
     change: Callable[[Scene], Scene] = field(default=_unchanged)
     nodes_of: tuple[str, ...] = ()
     engine_settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    released: str = ""
 
     @property
     def id(self) -> str:
@@ -64,6 +69,16 @@ class Scenario:
     def scene(self) -> Scene:
         """The scene, driven as the task file states."""
         return self.change(load_experiment(self.variant, self.parameters).scene)
+
+    def scene_with(self, settings: Mapping[str, Any]) -> Scene:
+        """Return the scene with the released body at the height at which the margin of settings lets it settle."""
+        apart_m = settings.get("contact_margin_m") or 0.0
+        if not (self.released and apart_m > 0.0):
+            return self.scene
+        body = self.scene.body(self.released)
+        x, y, z = (np.asarray(body.pose.position_m) + body.pose.rotation.apply([0.0, 0.0, apart_m])).tolist()
+        lifted = replace(body, pose=replace(body.pose, position_m=(x, y, z)))
+        return replace(self.scene, bodies=tuple(lifted if one is body else one for one in self.scene.bodies))
 
 
 def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout:
@@ -81,7 +96,7 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         simulation.reset(0)
         return record(
             simulation,
-            scenario.scene,
+            scenario.scene_with(settings),
             scenario.seconds,
             interval_s=float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)),
             nodes_of=scenario.nodes_of,
@@ -101,7 +116,7 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
         raise DeclinedError(support.missing)
     own = scenario.engine_settings.get(backend.name, {})
     try:
-        return backend.build(scenario.scene, {**own, **_with_interval(settings, scenario.interval_s)})
+        return backend.build(scenario.scene_with(settings), {**own, **_with_interval(settings, scenario.interval_s)})
     except ParameterError as error:
         raise DeclinedError((str(error),)) from error
     # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.

@@ -1,11 +1,11 @@
-"""Judge what a target states, which needs no rollout: its gravity, and the limits of its memory for contacts."""
+"""Judge what a target states, which needs none of the experiments: gravity, memory for contacts, its own robot."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,8 +21,11 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.sanity.robot.robot import Robot
 
 GRAVITY_ROW = PhenomenonResult(
     phenomenon=GRAVITY_ID,
@@ -65,6 +68,13 @@ STATED_ROWS = (GRAVITY_ROW, CAPACITY_ROW)
 LEAST_TILT_DEG = 0.1
 """Smallest tilt that is reported [degrees]."""
 
+EFFECTS = {
+    "robot-torque": ("robot-damping", "robot-frictionloss"),
+    "robot-density": ("robot-armature", "robot-inertia"),
+    "robot-bound": ("robot-inertia",),
+}
+"""Rows that show the fault of another row, which is mended alone."""
+
 SPARE = 1.25
 """Ratio of recommended limits and the counted need, since other motions may need more."""
 
@@ -72,24 +82,51 @@ SPARE = 1.25
 def stated_rows(
     configuration: TrainingConfiguration, dialect: Dialect, chosen: Sequence[str]
 ) -> list[PhenomenonResult]:
-    """Return the chosen rows on what a target states.
+    """Return the chosen rows on what a target states, and on its robot.
 
-    The row on the memory for contacts is left out where the target states no limit, unless it is the only one.
+    A row on the memory for contacts or on the robot is left out where the target states nothing of it, unless it is the
+    only one.
     """
     rows = [gravity_row(configuration, dialect)] if GRAVITY_ID in chosen else []
     if CAPACITY_ID in chosen and (configuration.capacity is not None or len(chosen) == 1):
         rows.append(capacity_row(configuration, dialect))
+    named = [name for name in ROBOT_IDS if name in chosen]
+    for name in named:
+        row = robot_row(name, configuration.robot)
+        if row.verdict is not Verdict.DECLINED or len(chosen) == 1:
+            rows.append(row)
     return rows
 
 
-def stated_fixes(configuration: TrainingConfiguration, dialect: Dialect) -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return the change that mends each of these rows, as text to paste and as settings."""
+def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
+    """Return a row on the target's own model; one that is not measured without a model."""
+    from gauge_envs.tools.sanity.robot import rollout
+    from gauge_envs.tools.sanity.robot.model_rows import ROWS, Finding, judged_row
+
+    assert rollout, "its rows are added as it is imported"
+    return judged_row(
+        name, Finding(declined="the target's own model is not read") if robot is None else ROWS[name](robot)
+    )
+
+
+def stated_fixes(
+    configuration: TrainingConfiguration, dialect: Dialect, flags: Collection[str]
+) -> dict[str, tuple[str, dict[str, Any]]]:
+    """Return the change that mends each flagged row, as text to paste and as settings."""
     upright = _upright_gravity(configuration)
     limits = {} if configuration.capacity is None else _capacity_changes(configuration.capacity)
-    return {
+    fixes: dict[str, tuple[str, dict[str, Any]]] = {
         GRAVITY_ID: (dialect.gravity_text(upright), {GRAVITY_ID: upright}),
         CAPACITY_ID: (dialect.paste_text(limits), limits),
     }
+    if configuration.robot is not None:
+        from gauge_envs.tools.sanity.robot.model_rows import ROWS
+
+        effects = {name for cause, several in EFFECTS.items() if cause in flags for name in several}
+        for name in sorted(set(flags) & set(ROWS) - effects):
+            if (found := ROWS[name](configuration.robot)).changes:
+                fixes[name] = (found.advice, dict(found.changes))
+    return {name: fix for name, fix in fixes.items() if name in flags}
 
 
 def _declined(row: PhenomenonResult, remark: str) -> PhenomenonResult:

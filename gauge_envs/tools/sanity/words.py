@@ -15,7 +15,7 @@ from gauge_envs.errors import MissingExtraError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone, as_html, page
 from gauge_envs.pages.html import Html, element, folded
 from gauge_envs.pages.table import Column, Facts, Place, Table, grid
-from gauge_envs.pages.text import quantity_text, vector_text, with_unit
+from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
 from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison
 from gauge_envs.tools.sanity.model import (
     Cause,
@@ -26,8 +26,8 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import phenomena, selection
-from gauge_envs.tools.sanity.stated import STATED_ROWS
+from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomena, selection
+from gauge_envs.tools.sanity.stated import STATED_ROWS, robot_row
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
@@ -39,6 +39,9 @@ VERDICT_NOTES = {
 ADVISORY_NOTE = "does not count for --fail-on: the target does not state what the row depends on"
 
 STYLES = {Verdict.INSIDE: "green", Verdict.VISIBLE: "yellow", Verdict.WRONG: "bold red", Verdict.DECLINED: "dim"}
+
+MOST_NAMED = 2
+"""Largest number of changes, or of rows that were not measured, that the first line names."""
 
 LEGEND = (
     "Reality: mean of real trials and the interval of 95 % of further trials, or a law and its tolerance (gauge list "
@@ -88,14 +91,28 @@ def top_line(report: Report) -> str:
         if any(row.cause is not None for row in report.rows):
             return f"{text}; no change that was tried mends one"
         return f"{text}: {', '.join(row.phenomenon for row in report.rows if row.is_flag)}"
-    measured = any(row.verdict is not Verdict.DECLINED for row in report.rows)
-    return "No flags: nothing to change" if measured else "Nothing was measured"
+    measured = sum(row.verdict is not Verdict.DECLINED for row in report.rows)
+    missing = report.unmeasured
+    if not measured:
+        return "Nothing was measured"
+    if missing:
+        named = ", ".join(missing[:MOST_NAMED]) + (
+            f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
+        )
+        return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
+    return f"No flags: {counted(measured, 'row')} measured, nothing to change"
+
+
+def is_clean(report: Report) -> bool:
+    """Return whether all that was asked for was measured, and nothing is flagged."""
+    return not report.unmeasured and not any(row.is_flag for row in report.rows)
 
 
 def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
     """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
-    known = [(row.phenomenon, row.title, row.reality, row.unit) for row in STATED_ROWS]
+    stated = (*STATED_ROWS, *(robot_row(name, None) for name in ROBOT_IDS))
+    known = [(row.phenomenon, row.title, row.reality, row.unit) for row in stated]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return Table(
         columns=(
@@ -230,8 +247,9 @@ def _style(row: PhenomenonResult) -> str:
 
 
 def reality_text(reality: Reality, unit: str) -> str:
-    """Return `centre +- half-width unit` of the interval of reality."""
-    return with_unit(f"{quantity_text(reality.value)} +- {quantity_text(reality.tolerance)}", unit)
+    """Return `centre +- half-width unit` of the interval of reality, or its limits."""
+    interval = f"{quantity_text(reality.value)} +- {quantity_text(reality.tolerance)}"
+    return with_unit(reality.limits or interval, unit)
 
 
 def measured_text(value: float | None) -> str:
@@ -244,7 +262,7 @@ def verdict_text(row: PhenomenonResult) -> str:
     if not _is_off(row):
         return row.verdict.value
     word, effect = "advisory" if row.advisory else row.verdict.value, row.effect
-    if effect is None:
+    if effect is None or row.reality.limits:
         return word
     if abs(effect) <= abs(row.reality.value):
         return f"{word}, {100.0 * effect / abs(row.reality.value):+.3g} %"
@@ -257,6 +275,7 @@ def responsible_text(row: PhenomenonResult) -> str:
         f"worst: {row.geoms}" if row.geoms and _is_off(row) else "",
         row.remark,
         row.advisory if _is_off(row) else "",
+        row.consequence.removesuffix("."),
         "" if row.cause is None else row.cause.line,
     )
     return "; ".join(filter(None, parts))
@@ -264,9 +283,9 @@ def responsible_text(row: PhenomenonResult) -> str:
 
 def tally_text(report: Report) -> str:
     """Return the number of rows with each verdict."""
-    counted = [row for row in report.rows if not row.advisory or not _is_off(row)]
-    counts = {verdict.value: sum(row.verdict is verdict for row in counted) for verdict in _present(report)}
-    counts["advisory"] = len(report.rows) - len(counted)
+    counting = [row for row in report.rows if not row.advisory or not _is_off(row)]
+    counts = {verdict.value: sum(row.verdict is verdict for row in counting) for verdict in _present(report)}
+    counts["advisory"] = len(report.rows) - len(counting)
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     return "; ".join((text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s"))
 
@@ -284,9 +303,6 @@ def _present(report: Report) -> list[Verdict]:
 # --- two configurations ----------------------------------------------------------------------------------------------
 
 CHANGE_STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
-
-MOST_NAMED = 2
-"""Largest number of changes that the first line names."""
 
 AGAINST_LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "

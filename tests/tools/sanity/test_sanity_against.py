@@ -36,7 +36,8 @@ def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
     other = Planted(culprits=(), rows=(), geom={"friction": "1.2"}, option={"cone": "pyramidal"})
     found = rows(compare(model(one), model(other), only=["slide-wood", "slide-turned"]))
     straight, turned = found["foot-straight"], found["foot-turned"]
-    assert (straight.trained, straight.deployed) == pytest.approx((0.6, 1.2), rel=0.01)
+    # A real slide resolves 4 % of the friction, the half-width of the interval of the row.
+    assert (straight.trained, straight.deployed) == pytest.approx((0.6, 1.2), rel=0.04)
     assert turned.trained == pytest.approx(0.6, rel=0.01)
     # Between the edges of a pyramid, friction is lower by the square root of 2 at most.
     assert turned.deployed == pytest.approx(1.2 / 2**0.5, rel=0.05)

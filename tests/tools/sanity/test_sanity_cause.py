@@ -84,11 +84,12 @@ def test_half_cheetah_is_flagged_with_a_cause_each() -> None:
     )
     assert seen == list(found.rows)
     bad = flagged(found.rows)
-    assert set(bad) == {"creep-wood", "rest-height", "slide-wood"}
+    # Once it has sunk in, the cube slides by Coulomb's law.
+    assert set(bad) == {"creep-wood", "rest-height"}
     # One solref without rebound serves all contacts, so that the model does not state what the row depends on.
     rebound = next(row for row in found.rows if row.phenomenon == "rebound")
     assert rebound.advisory and rebound.verdict is Verdict.WRONG and rebound.cause is None
-    assert bad["slide-wood"].cause is not None and bad["slide-wood"].cause.settings == ("contact_solimp",)
+    assert bad["rest-height"].cause is not None and bad["rest-height"].cause.settings == ("contact_solimp",)
     assert all(row.cause is not None and row.cause.settings and row.cause.tried for row in bad.values())
     creep = bad["creep-wood"].cause
     assert creep is not None

@@ -23,7 +23,7 @@ from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError
 from gauge_envs.scene import Motion
 from gauge_envs.tools.sanity import export
 from gauge_envs.tools.sanity.exchange.scenes import MANIFEST, scenes
-from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena
 
 RUNNER = CliRunner()
 EXAMPLES = ROOT / "examples" / "sanity_export"
@@ -44,7 +44,8 @@ def manifest(exported: Path) -> dict[str, Any]:
 
 def test_every_rigid_phenomenon_is_exported_with_its_reality(manifest: dict[str, Any]) -> None:
     listed = {one["id"]: one for scene in manifest["scenes"] for one in scene["phenomena"]}
-    expected = [one for one in phenomena() if not one.needs_foot]
+    # In files a body starts where it touches, so that a release is the rest.
+    expected = [one for one in phenomena() if not one.needs_foot and one.id != RELEASE_ID]
     assert len(expected) >= 20 and set(listed) == {one.id for one in expected}
     for one in expected:
         entry = listed[one.id]

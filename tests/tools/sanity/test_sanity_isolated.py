@@ -29,10 +29,10 @@ def test_another_process_measures_the_same_bits(installed: Callable[..., None]) 
 def test_an_engine_that_dies_costs_one_phenomenon(installed: Callable[..., None]) -> None:
     installed("fall-crash", "supports-crash")
     (slide, rebound), result = checked("fall-crash", "creep-wood", "rebound")
-    assert (slide["verdict"], rebound["verdict"], result.exit_code) == ("inside", "wrong", 0)
+    assert (slide["verdict"], rebound["verdict"], result.exit_code) == ("inside", "wrong", 1)
     assert rebound["remark"] == "the engine's process died with signal 11 (segmentation fault)"
     (row,), result = checked("supports-crash", "creep-wood")
-    assert (row["verdict"], result.exit_code) == ("declined", 1)
+    assert (row["verdict"], result.exit_code) == ("declined", 3)
     assert "segmentation fault" in row["remark"]
 
 

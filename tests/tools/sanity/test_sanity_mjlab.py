@@ -12,7 +12,7 @@ import pytest
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
+from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.stacks.mjlab import mjlab_configuration, mjlab_tasks
 
 IS_INSTALLED = find_spec("mjlab") is not None
@@ -175,8 +175,8 @@ def test_the_file_of_a_training_run(package: Path, tmp_path: Path, monkeypatch: 
     assert read.settings["contact_solref"] == [0.025, 1.0]
     assert read.capacity is not None and read.capacity.limits.njmax == 300
     assert not (tmp_path / "was_run").exists()
-    model = compiled_model(path)
-    assert model is not None and model.opt.timestep == 0.005
+    assert read.robot is not None and read.robot.model.opt.timestep == 0.005
+    assert read.trains_on == "mujoco_warp"
 
 
 def test_a_robot_that_is_not_here_is_left_out(tmp_path: Path) -> None:

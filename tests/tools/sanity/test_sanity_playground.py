@@ -13,7 +13,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.model import CapacityLimits
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
-from gauge_envs.tools.sanity.stacks import compiled_model, configuration, dialect
+from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.stacks.playground import packaged_model, playground_task, playground_tasks
 
 IS_INSTALLED = find_spec("mujoco_playground") is not None
@@ -190,8 +190,9 @@ def test_implementations_without_limits_have_no_such_row(package: Path) -> None:
 
 
 def test_contacts_of_all_worlds_are_judged_by_their_mean(package: Path) -> None:
-    model = compiled_model("playground:DogWalk")
-    assert model is not None
+    robot = configuration("playground:DogWalk").robot
+    assert robot is not None
+    model = robot.model
     need = contact_capacity(model, CapacityLimits(njmax=None, naconmax=8, worlds=4))
     assert need.need is not None and need.need.contacts == 4
     assert need.missing_rows == 0

@@ -81,12 +81,12 @@ def file(tmp_path: Path) -> Path:
 
 
 def facts(target: Any) -> dict[str, Any]:
-    """Everything that is read of a target, but how it is called."""
+    """Everything that is read of a target, but how it is called, and the model, which a file does not hold."""
     read = configuration(target)
     return {
         field.name: getattr(read, field.name)
         for field in dataclasses.fields(read)
-        if field.name not in ("name", "source")
+        if field.name not in ("name", "source", "robot")
     }
 
 

@@ -16,12 +16,14 @@ from gauge_envs.errors import MissingExtraError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import record
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.model import CapacityLimits, Report, TrainingConfiguration
-from gauge_envs.tools.sanity.mujoco_warp_run import EFFECT_S, BackendMuJoCoWarp, overflow_effect, with_mujoco_warp
+from gauge_envs.tools.sanity.cured import applied
+from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
+from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.robot.contact_capacity import most_needed_data
 from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.stated import capacity_row, stated_rows
+from gauge_envs.tools.sanity.subject import subject_of
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
@@ -103,14 +105,6 @@ def test_scenes_that_it_does_not_run() -> None:
         backend.build(load_experiment("SlopeSlider-2-wood").scene, {"cone": "round"})
 
 
-def test_another_engine_is_named_and_not_run() -> None:
-    newton = TrainingConfiguration(name="n", source="test", backend="newton", settings={})
-    report = Report(configuration=newton, rows=(), versions={}, wall_s=0.0)
-    again = with_mujoco_warp(report)
-    assert again.rows == report.rows
-    assert again.notes[-1].endswith("runs models of MuJoCo; the target runs on newton")
-
-
 @pytest.mark.slow
 def test_data_states_an_overflow() -> None:
     model = mujoco.MjModel.from_xml_string(BALLS)
@@ -131,15 +125,20 @@ def test_data_states_an_overflow() -> None:
 
 
 @pytest.mark.slow
-def test_too_few_iterations_stop_sliding_on_mujoco_warp_too() -> None:
-    trained = TrainingConfiguration(name="go1", source="test", backend="mujoco", settings=GO1, language="mjcf")
-    report = with_mujoco_warp(check(trained, only=["slide-wood", "gravity"]))
-    row = next(row for row in report.rows if row.phenomenon == "slide-wood")
+def test_what_mends_few_iterations_is_measured_where_it_trains() -> None:
+    trained = TrainingConfiguration(
+        name="go1", source="test", backend="mujoco", settings=GO1, language="mjcf", trains_on="mujoco_warp"
+    )
+    report = check(trained, only=["slide-wood", "gravity"])
+    (row,) = [row for row in report.rows if row.phenomenon == "slide-wood"]
     assert row.configured == pytest.approx(0.02, abs=0.02)
-    assert row.remark.startswith("holds on mujoco_warp ") and "0.02" in row.remark
-    # The cure gives the measured acceleration there too.
-    assert float(row.remark.split(", and ")[1].split()[0]) == pytest.approx(2.72, rel=0.02)
-    assert report.notes[-1].startswith("1 of 1 flags hold on mujoco_warp ")
+    assert report.cure is not None and "on mujoco_warp, where it trains" in report.cure.line
+    # The elliptic cone alone lets this cube slide, and not one that has rested (studies/few_iterations).
+    assert report.cure.changes["iterations"] >= 4
+    measurements = Measurements(BackendMuJoCoWarp())
+    subject = subject_of(measurements, applied(trained, report.cure.changes)[0], phenomena(["slide-wood"])[0])
+    assert subject.worst().value == pytest.approx(2.72, rel=0.02)
+    assert check(applied(trained, report.cure.changes)[0], only=["slide-wood"]).cure is None
 
 
 @pytest.mark.slow
@@ -166,22 +165,6 @@ def test_sliding_and_driving_follow_the_laws() -> None:
             speed_limit_m_per_s=one.scenario.scene.speed_limit_m_per_s,
         )
         assert abs(one.read(rollout).value - one.reality.value) <= one.reality.tolerance, one.id
-
-
-@pytest.mark.slow
-def test_the_effect_of_an_overflow_is_measured() -> None:
-    model = mujoco.MjModel.from_xml_string(BALLS)
-    falls_m = 0.5 * 9.81 * EFFECT_S**2 - most_needed_data(model).qvel[2] * EFFECT_S
-    need = "the model needs 8 constraint rows and 2 contacts"
-    rows = overflow_effect(model, CapacityLimits(njmax=4))
-    assert rows.startswith(f"{need}, and has place for 4 and 256: after 0.5 s joint ")
-    contacts = overflow_effect(model, CapacityLimits(naconmax=8, worlds=8))
-    assert contacts.startswith(f"{need}, and has place for 1024 and 1: after 0.5 s joint ")
-    for text in (rows, contacts):
-        # The ball whose contact is left out falls on.
-        assert float(text.split(" is ")[1].split()[0]) == pytest.approx(falls_m, rel=0.05)
-    enough = overflow_effect(model, CapacityLimits(njmax=8, naconmax=2, worlds=1))
-    assert enough == f"{need} at most, and has place for them"
 
 
 def test_limits_of_the_engine_are_described() -> None:

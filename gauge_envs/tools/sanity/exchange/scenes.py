@@ -13,7 +13,7 @@ from gauge_envs.files import json_ready, versions
 from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.assets import BodyFile, body_files
-from gauge_envs.tools.sanity.phenomena import phenomena, selection
+from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
 
@@ -88,8 +88,9 @@ class ExportedScene:
 def _all_scenes() -> tuple[ExportedScene, ...]:
     grouped: dict[str, list[Phenomenon]] = {}
     for one in phenomena():
-        # A scene with a robot's foot needs a target, and files have no compounds.
-        if not one.needs_foot:
+        # A scene with a robot's foot needs a target, and files have no compounds. In files a body starts where it
+        # touches, so that a release has the scene of a rest.
+        if not one.needs_foot and one.id != RELEASE_ID:
             grouped.setdefault(one.scenario.name, []).append(one)
     return tuple(ExportedScene(several[0].scenario, tuple(several)) for several in grouped.values())
 

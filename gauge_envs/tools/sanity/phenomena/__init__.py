@@ -15,10 +15,21 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.phenomena.base import Phenomenon
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
-__all__ = ["CAPACITY_ID", "GRAVITY_ID", "RIGID", "phenomena", "phenomenon", "selection"]
+__all__ = ["CAPACITY_ID", "GRAVITY_ID", "RELEASE_ID", "RIGID", "ROBOT_IDS", "phenomena", "phenomenon", "selection"]
 
 GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 """Rows on what a target states, which need no rollout."""
+
+RELEASE_ID = "release"
+"""Row on a body that touches the ground at the start."""
+
+ROBOT_IDS = (
+    *("robot-holds", "robot-stands", "robot-loads", "robot-saturation", "robot-slip", "robot-overlap", "robot-energy"),
+    *("robot-feet", "robot-friction", "robot-floor-friction", "floor-tilt"),
+    *("robot-density", "robot-bound", "robot-gravcomp", "robot-inertia"),
+    *("robot-servo", "robot-torque", "robot-damping", "robot-frictionloss", "robot-armature"),
+)
+"""Rows on the target's own model: its rollout, and what it states."""
 
 RIGID: Mapping[str, tuple[str, ...]] = {
     "foot-creep": ("foot", "creep"),
@@ -31,6 +42,7 @@ RIGID: Mapping[str, tuple[str, ...]] = {
     "creep-plastic": ("friction", "creep", "plastic"),
     "creep-metal": ("friction", "creep", "metal"),
     "rest-height": ("friction", "rest_height", "wood"),
+    RELEASE_ID: ("friction", "thrown", "wood"),
     "slide-wood": ("friction", "slide", "wood"),
     "slide-plastic": ("friction", "slide", "plastic"),
     "slide-metal": ("friction", "slide", "metal"),
@@ -100,7 +112,7 @@ def selection(only: Sequence[str] = (), *, include_deformables: bool = False) ->
         include_deformables: Whether to include phenomena of deformable bodies.
     """
     patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
-    return _matching(patterns, (GRAVITY_ID, CAPACITY_ID, *_known(include_deformables=include_deformables)))
+    return _matching(patterns, (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS, *_known(include_deformables=include_deformables)))
 
 
 def _matching(patterns: Sequence[str], known: tuple[str, ...]) -> tuple[str, ...]:

@@ -65,6 +65,7 @@ class Phenomenon:
         trace: Quantity that is drawn over time; None when there is none.
         needs_friction: Whether the phenomenon means nothing without friction.
         needs_foot: Whether the scene is built from the foot of the target.
+        needs_space: Whether the phenomenon means nothing to a robot that moves in a plane along an axis of the world.
         is_impact: Whether the number depends on a restitution that the target may not state.
         advisory: Why the row never counts for the whole configuration; empty when it counts.
     """
@@ -80,6 +81,7 @@ class Phenomenon:
     trace: Trace | None = None
     needs_friction: bool = False
     needs_foot: bool = False
+    needs_space: bool = False
     is_impact: bool = False
     advisory: str = ""
 
@@ -88,7 +90,13 @@ class Phenomenon:
         """What a target must have for the phenomenon to apply."""
         contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
         friction = (Need.FRICTION,) if self.needs_friction else ()
-        return (Need.GRAVITY, *contact, *friction, *((Need.FOOT,) if self.needs_foot else ()))
+        return (
+            Need.GRAVITY,
+            *contact,
+            *friction,
+            *((Need.FOOT,) * self.needs_foot),
+            *((Need.SPACE,) * self.needs_space),
+        )
 
     def read(self, rollout: Rollout) -> PhenomenonValue:
         """Return what is measured in a rollout of the scenario."""

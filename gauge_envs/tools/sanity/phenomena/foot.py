@@ -1,7 +1,8 @@
 """Foot of a robot on the measured boards: creep, slip, slide and landing.
 
-The foot has the solids and the load that a configuration states, and the friction of a measured wooden cube on its
-board. Without a configuration, the rows have the foot of a small quadruped.
+The foot has the solids and the load that a configuration states. It rests with the friction that the configuration
+states for it, and slides with that of the measured wooden cube. The values are laws; what is measured on wooden cubes
+is how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
 """
 
 from __future__ import annotations
@@ -29,11 +30,13 @@ MATERIAL = "wood"
 SOFTENED_BY_INVERSE_WEIGHT = ("mujoco", "mujoco_warp")
 """Backends that build MuJoCo's own model, whose contacts are softened by the inverse weight of a link."""
 
-HOLD_DEG, SLIDE_DEG = 10.0, 30.0
-"""Slopes of the measured boards [degrees]."""
+HOLD_DEG, HOLD_PUSH = 10.0, 0.7
+"""Slope on which a foot rests [degrees], that of the measured board, and its largest push: a foot whose friction is
+small rests on a slope where gravity pushes with 0.7 of what the friction holds."""
 
-PUSH = 1.2
-"""Push along the ground, over mu times the normal force. On a slope, gravity pushes like this."""
+PUSH, SLIDE_DEG = 1.2, 30.0
+"""Push along the ground, over mu times the normal force, with which a foot just slides, and slope of the measured board
+[degrees]. On a slope, gravity pushes like this."""
 
 DROP_M, LANDING_S = 0.05, 0.6
 """Height of the drop, as of a step, and simulated time with the fall of 0.1 s."""
@@ -107,15 +110,20 @@ def _scenario(
         variant=f"SlopeSlider-{2 if steep else 1}-{MATERIAL}",
         seconds=seconds,
         change=partial(
-            _replaced, foot=foot, friction=real_friction(MATERIAL), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
+            _replaced, foot=foot, friction=_friction(foot), slope_deg=slope_deg, lift_m=lift_m, seconds=seconds
         ),
+        released="" if lift_m else FOOT,
         engine_settings=dict.fromkeys(SOFTENED_BY_INVERSE_WEIGHT, softening),
     )
 
 
+def _friction(foot: FootGeometry) -> float:
+    return real_friction(MATERIAL) if foot.friction is None else foot.friction
+
+
 def _source(law: str, foot: FootGeometry) -> str:
-    cube = f"mu = {real_friction(MATERIAL):.3f} is that of the measured cube of {MATERIAL}"
-    return f"{law}; extrapolated: {cube}; the foot is {foot.description}; {foot.assumption}"
+    whose = f"of the measured cube of {MATERIAL}" if foot.friction is None else "that the target states for its foot"
+    return f"{law}, with mu = {_friction(foot):.3g} {whose}; the foot is {foot.description}; {foot.assumption}"
 
 
 # --- readings --------------------------------------------------------------------------------------------------------
@@ -139,12 +147,14 @@ def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:
 
 def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the creep of a foot at rest on a slope."""
+    steepest = float(np.degrees(np.arctan(HOLD_PUSH * _friction(foot))))
+    slope = min(HOLD_DEG, steepest)
     made = creeping(
-        f"foot of the robot: creep on {HOLD_DEG:.0f} degrees",
-        _scenario("hold", foot, seconds=HOLD_S, slope_deg=HOLD_DEG, steep=False),
+        f"foot of the robot: creep on {slope:.3g} degrees with a friction of {_friction(foot):.3g}",
+        _scenario("hold", foot, seconds=HOLD_S, slope_deg=slope, steep=False),
         _downhill_mm,
-        source=_source("Coulomb, tan 10 deg < mu", foot),
-        rationale=f"the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
+        source=_source(f"law: Coulomb, tan {slope:.3g} deg < mu", foot),
+        rationale=f"measured: the published trials of the {MATERIAL} cube allow no faster creep (paper, Table 5)",
     )
     return replace(made, needs_foot=True)
 
@@ -152,23 +162,21 @@ def creep(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
 def push(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot that is pushed a little more than its friction holds."""
     title = f"acceleration when pushed with {PUSH:g} times its friction"
-    law = f"g (sin a - mu cos a) with tan a = {PUSH:g} mu, where gravity pushes with {PUSH:g} mu N"
-    return _sliding(foot, "push", title, law, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
+    return _sliding(foot, "push", title, float(np.degrees(np.arctan(PUSH * real_friction(MATERIAL)))))
 
 
 def slide(foot: FootGeometry = REFERENCE_FOOT) -> Phenomenon:
     """Return the acceleration of a foot on a steep slope."""
-    law = f"g (sin {SLIDE_DEG:.0f} deg - mu cos {SLIDE_DEG:.0f} deg)"
-    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", law, SLIDE_DEG)
+    return _sliding(foot, "slide", f"acceleration on {SLIDE_DEG:.0f} degrees", SLIDE_DEG)
 
 
-def _sliding(foot: FootGeometry, kind: str, title: str, law: str, slope_deg: float) -> Phenomenon:
-    slope = np.radians(slope_deg)
+def _sliding(own: FootGeometry, kind: str, title: str, slope_deg: float) -> Phenomenon:
+    slope, friction, foot = np.radians(slope_deg), real_friction(MATERIAL), replace(own, friction=None)
     real = Reality.law(
-        GRAVITY_M_PER_S2 * float(np.sin(slope) - real_friction(MATERIAL) * np.cos(slope)),
+        GRAVITY_M_PER_S2 * float(np.sin(slope) - friction * np.cos(slope)),
         tolerance=real_slides(MATERIAL).tolerance,
-        source=_source(law, foot),
-        rationale=f"covers {COVERAGE:.0%} of further real slides of the {MATERIAL} cube on 30 degrees",
+        source=_source(f"law: g (sin a - mu cos a) on {slope_deg:.3g} deg", foot),
+        rationale=f"measured: covers {COVERAGE:.0%} of real slides of the {MATERIAL} cube on {SLIDE_DEG:.0f} degrees",
     )
     scenario = _scenario(kind, foot, seconds=SLIDE_S, slope_deg=slope_deg)
     return replace(sliding(f"foot of the robot: {title}", scenario, _downhill_mm, real), needs_foot=True)

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
@@ -27,8 +26,9 @@ HOLD_S, SETTLED_S = 1.0, 0.5
 TURN_DEG = 45.0
 """Turn of the board about the vertical [degrees]. Engines choose the tangents of a contact by the axes of the world."""
 
-SLIDE_S = 0.5
-"""Simulated time [s]; a cube that is 20 % too fast reaches the end of the board at 0.53 s."""
+SLIDE_S, STEADY_SLIDE_S = 0.5, 0.25
+"""Simulated time [s], in which a cube that is 20 % too fast does not reach the end of the board, and time after which
+it has sunk into soft ground and slides steadily."""
 
 PRINTED_MM = 0.01
 """Last printed digit of the published scores of SlopeSlider-1 [mm]."""
@@ -41,7 +41,7 @@ STEADY_S = (2.3, 3.0)
 
 
 def _hold_scenario(material: str) -> Scenario:
-    return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S)
+    return Scenario(name=f"hold-{material}", variant=f"SlopeSlider-1-{material}", seconds=HOLD_S, released="cube")
 
 
 def _on_board_mm(rollout: Rollout) -> FloatArray:
@@ -133,6 +133,25 @@ def rest_height(material: str) -> Phenomenon:
     )
 
 
+def thrown(material: str) -> Phenomenon:
+    """Return the height to which a cube that touches its board at the start is thrown."""
+    held = rest_height(material)
+    heights_mm = held.trace.values if held.trace is not None else None
+    assert heights_mm is not None, "the resting height has a curve"
+
+    def height_mm(rollout: Rollout) -> float:
+        return float(heights_mm(rollout).max() - max(heights_mm(rollout)[-1], 0.0))
+
+    return replace(
+        held,
+        title="release: height to which a cube that touches its board is thrown, above where it settles",
+        quantity="height",
+        scenario=replace(held.scenario, name=f"release-{material}", released="", seconds=HOLD_S),
+        reality=rigid_law("a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"),
+        value=height_mm,
+    )
+
+
 def _gap_mm(scene: Scene) -> float:
     """Return the gap between the faces of cube and board at the start [mm]."""
     cube, board = scene.body("cube"), scene.body("board")
@@ -164,11 +183,15 @@ def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], Flo
         unit="m/s^2",
         reality=real,
         needs_friction=True,
-        # The fit is that of the paper for real slides, from rest. The speed that a cube gains while it sinks into soft
-        # ground counts, since a camera would record it.
-        value=lambda rollout: 1e-3 * fitted_acceleration(rollout.times_s, downhill_mm(rollout)),
+        value=lambda rollout: _steady_acceleration(rollout, downhill_mm(rollout)),
         trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
     )
+
+
+def _steady_acceleration(rollout: Rollout, downhill_mm: FloatArray) -> float:
+    """Return the acceleration of a slide after the body has settled [m/s^2]."""
+    late = rollout.between(STEADY_SLIDE_S, SLIDE_S)
+    return 2e-3 * float(np.polyfit(rollout.times_s[late], downhill_mm[late], 2)[0])
 
 
 def real_slides(material: str, source: str = "") -> Reality:
@@ -190,6 +213,7 @@ def slide(material: str) -> Phenomenon:
         name=f"slide-{material}",
         variant=f"SlopeSlider-2-{material}",
         seconds=SLIDE_S,
+        released="cube",
         parameters={"cube.friction": friction},
     )
     shown = f"the cube has the friction that they show, mu = {friction:.3f}"
@@ -221,6 +245,7 @@ def turned_slide(material: str) -> Phenomenon:
         straight,
         title=f"isotropic friction, {material}: acceleration on 30 degrees, board turned by {TURN_DEG:.0f} degrees",
         scenario=scenario,
+        needs_space=True,
         reality=Reality.law(
             law,
             tolerance=straight.reality.tolerance,
@@ -241,7 +266,7 @@ def _on_plate_mm(rollout: Rollout) -> FloatArray:
 
 def carry(material: str) -> Phenomenon:
     """Return the slip of a cube on a slow turntable."""
-    scenario = Scenario(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S)
+    scenario = Scenario(name=f"turn-{material}", variant=f"Turntable-1-{material}", seconds=TURN_S, released="cube")
 
     def slip_mm(rollout: Rollout) -> FloatArray:
         place = _on_plate_mm(rollout)[:, :2]
@@ -260,6 +285,7 @@ def carry(material: str) -> Phenomenon:
             rationale="standard deviation of a position of this cube on this table in real trials (paper, Table 5)",
         ),
         needs_friction=True,
+        needs_space=True,
         value=lambda rollout: slip_mm(rollout)[-1],
         trace=Trace(label="slip on the plate [mm]", values=slip_mm, is_level=True),
     )
@@ -267,7 +293,7 @@ def carry(material: str) -> Phenomenon:
 
 def slip() -> Phenomenon:
     """Return the slip of a cube when the turntable reverses."""
-    scenario = Scenario(name="stop", variant="Turntable-3-metal", seconds=TURN_S)
+    scenario = Scenario(name="stop", variant="Turntable-3-metal", seconds=TURN_S, released="cube")
     radius_mm = recorded("turntable", "radius_at_start_mm")["value"]
 
     def slip_deg(rollout: Rollout) -> FloatArray:
@@ -288,6 +314,7 @@ def slip() -> Phenomenon:
             "(paper, Table 5)",
         ),
         needs_friction=True,
+        needs_space=True,
         value=lambda rollout: slip_deg(rollout)[rollout.between(*STEADY_S)].mean(),
         trace=Trace(label="slip on the plate [deg]", values=slip_deg),
     )

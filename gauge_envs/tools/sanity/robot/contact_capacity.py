@@ -46,7 +46,7 @@ def contact_capacity(
     if len(unknown):
         return ContactCapacity(limits=limits, reason=f"the shape of {len(unknown)} colliding geoms is not known here")
     if model.nhfield:
-        reason = "engines find different numbers of contacts on a height field; --backend mujoco_warp counts"
+        reason = "engines find different numbers of contacts on a height field"
         return ContactCapacity(limits=limits, reason=reason)
     return ContactCapacity(limits=limits, need=contact_need(model))
 
@@ -69,17 +69,6 @@ def contact_need(model: mujoco.MjModel) -> ContactNeed:
         mean_contacts=float(contacts.mean(axis=0).max()),
         situation=names[int(rows.max(axis=1).argmax())],
     )
-
-
-def most_needed_data(model: mujoco.MjModel) -> mujoco.MjData:
-    """Return the state of the motions of `contact_need` that needs most constraint rows, the first of equal ones."""
-    best, most = mujoco.MjData(model), -1
-    for _, states in _motions(model):
-        for data in states:
-            if data.nefc > most:
-                most = data.nefc
-                mujoco.mj_copyData(best, model, data)
-    return best
 
 
 def _step_count(model: mujoco.MjModel) -> int:

@@ -39,6 +39,8 @@ class FootGeometry:
         sets: Names of the sets of contact constants that the feet have on the ground.
         softening: Inverse weight of the foot's link in MuJoCo over that of the rigid body of four feet. MuJoCo softens
             contacts by it. None when unknown.
+        friction: Least coefficient of sliding friction of the foot on the ground, by the engine's rule for pairs; None
+            for that of the measured wooden cube.
     """
 
     name: str
@@ -50,6 +52,7 @@ class FootGeometry:
     pose: str = ""
     sets: tuple[str, ...] = ()
     softening: float | None = None
+    friction: float | None = None
 
     @property
     def mass_kg(self) -> float:
@@ -86,7 +89,7 @@ class FootGeometry:
     @cached_property
     def digest(self) -> str:
         """Short text that differs for different scenes."""
-        return hashlib.sha256(repr((self.parts, self.load_kg, self.softening)).encode()).hexdigest()[:12]
+        return hashlib.sha256(repr((self.parts, self.load_kg, self.softening, self.friction)).encode()).hexdigest()[:12]
 
     @property
     def description(self) -> str:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.mujoco.model_settings import ContactPairs, PairKind, can_move, contact_settings
+from gauge_envs.backends.mujoco.model_settings import COLUMNS, ContactPairs, PairKind, can_move, contact_settings
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup
@@ -53,79 +53,112 @@ class NoFootError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Stance:
+class Stance:
     """Pose of a model in which its robot stands.
 
     Attributes:
         label: Name of the pose.
+        qpos: Generalized position, shape [nq].
+        ctrl: Controls that belong to the pose, shape [nu]; None where no keyframe states them.
         positions_m: Positions of the geoms in a frame with z up [m], shape [geom_count, 3].
         rotations: Rotations of the geoms to that frame.
         joint_axes: Axes of the joints in that frame, shape [joint_count, 3].
     """
 
     label: str
+    qpos: NDArray[np.float64]
+    ctrl: NDArray[np.float64] | None
     positions_m: NDArray[np.float64]
     rotations: Rotation
     joint_axes: NDArray[np.float64]
 
 
-def read_foot(
-    model: mujoco.MjModel,
-    pairs: ContactPairs,
-    groups: Sequence[ContactGroup],
-    up: tuple[float, float, float],
-) -> FootGeometry:
-    """Return the foot of the heaviest robot of a model.
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """Robot of a model that stands on the ground, and its feet.
+
+    Attributes:
+        body: First moving body of the robot.
+        stance: Pose in which it stands.
+        height_m: Height of the robot [m].
+        support_m: Lowest point of each geom that can touch the ground [m].
+        feet: Geoms of each foot, by its body.
+    """
+
+    body: int
+    stance: Stance
+    height_m: float
+    support_m: Mapping[int, NDArray[np.float64]]
+    feet: Mapping[int, list[int]]
+
+
+def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, float, float]) -> Standing:
+    """Return the heaviest robot of a model that stands, with its feet.
 
     A robot can rise and fall: its first joint is free, or a vertical slide that nothing drives or holds. It has an
     actuator, unless the model has none. Its feet are the bodies that can touch the ground and lie lowest in the
-    keyframe `home`, or in the initial pose with joints within their limits. Of several feet, the lowest one is read.
+    keyframe `home`, or in the initial pose with joints within their limits.
 
     Args:
         model: The compiled model.
         pairs: All pairs of geoms that can collide.
-        groups: Contact constants, those that are judged marked as used.
         up: Unit vector away from the ground, shape [3].
     """
-    geoms = np.unique(pairs.geoms[_ground_rows(pairs)])
+    geoms = np.unique(pairs.geoms[ground_rows(pairs)])
     touching = [int(geom) for geom in geoms[can_move(model)[geoms]]]
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
-    stance = _stance(model, np.asarray(up))
-    robot_of = [_first_moving_body(model, int(body)) for body in model.geom_bodyid]
+    stance = stance_of(model, np.asarray(up))
+    robot_of = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
     robots = {robot_of[geom] for geom in touching}
     joints, bodies = driven(model)
     moved = bodies | {int(model.jnt_bodyid[joint]) for joint in joints}
     if moved:
-        robots &= {_first_moving_body(model, body) for body in moved}
+        robots &= {first_moving_body(model, body) for body in moved}
     standing = [body for body in robots if _can_fall(model, stance, body, joints)]
     if not standing:
         raise NoFootError("no robot of the model stands on the ground under its own weight")
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
-    touching = [geom for geom in touching if robot_of[geom] == robot]
-    support = {geom: _support_m(model, stance, geom) for geom in touching}
+    support = {geom: support_m(model, stance, geom) for geom in touching if robot_of[geom] == robot}
     lowest = {geom: float(point[2]) for geom, point in support.items()}
     own = [geom for geom, body in enumerate(robot_of) if body == robot]
     top = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
     height = max(top - min(lowest.values()), 1e-3)
     standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
     feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
-    body = min(feet, key=lambda one: (min(lowest[geom] for geom in feet[one]), one))
-    mass = float(model.body_subtreemass[robot])
+    return Standing(body=robot, stance=stance, height_m=height, support_m=support, feet=feet)
+
+
+def read_foot(
+    model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], standing: Standing
+) -> FootGeometry:
+    """Return the lowest foot of a robot.
+
+    Args:
+        model: The compiled model.
+        pairs: All pairs of geoms that can collide.
+        groups: Contact constants, those that are judged marked as used.
+        standing: The robot.
+    """
+    feet, support = standing.feet, standing.support_m
+    body = min(feet, key=lambda one: (min(float(support[geom][2]) for geom in feet[one]), one))
+    mass = float(model.body_subtreemass[standing.body])
+    rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & set(feet[body])]
     return FootGeometry(
         name=model.body(body).name or f"body {body}",
         geoms=_geoms_text(model, feet[body], body),
-        parts=_parts(model, stance, {geom: support[geom] for geom in feet[body]}),
+        parts=_parts(model, standing.stance, {geom: support[geom] for geom in feet[body]}),
         load_kg=mass / len(feet),
         robot_mass_kg=mass,
         foot_count=len(feet),
-        pose=stance.label,
+        pose=standing.stance.label,
         sets=_sets(model, pairs, groups, {geom for several in feet.values() for geom in several}),
         softening=float(model.body_invweight0[body, 0]) * COPIES * mass / len(feet),
+        friction=float(pairs.constants[rows, COLUMNS["friction"].start].min()),
     )
 
 
-def _ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
+def ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
     return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
@@ -134,14 +167,15 @@ def _ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
 # --- stance ----------------------------------------------------------------------------------------------------------
 
 
-def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
+def stance_of(model: mujoco.MjModel, up: NDArray[np.float64]) -> Stance:
+    """Return the keyframe in which a robot stands; without one, the initial pose with joints within their limits."""
     data = mujoco.MjData(model)
-    label = "initial pose"
+    label, ctrl = "initial pose", None
     names = [model.key(index).name for index in range(model.nkey)]
     known = next((name for name in STANDING if name in names), None)
     if known is not None:
         mujoco.mj_resetDataKeyframe(model, data, names.index(known))
-        label = f"keyframe {known}"
+        label, ctrl = f"keyframe {known}", data.ctrl.copy()
     for joint in np.flatnonzero(model.jnt_limited):
         # A comparison of an enumerator with NumPy's integers depends on the order, so both become Python's.
         if int(model.jnt_type[joint]) in (int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)):
@@ -151,15 +185,17 @@ def _stance(model: mujoco.MjModel, up: NDArray[np.float64]) -> _Stance:
     turn = Rotation.identity()
     if up[2] < 1.0:
         turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
-    return _Stance(
+    return Stance(
         label=label,
+        qpos=data.qpos.copy(),
+        ctrl=ctrl,
         positions_m=turn.apply(data.geom_xpos),
         rotations=turn * Rotation.from_matrix(data.geom_xmat.reshape(-1, 3, 3)),
         joint_axes=turn.apply(data.xaxis),
     )
 
 
-def _first_moving_body(model: mujoco.MjModel, body: int) -> int:
+def first_moving_body(model: mujoco.MjModel, body: int) -> int:
     """Return the body nearest to the world that moves a body; the body itself when nothing moves it."""
     first = body
     while body:
@@ -169,7 +205,7 @@ def _first_moving_body(model: mujoco.MjModel, body: int) -> int:
     return int(first)
 
 
-def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int, driven_joints: set[int]) -> bool:
+def _can_fall(model: mujoco.MjModel, stance: Stance, body: int, driven_joints: set[int]) -> bool:
     """Return whether the first joints of a body let it rise and fall."""
     weight = float(model.body_subtreemass[body]) * GRAVITY_M_PER_S2
     for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
@@ -182,7 +218,7 @@ def _can_fall(model: mujoco.MjModel, stance: _Stance, body: int, driven_joints: 
     return False
 
 
-def _support_m(model: mujoco.MjModel, stance: _Stance, geom: int) -> NDArray[np.float64]:
+def support_m(model: mujoco.MjModel, stance: Stance, geom: int) -> NDArray[np.float64]:
     """Return the lowest point of a geom [m], the middle of a lowest face or edge, shape [3]."""
     down = -stance.rotations[geom].as_matrix()[2]
     down[np.abs(down) < FLAT] = 0.0
@@ -226,7 +262,7 @@ def _feet(model: mujoco.MjModel, lowest_m: dict[int, float], within_m: float) ->
 # --- solids ----------------------------------------------------------------------------------------------------------
 
 
-def _parts(model: mujoco.MjModel, stance: _Stance, support_m: dict[int, NDArray[np.float64]]) -> tuple[Part, ...]:
+def _parts(model: mujoco.MjModel, stance: Stance, support_m: dict[int, NDArray[np.float64]]) -> tuple[Part, ...]:
     """Return geoms as solids, with the lowest of their lowest points [m] as origin."""
     origin = min(support_m.values(), key=lambda point: float(point[2]))
     return tuple(
@@ -280,7 +316,7 @@ def _sets(
     model: mujoco.MjModel, pairs: ContactPairs, groups: Sequence[ContactGroup], feet: set[int]
 ) -> tuple[str, ...]:
     """Return the names of the judged sets of contact constants that feet have on the ground."""
-    rows = [row for row in _ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
+    rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
     own = [contact_settings(model, pairs.constants[row]) for row in rows]
     names: dict[str, str] = {}
     for group in groups:

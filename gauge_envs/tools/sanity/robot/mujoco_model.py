@@ -7,6 +7,7 @@ collide are considered: `mjData.contact` lists only those that touch at the mome
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -28,7 +29,8 @@ from gauge_envs.backends.mujoco.model_settings import (
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, read_foot
+from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, read_foot
+from gauge_envs.tools.sanity.robot.robot import Robot, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
@@ -39,6 +41,9 @@ MOST_GEOMS = 4
 
 MOST_GROUPS = 4
 """Most groups with other constants that get a note each."""
+
+ALONG_AN_AXIS = 0.999
+"""Least component of the normal of the plane of a robot that moves along an axis of the world."""
 
 REQUIRED_FEATURES = {
     "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
@@ -62,6 +67,9 @@ def mujoco_configuration(
     source: str,
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
+    spec: mujoco.MjSpec | None = None,
+    unknown: tuple[int, ...] = (),
+    has_robot: bool = True,
 ) -> TrainingConfiguration:
     """Return the training configuration of a MuJoCo model, after a trial of its settings.
 
@@ -71,6 +79,9 @@ def mujoco_configuration(
         source: Description of where the model is from.
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
+        spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
+        unknown: Geoms whose shape is not known.
+        has_robot: Whether masses, joints and actuators of the model are those of the target.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
     used = None if not len(pairs.geoms) and pair is None else _used_constants(model, pairs, pair)
@@ -82,11 +93,18 @@ def mujoco_configuration(
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
+    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, unknown=unknown, pair=pair)
     try:
-        foot = read_foot(model, pairs, groups, up)
+        standing = find_standing(model, pairs, up)
+        foot = read_foot(model, pairs, groups, standing)
+        robot = replace(robot, standing=standing)
     except NoFootError as error:
         foot = None
         inapplicable[Need.FOOT] = str(error)
+    if Need.CONTACT not in inapplicable and has_robot and never_touches(robot):
+        inapplicable[Need.CONTACT] = "the robot is fixed to the world and touches nothing in 200 random poses"
+    if (normal := robot.plane_normal) is not None and has_robot and np.abs(normal).max() > ALONG_AN_AXIS:
+        inapplicable[Need.SPACE] = "the robot moves in a plane along an axis of the world, where slide-* judges it"
     x, y, z = model.opt.gravity.tolist()
     return TrainingConfiguration(
         name=name,
@@ -103,6 +121,7 @@ def mujoco_configuration(
         is_model=True,
         foot_geometry=foot,
         language="mjcf",
+        robot=robot if has_robot else None,
     )
 
 

@@ -18,11 +18,9 @@ from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
 if TYPE_CHECKING:
-    import mujoco
-
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
 
-__all__ = ["Dialect", "accepted", "compiled_model", "configuration", "dialect", "reader_of"]
+__all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
 
 TEXTS = {
     "dm_control": r"dm_control:",
@@ -90,12 +88,6 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         return reader.read(target, pair)
     except NotATargetError as error:
         raise TargetError(f"{error}; give {accepted()}") from error
-
-
-def compiled_model(target: Any) -> mujoco.MjModel | None:
-    """Return the model of a target whose memory for contacts is limited; None for other targets."""
-    reader = reader_of(target)
-    return None if reader is None or reader.model is None else reader.model(target)
 
 
 def reader_of(target: Any) -> Reader | None:

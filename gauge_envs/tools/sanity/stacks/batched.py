@@ -38,7 +38,9 @@ UNREAD = "friction loss, limits and actuators do not matter for the rows and are
 
 
 def _read(target: Any, pair: GeomPair | None, name: str, engine: str) -> TrainingConfiguration:
-    read = mujoco_configuration(_built(target), name=name, source=f"{name} in this process, world 0", pair=pair)
+    read = mujoco_configuration(
+        _built(target), name=name, source=f"{name} in this process, world 0", pair=pair, has_robot=False
+    )
     note = f"trains {engine}, in single precision; the rows run MuJoCo's C engine"
     return replace(read, notes=(note, UNREAD, *read.notes), foot_geometry=None)
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import gymnasium
 import mujoco
+import numpy as np
 from gymnasium.vector import VectorEnv
 
 from gauge_envs.backends import Simulation
@@ -72,8 +74,24 @@ def _read_env(env: gymnasium.Env, name: str, pair: GeomPair | None) -> TrainingC
         raise NotATargetError(f"{name} is {kind}, which has no MuJoCo model")
     source = f"Gymnasium environment, model {model_name(model)!r}, MuJoCo {mujoco.__version__}"
     return mujoco_configuration(
-        model, name=name, source=source, pair=pair, frame_skip=getattr(inner, "frame_skip", None)
+        model,
+        name=name,
+        source=source,
+        pair=pair,
+        frame_skip=getattr(inner, "frame_skip", None),
+        spec=_spec_of(inner, model),
     )
+
+
+def _spec_of(inner: Any, model: mujoco.MjModel) -> mujoco.MjSpec | None:
+    """Return the model of an environment before it was compiled; None when its file gives another one."""
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            spec = mujoco.MjSpec.from_file(str(inner.fullpath))
+            same = spec.compile()
+    except (AttributeError, ValueError):
+        return None
+    return spec if np.array_equal(same.geom_bodyid, model.geom_bodyid) else None
 
 
 def _env_name(env: gymnasium.Env) -> str:

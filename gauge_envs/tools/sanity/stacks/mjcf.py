@@ -90,10 +90,11 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
     if refusal is not None:
         raise TargetError(f"{path}: {refusal}: simplify the model")
     try:
-        model = mujoco.MjModel.from_xml_path(str(path))
+        spec = mujoco.MjSpec.from_file(str(path))
+        model = spec.compile()
     except ValueError as error:
         raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
-    return mujoco_configuration(model, name=path.name, source=f"model file {path}", pair=pair)
+    return mujoco_configuration(model, name=path.name, source=f"model file {path}", pair=pair, spec=spec)
 
 
 def model_name(model: mujoco.MjModel) -> str:

@@ -108,10 +108,13 @@ def mjlab_configuration(
     """
     table = Table(cfg, source=source)
     built = _built(table)
-    read = mujoco_configuration(built.model, name=name, source=source, pair=pair, frame_skip=table.whole("decimation"))
+    read = mujoco_configuration(
+        built.model, name=name, source=source, pair=pair, frame_skip=table.whole("decimation"), spec=built.spec
+    )
     note = "trains on mujoco_warp, in single precision; the rows run MuJoCo's C engine"
     notes = (note, *built.notes, *read.notes)
-    return replace(read, language=MJLAB.name, notes=notes, capacity=_capacity(table, built), is_model=True)
+    capacity = _capacity(table, built)
+    return replace(read, language=MJLAB.name, notes=notes, capacity=capacity, trains_on="mujoco_warp")
 
 
 def _capacity(table: Table, built: _Built) -> ContactCapacity | None:
@@ -134,11 +137,13 @@ class _Built:
         model: The compiled model, with the options of the configuration.
         notes: What is left out.
         incomplete: Why its contacts cannot be counted; empty when they can.
+        spec: The scene before it was compiled.
     """
 
     model: mujoco.MjModel
     notes: tuple[str, ...]
     incomplete: str
+    spec: mujoco.MjSpec
 
 
 def _built(table: Table) -> _Built:
@@ -167,7 +172,7 @@ def _built(table: Table) -> _Built:
         raise TargetError(f"MuJoCo cannot compile the scene: {' '.join(str(error).split())}") from None
     _set_options(model, table.part("sim.mujoco"))
     incomplete = "its scene is not complete here" if left_out or not is_plane else ""
-    return _Built(model=model, notes=tuple(notes), incomplete=incomplete)
+    return _Built(model=model, notes=tuple(notes), incomplete=incomplete, spec=spec)
 
 
 def _file_of(source: Source, name: str) -> Path | None:
@@ -304,11 +309,7 @@ def _reader(
         cfg, source = cfg_of(target)
         return mjlab_configuration(cfg, name=label(target), source=source, pair=pair)
 
-    def model(target: Any) -> mujoco.MjModel:
-        cfg, source = cfg_of(target)
-        return _built(Table(cfg, source=source)).model
-
-    return Reader(accepts, matches, read, model=model)
+    return Reader(accepts, matches, read)
 
 
 def _is_cfg(target: Any) -> bool:

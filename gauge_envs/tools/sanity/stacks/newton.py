@@ -124,7 +124,7 @@ def newton_configuration(
     given = "" if solver is target else ", with the defaults of SolverMuJoCo"
     source = f"{type(target).__name__} of Newton {version('newton')}{given}"
     model = _compiled(solver)
-    read = mujoco_configuration(model, name=name or kind, source=source, pair=pair)
+    read = mujoco_configuration(model, name=name or kind, source=source, pair=pair, has_robot=False)
     contact = _contact(solver, read.settings)
     settings = _options(solver, read.settings, step_s) | contact
     check_settings("newton", settings)

@@ -165,6 +165,8 @@ def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
         source=f"MuJoCo Playground {package_version(DISTRIBUTION)}, {task.model_file.name} and its configuration",
         pair=pair,
         frame_skip=round(control / step) if step and control else None,
+        spec=packaged.spec,
+        unknown=packaged.substituted_geoms,
     )
     return _trained(read, packaged, task.config, worlds=task.world_count, notes=notes)
 
@@ -200,7 +202,13 @@ def _trained(
     elif isinstance(implementation, str):
         engine = f"MJX's implementation {implementation!r}"
     note = f"trains with {engine}, in single precision; the rows run MuJoCo's C engine"
-    return replace(read, capacity=capacity, notes=(note, *notes, *read.notes), language=PLAYGROUND.name)
+    return replace(
+        read,
+        capacity=capacity,
+        notes=(note, *notes, *read.notes),
+        language=PLAYGROUND.name,
+        trains_on="mujoco_warp" if implementation == WARP else "",
+    )
 
 
 def _missing_notes(packaged: PackagedModel) -> list[str]:
@@ -243,13 +251,11 @@ READERS = (
         "a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
         has_start(PREFIX),
         _read_name,
-        model=lambda target: _packaged(playground_task(str(target))).model,
     ),
     Reader(
         "an env of MuJoCo Playground",
         _is_env,
         _read_env,
-        model=lambda target: getattr(target, "unwrapped", target).mj_model,
     ),
 )
 
@@ -276,11 +282,15 @@ class PackagedModel:
         model: The compiled model.
         missing: Names of files that are not there and that a substitute stands for.
         missing_geoms: Numbers of the colliding geoms whose shape is a substitute.
+        substituted_geoms: Numbers of all geoms whose shape is a substitute.
+        spec: The model before it was compiled; None when it is not known.
     """
 
     model: mujoco.MjModel
     missing: tuple[str, ...] = ()
     missing_geoms: tuple[int, ...] = ()
+    substituted_geoms: tuple[int, ...] = ()
+    spec: mujoco.MjSpec | None = None
 
 
 def packaged_model(path: Path, folders: Sequence[Path] = ()) -> PackagedModel:
@@ -313,10 +323,15 @@ def packaged_model(path: Path, folders: Sequence[Path] = ()) -> PackagedModel:
                 assets[name] = _substitute(name)
                 missing.append(name)
     try:
-        model = mujoco.MjModel.from_xml_string(text.decode(), assets)
+        spec = mujoco.MjSpec.from_string(text.decode(), include=assets, assets=assets)
+        model = spec.compile()
     except (ValueError, UnicodeDecodeError) as error:
         raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
-    return PackagedModel(model=model, missing=tuple(missing), missing_geoms=tuple(_substituted(model, missing)))
+    geoms = tuple(_substituted(model, missing))
+    colliding = tuple(g for g in geoms if model.geom_contype[g] or model.geom_conaffinity[g])
+    return PackagedModel(
+        model=model, spec=spec, missing=tuple(missing), missing_geoms=colliding, substituted_geoms=geoms
+    )
 
 
 def _references(content: bytes, origin: str) -> Iterator[str]:
@@ -349,10 +364,8 @@ def _substitute(name: str) -> bytes:
 
 
 def _substituted(model: mujoco.MjModel, missing: Sequence[str]) -> Iterator[int]:
-    """Yield numbers of geoms that can collide and whose mesh or height field is a substitute."""
+    """Yield numbers of geoms whose mesh or height field is a substitute."""
     for geom in range(model.ngeom):
-        if not model.geom_contype[geom] and not model.geom_conaffinity[geom]:
-            continue
         data = int(model.geom_dataid[geom])
         kind = model.geom_type[geom]
         is_mesh, is_field = kind == mujoco.mjtGeom.mjGEOM_MESH, kind == mujoco.mjtGeom.mjGEOM_HFIELD

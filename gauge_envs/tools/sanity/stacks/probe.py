@@ -112,7 +112,8 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
     read = mujoco_configuration(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
     limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
     capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
-    return replace(read, notes=(*read.notes, *notes), capacity=capacity)
+    # Its actuators have no gains.
+    return replace(read, notes=(*read.notes, *notes), capacity=capacity, robot=None)
 
 
 def _release(version: str | None) -> tuple[int, ...]:

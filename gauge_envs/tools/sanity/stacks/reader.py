@@ -6,14 +6,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from gauge_envs.errors import TargetError
 from gauge_envs.files import read_regular
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-
-if TYPE_CHECKING:
-    import mujoco
 
 GeomPair: TypeAlias = tuple[str, str]
 """Names of two geoms of a model."""
@@ -34,15 +31,12 @@ class Reader:
         read: Function that returns the configuration of a target of this kind. It gets a pair of geoms, or None, when
             `has_geoms`. It raises `TargetError` for what it cannot read.
         has_geoms: Whether a target of this kind may have geoms from which a user chooses a pair.
-        model: Function that returns the compiled model of a target, with the options that it trains with; None when a
-            target of this kind has no limits of contacts that are run.
     """
 
     accepts: str
     matches: Callable[[Any], bool]
     read: Callable[[Any, GeomPair | None], TrainingConfiguration]
     has_geoms: bool = True
-    model: Callable[[Any], mujoco.MjModel] | None = None
 
 
 def has_start(*starts: str) -> Callable[[Any], bool]:

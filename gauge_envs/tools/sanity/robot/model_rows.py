@@ -1,0 +1,549 @@
+"""Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from gauge_envs.backends.mujoco.model_settings import COLUMNS
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
+from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+NOT_STANDING = "no robot of the model stands on the ground under its own weight"
+
+UNIT_ERRORS = {1e3: "a density in g/cm^3 or a mass in tonnes", 1e-3: "a mass in grams", 1e6: "a mass in kt"}
+
+FULL_ACTION_RAD_PER_S = 3.0
+"""Speed of a joint below which a leg cannot step: half a radian in a swing of 0.2 s is 2.5 rad/s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """What was found of a robot for one row.
+
+    Attributes:
+        value: The value; not finite for a motion that diverges.
+        remark: Parts of the model that decide it.
+        advice: What to change, in the words of a model.
+        changes: The same, by names that `Robot.changed` knows.
+        declined: Why it does not apply; empty when it does.
+        advisory: Why it does not count; empty when it does.
+    """
+
+    value: float = 0.0
+    remark: str = ""
+    advice: str = ""
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    declined: str = ""
+    advisory: str = ""
+
+
+ROWS: dict[str, Callable[[Robot], Finding]] = {}
+"""Function of each row, whose limits and words stand in `scoring/facts/robot_rows.toml`."""
+
+
+def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], Finding]]:
+    """Return a decorator that adds the function of a row."""
+
+    def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
+        ROWS[name] = function
+        return function
+
+    return keep
+
+
+def judged_row(name: str, found: Finding) -> PhenomenonResult:
+    """Return the row of a finding: visible beyond its limits by the ratio of other rows, wrong beyond that."""
+    known = facts("robot_rows")[name]
+    (low, high), value = known["interval"], found.value
+    ratio = max(low / max(value, 1e-12), value / high) if np.isfinite(value) else np.inf
+    verdict = Verdict.INSIDE if ratio <= 1.0 + 1e-9 else Verdict.VISIBLE if ratio <= VISIBLE_WITHIN else Verdict.WRONG
+    is_off = verdict is not Verdict.INSIDE and not found.declined
+    return PhenomenonResult(
+        phenomenon=name,
+        title=known["title"],
+        experiment="",
+        unit=known["unit"],
+        reality=Reality(
+            kind=RealityKind.LAW,
+            value=0.5 * (low + high),
+            tolerance=0.5 * (high - low),
+            source=known["source"],
+            rationale=known["consequence"],
+            limits=known["limits"],
+        ),
+        default=None,
+        configured=None if found.declined or not np.isfinite(value) else float(value),
+        verdict=Verdict.DECLINED if found.declined else verdict,
+        default_verdict=Verdict.DECLINED,
+        cause=Cause(settings=tuple(found.changes), line=found.advice) if found.advice and is_off else None,
+        remark=found.declined or found.remark,
+        applies=not found.declined,
+        consequence=known["consequence"] if is_off else "",
+        advisory=found.advisory,
+    )
+
+
+def body_name(robot: Robot, body: int) -> str:
+    """Return the name of a body, or its number."""
+    return robot.model.body(body).name or f"body {body}"
+
+
+def _joint_name(robot: Robot, dof: int) -> str:
+    joint = int(robot.model.dof_jntid[dof])
+    return robot.model.joint(joint).name or f"joint {joint}"
+
+
+# --- masses ----------------------------------------------------------------------------------------------------------
+
+
+def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
+    """Return the largest volume of a geom of a body, that of their hull [m^3], and the reach from its centre [m].
+
+    Joints of the next links belong to the hull. All are NaN for a body whose shape is not known.
+    """
+    model, largest, points = robot.model, 0.0, []
+    if not model.body_geomnum[body]:
+        return (np.nan,) * 3
+    for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
+        if geom in robot.unknown:
+            return (np.nan,) * 3
+        centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+        turn = np.zeros(9)
+        mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
+        signs = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T
+        points.append(model.geom_pos[geom] + (centre + signs * half) @ turn.reshape(3, 3).T)
+        largest = max(largest, float(8.0 * half.prod()))
+    points += [model.body_pos[child][None] for child in robot.bodies if int(model.body_parentid[child]) == body]
+    points.append(model.jnt_pos[model.body_jntadr[body] : model.body_jntadr[body] + model.body_jntnum[body]])
+    every = np.vstack(points)
+    try:
+        hull = float(ConvexHull(every).volume)
+    except QhullError:
+        hull = largest
+    return largest, hull, float(np.linalg.norm(every - model.body_ipos[body], axis=1).max())
+
+
+@row("robot-density")
+def _density(robot: Robot) -> Finding:
+    model, worst, found = robot.model, 0.0, Finding(declined="the shape of no link is known")
+    changes: dict[str, Any] = {}
+    total = float(model.body_mass[robot.bodies].sum())
+    low, high = facts("robot_rows")["robot-density"]["interval"]
+    for body in robot.bodies:
+        mass = float(model.body_mass[body])
+        largest, hull, _ = _extent(robot, body)
+        if not (mass > 0.0 and largest > 0.0):
+            continue
+        # The lightest that its geoms allow, and the heaviest that the room around them does.
+        light, heavy = mass / largest, mass / max(hull, largest)
+        value, ratio = (light if light < low else max(heavy, low)), max(low / light, heavy / high)
+        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / value / one)))
+        if ratio > 1.0:
+            changes |= {
+                f"body_{key}[{body}]": getattr(model, f"body_{key}")[body] * factor for key in ("mass", "inertia")
+            }
+        if found.declined or ratio > worst:
+            name = body_name(robot, body)
+            worst, found = (
+                ratio,
+                Finding(
+                    value=value,
+                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
+                    advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
+                ),
+            )
+    return replace(found, changes=changes)
+
+
+@row("robot-bound")
+def _bound(robot: Robot) -> Finding:
+    spec = robot.spec
+    if spec is None or not (spec.compiler.boundmass or spec.compiler.boundinertia):
+        return Finding(declined="the model states neither boundmass nor boundinertia")
+    bare = spec.copy()
+    bare.compiler.boundmass = bare.compiler.boundinertia = 0.0
+    try:
+        model = bare.compile()
+    except ValueError:
+        return Finding(declined="without them a body has no mass: MuJoCo needs them")
+    masses, own = robot.model.body_mass[robot.bodies], model.body_mass[robot.bodies]
+    inertia, light = robot.model.body_inertia[robot.bodies].max(axis=1), model.body_inertia[robot.bodies].max(axis=1)
+    share = float((masses - own).sum() / own.sum())
+    raised = [body for body, now, was in zip(robot.bodies, inertia, light, strict=True) if now > 1.02 * was]
+    weight = float(own[[robot.bodies.index(body) for body in raised]].sum() / own.sum()) if raised else 0.0
+    names = ", ".join(body_name(robot, body) for body in raised[:3])
+    changes = {f"{key}[{b}]": getattr(model, key)[b] for b in robot.bodies for key in ("body_mass", "body_inertia")}
+    remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
+    return Finding(
+        value=max(share, weight),
+        remark=remark if raised else "",
+        advice='<compiler boundmass="0" boundinertia="0"/>',
+        changes=changes,
+    )
+
+
+@row("robot-gravcomp")
+def _gravcomp(robot: Robot) -> Finding:
+    model = robot.model
+    if not robot.is_floating:
+        return Finding(declined=NOT_STANDING)
+    lifted = [body for body in robot.bodies if model.body_gravcomp[body]]
+    share = float((model.body_gravcomp * model.body_mass)[robot.bodies].sum() / model.body_mass[robot.bodies].sum())
+    names = ", ".join(body_name(robot, body) for body in lifted)
+    return Finding(
+        value=abs(share),
+        remark=names,
+        advice=f'gravcomp="0" for {names}',
+        changes={f"body_gravcomp[{body}]": 0.0 for body in lifted},
+    )
+
+
+@row("robot-inertia")
+def _inertia(robot: Robot) -> Finding:
+    found = Finding(declined="the shape of no link is known")
+    for body in robot.bodies:
+        mass, reach = float(robot.model.body_mass[body]), _extent(robot, body)[2]
+        if not (mass > 0.0 and reach > 0.0):
+            continue
+        radius = float(np.sqrt(0.5 * robot.model.body_inertia[body].sum() / mass))
+        if found.declined or radius / reach > found.value:
+            share = (0.5 * reach / radius) ** 2
+            found = Finding(
+                value=radius / reach,
+                remark=f"{body_name(robot, body)} of {mass:.3g} kg: {radius:.3g} m of {reach:.3g} m",
+                advice=f"give {body_name(robot, body)} the inertia of its geoms, about {share:.2g} of the stated one",
+                changes={f"body_inertia[{body}]": robot.model.body_inertia[body] * share},
+            )
+    return found
+
+
+# --- feet on the ground ----------------------------------------------------------------------------------------------
+
+
+def _limbs(robot: Robot) -> list[list[int]]:
+    """Return the bodies of each limb: those behind a body from which at least two limbs part."""
+    model = robot.model
+    children = {body: [b for b in robot.bodies if int(model.body_parentid[b]) == body] for body in robot.bodies}
+    parting = {body for body, several in children.items() if len(several) > 1}
+    limbs = []
+    for leaf in (body for body, several in children.items() if not several):
+        chain = [leaf]
+        while (parent := int(model.body_parentid[chain[-1]])) in children and parent not in parting:
+            chain.append(parent)
+        limbs.append(chain)
+    return limbs
+
+
+@row("robot-feet")
+def _feet(robot: Robot) -> Finding:
+    model, standing = robot.model, robot.standing
+    if standing is None:
+        return Finding(declined=NOT_STANDING)
+    within = SOLE_WITHIN * standing.height_m
+    known = [g for b in robot.bodies for g in _geoms(robot, b) if g not in robot.unknown]
+    lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in known}
+    touching = {geom: low for geom, low in lows.items() if geom in standing.support_m}
+    if not touching:
+        return Finding(declined="the shape of the feet is not known")
+    lowest, ground = min(lows.values()), min(touching.values())
+    lame = []
+    for limb in _limbs(robot):
+        geoms = [geom for body in limb for geom in _geoms(robot, body) if geom in lows]
+        reach = min((lows[geom] for geom in geoms), default=np.inf)
+        if reach <= lowest + within and min(touching.get(geom, np.inf) for geom in geoms) > ground + within:
+            lame.append(min(geoms, key=lambda geom: lows[geom]))
+    if not lame and ground > lowest + within:
+        lame = [geom for geom, low in lows.items() if low <= lowest + within]
+    floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
+    offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
+    changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
+    names = ", ".join(robot.geom_name(geom) for geom in lame)
+    return Finding(
+        value=float(len(lame)),
+        remark=f"{names}: no partner on the ground" if lame else "",
+        advice=f"contype and conaffinity of {names} that match the ground's",
+        changes=changes,
+    )
+
+
+def _geoms(robot: Robot, body: int) -> list[int]:
+    first = int(robot.model.body_geomadr[body])
+    return list(range(first, first + int(robot.model.body_geomnum[body])))
+
+
+def ground_row(robot: Robot) -> int:
+    """Return a row of the pairs of geoms in which a foot meets the ground."""
+    return robot.foot_rows[0]
+
+
+@row("robot-friction")
+def _friction(robot: Robot) -> Finding:
+    if not robot.foot_rows:
+        return Finding(declined=NOT_STANDING)
+    constants = robot.pairs.constants
+    grips = {row: 0.0 if constants[row, 0] == 1 else constants[row, 1] for row in robot.foot_rows}
+    row = min(grips, key=lambda one: grips[one] if min(grips.values()) < 0.1 else -grips[one])
+    slippery = [one for one, grip in grips.items() if not 0.1 <= grip <= 2.0]
+    changes: dict[str, Any] = {}
+    for one in slippery:
+        for geom in robot.pairs.geoms[one].tolist():
+            changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
+    names = " with ".join(robot.geom_name(int(geom)) for geom in robot.pairs.geoms[row])
+    rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
+    return Finding(
+        value=float(grips[row]),
+        remark=f"{names}: {rule}" + (f", and {len(slippery) - 1} more pairs" if len(slippery) > 1 else ""),
+        advice=f'condim="3" friction="0.8 0.005 0.0001" for {names}',
+        changes=changes,
+    )
+
+
+@row("robot-floor-friction")
+def _floor_friction(robot: Robot) -> Finding:
+    if not robot.foot_rows:
+        return Finding(declined=NOT_STANDING)
+    model, found = robot.model, Finding(value=1.0)
+    # What a geom takes from the default of all is no statement about it.
+    common = 1.0 if robot.spec is None else float(robot.spec.default.geom.friction[0])
+    explicit = {tuple(sorted(p)) for p in zip(model.pair_geom1.tolist(), model.pair_geom2.tolist(), strict=True)}
+    for row in robot.foot_rows:
+        pair = tuple(robot.pairs.geoms[row].tolist())
+        stated = [float(model.geom_friction[geom, 0]) for geom in pair]
+        alike = model.geom_priority[pair[0]] == model.geom_priority[pair[1]]
+        met, least = float(robot.pairs.constants[row, COLUMNS["friction"].start]), max(min(stated), 1e-3)
+        is_stated = abs(min(stated) - common) > 1e-9
+        if pair not in explicit and alike and is_stated and met / least > found.value:
+            geom = pair[int(np.argmin(stated))]
+            found = Finding(
+                value=met / least,
+                remark=f"{robot.geom_name(geom)} states {min(stated):g}, and the foot meets {met:g}",
+                advice=f'priority="1" for {robot.geom_name(geom)}',
+                changes={f"geom_priority[{geom}]": 1},
+            )
+    return found
+
+
+@row("floor-tilt")
+def _floor_tilt(robot: Robot) -> Finding:
+    model, gravity = robot.model, robot.model.opt.gravity
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    fixed = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
+    planes = [
+        g
+        for g in range(model.ngeom)
+        if int(model.geom_type[g]) == int(mujoco.mjtGeom.mjGEOM_PLANE) and not model.body_dofnum[fixed[g]]
+    ]
+    planes = [g for g in planes if model.geom_contype[g] or model.geom_conaffinity[g]]
+    if not planes or not gravity.any():
+        return Finding(declined="the model has no plane, or no gravity")
+    normals = {g: data.geom_xmat[g].reshape(3, 3)[:, 2] for g in planes}
+    cosines = {g: float(-normals[g] @ gravity / np.linalg.norm(gravity)) for g in planes}
+    # Walls and ramps beside a floor are no fault.
+    geom = max(cosines, key=lambda g: cosines[g])
+    angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
+    return Finding(
+        value=angle if angle > 1e-4 else 0.0,
+        remark=robot.geom_name(geom),
+        advice=f'zaxis="0 0 1" for {robot.geom_name(geom)}',
+        changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
+    )
+
+
+# --- joints ----------------------------------------------------------------------------------------------------------
+
+
+def start(robot: Robot, model: mujoco.MjModel | None = None) -> mujoco.MjData:
+    """Return the pose in which the robot stands, with the controls that hold it there."""
+    model = robot.model if model is None else model
+    data = mujoco.MjData(model)
+    if robot.standing is not None:
+        data.qpos[:] = robot.standing.stance.qpos
+    mujoco.mj_forward(model, data)
+    servo = servos(model)
+    data.ctrl[servo] = np.where(model.actuator_gainprm[servo, 0] != 0.0, data.actuator_length[servo], 0.0)
+    if robot.standing is not None and robot.standing.stance.ctrl is not None:
+        data.ctrl[:] = robot.standing.stance.ctrl
+    mujoco.mj_forward(model, data)
+    return data
+
+
+def servos(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which actuators hold a position, shape [nu]."""
+    affine = model.actuator_biastype == int(mujoco.mjtBias.mjBIAS_AFFINE)
+    return np.asarray(affine & (model.actuator_biasprm[:, 1] < 0.0))
+
+
+def torque_limits(model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Return the largest force of the actuators on each degree of freedom [N or Nm], shape [nv].
+
+    It is infinite where no limit is stated, and 0 where nothing acts.
+    """
+    limits = np.zeros(model.nv)
+    for actuator in range(model.nu):
+        joint = int(model.actuator_trnid[actuator, 0])
+        kinds = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+        if int(model.actuator_trntype[actuator]) not in kinds or joint < 0:
+            continue
+        largest = np.inf
+        if model.actuator_forcelimited[actuator]:
+            largest = float(np.abs(model.actuator_forcerange[actuator]).max())
+        elif model.actuator_ctrllimited[actuator] and not model.actuator_biasprm[actuator].any():
+            largest = float(abs(model.actuator_gainprm[actuator, 0]) * np.abs(model.actuator_ctrlrange[actuator]).max())
+        dof = int(model.jnt_dofadr[joint])
+        limits[dof] += abs(float(model.actuator_gear[actuator, 0])) * largest
+        if model.jnt_actfrclimited[joint]:
+            limits[dof] = min(limits[dof], float(np.abs(model.jnt_actfrcrange[joint]).max()))
+    return limits
+
+
+def _driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
+    """Yield hinges of a standing robot that an actuator drives, and its limit [Nm]."""
+    for dof, limit in enumerate(torque_limits(robot.model)):
+        joint = int(robot.model.dof_jntid[dof])
+        is_hinge = int(robot.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
+        if limit and is_hinge and int(robot.model.dof_bodyid[dof]) in robot.bodies:
+            yield dof, float(limit)
+
+
+def growth(robot: Robot, model: mujoco.MjModel) -> float:
+    """Return the largest ratio by which a small motion about the pose grows in one step, without contact and gravity.
+
+    It is the spectral radius of the engine's own step: gains, damping, inertia, step and integrator together.
+    """
+    free = without(model, "contact", "gravity", "limit", "frictionloss")
+    data, nv = start(robot, free), free.nv
+    base, ctrl, matrix = data.qpos.copy(), data.ctrl.copy(), np.zeros((2 * nv, 2 * nv))
+
+    def stepped(change: NDArray[np.float64]) -> NDArray[np.float64]:
+        mujoco.mj_resetData(free, data)
+        data.qpos[:], data.ctrl[:] = base, ctrl
+        mujoco.mj_integratePos(free, data.qpos, change[:nv], 1.0)
+        data.qvel[:] = change[nv:]
+        mujoco.mj_step(free, data)
+        moved = np.zeros(nv)
+        mujoco.mj_differentiatePos(free, moved, 1.0, base, data.qpos)
+        return np.concatenate([moved, data.qvel])
+
+    for column, change in enumerate(1e-5 * np.eye(2 * nv)):
+        matrix[:, column] = (stepped(change) - stepped(-change)) / 2e-5
+    return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else np.inf
+
+
+def without(model: mujoco.MjModel, *features: str) -> mujoco.MjModel:
+    """Return a copy of a model with some features switched off."""
+    bare = copy.copy(model)
+    for feature in features:
+        bare.opt.disableflags |= int(getattr(mujoco.mjtDisableBit, f"mjDSBL_{feature.upper()}"))
+    return bare
+
+
+@row("robot-servo")
+def _servo(robot: Robot) -> Finding:
+    model = robot.model
+    if not model.nv or not (servos(model).any() or model.dof_damping.any() or model.jnt_stiffness.any()):
+        return Finding(declined="no joint has a servo, damping or stiffness")
+    value = growth(robot, model)
+    if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
+        return Finding(value=value)
+    arrays = [(key, a) for key in ("gainprm", "biasprm") for a in np.flatnonzero(servos(model))]
+    for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
+        changes: dict[str, Any] = {"integrator": "implicitfast"}
+        changes |= {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
+        if growth(robot, robot.changed(changes)[0]) <= 1.0 + 1e-3:
+            texts = ['<option integrator="implicitfast"/>', f"kp and kv times {share:g}"]
+            advice = " and ".join(texts[: 2 if share < 1.0 else 1])
+            return Finding(value=value, advice=advice, changes=changes, remark=f"step {model.opt.timestep:g} s")
+    return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
+
+
+@row("robot-torque")
+def _torque(robot: Robot) -> Finding:
+    if not robot.is_floating:
+        return Finding(declined=NOT_STANDING)
+    model, data, found = robot.model, start(robot), Finding(declined="no joint states the limit of its torque")
+    assert robot.standing is not None, "a robot that floats stands"
+    # Twice what a foot carries, at the height of the robot.
+    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(robot.standing.feet)
+    fair = 2.0 * load_n * robot.standing.height_m
+    actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
+    for dof, limit in _driven_dofs(robot):
+        weight = abs(float(data.qfrc_bias[dof]))
+        if np.isfinite(limit) and (found.declined or limit / max(weight, 1e-3) < found.value):
+            joint = _joint_name(robot, dof)
+            found = Finding(
+                value=min(limit / max(weight, 1e-3), 1e6),
+                remark=f"{joint}: {limit:.3g} Nm against {weight:.3g} Nm",
+                advice=f"a forcerange of {joint} and joints like it from {fair:.2g} Nm on",
+                changes={f"actuator_forcerange[{a}]": np.array([-fair, fair]) for a in actuators},
+            )
+    return found
+
+
+def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
+    """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    model, values = robot.model, getattr(robot.model, f"dof_{name}")
+    limits = {}
+    for dof, limit in _driven_dofs(robot):
+        if not np.isfinite(limit):
+            actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
+            # A servo without a limit: what an error of half a radian asks of it.
+            limit = float(-0.5 * model.actuator_biasprm[actuators, 1].sum())
+        if limit > 0.0:
+            limits[dof] = limit
+    if not limits:
+        return Finding(declined="no joint of a robot that stands states the limit of its torque")
+    fair = {d: float(values[d]) / max(spare * share(d, limit), 1.0) for d, limit in limits.items()}
+    worst = max(limits, key=lambda dof: share(dof, limits[dof]))
+    return Finding(
+        value=share(worst, limits[worst]),
+        remark=f"{_joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
+        advice=f'{name}="{fair[worst]:.2g}" for {_joint_name(robot, worst)} and joints like it',
+        changes={f"dof_{name}[{dof}]": value for dof, value in fair.items() if value < values[dof]},
+    )
+
+
+@row("robot-damping")
+def _damping(robot: Robot) -> Finding:
+    damping = robot.model.dof_damping
+    return _drag(robot, "damping", lambda dof, limit: FULL_ACTION_RAD_PER_S * float(damping[dof]) / limit, 4.0)
+
+
+@row("robot-frictionloss")
+def _frictionloss(robot: Robot) -> Finding:
+    loss = robot.model.dof_frictionloss
+    return _drag(robot, "frictionloss", lambda dof, limit: float(loss[dof]) / limit, 20.0)
+
+
+@row("robot-armature")
+def _armature(robot: Robot) -> Finding:
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    model, data, found, changes = robot.model, start(robot), Finding(), {}
+    full = np.zeros((model.nv, model.nv))
+    mujoco.mj_fullM(model, data, full)
+    for dof, _ in _driven_dofs(robot):
+        armature = float(model.dof_armature[dof])
+        limb = max(float(full[dof, dof]) - armature, 1e-9)
+        if armature / limb > 20.0:
+            changes[f"dof_armature[{dof}]"] = limb
+        if armature / limb > found.value:
+            found = Finding(
+                value=armature / limb,
+                remark=f"{_joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
+                advice=f'armature="{limb:.2g}" for {_joint_name(robot, dof)} and joints like it',
+            )
+    return Finding(value=found.value, remark=found.remark, advice=found.advice, changes=changes)

@@ -1,0 +1,232 @@
+"""Run the target's own robot in its own settings: held at the pose in which it stands, and moving freely."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.tools.sanity.robot.model_rows import (
+    NOT_STANDING,
+    Finding,
+    body_name,
+    row,
+    servos,
+    start,
+    torque_limits,
+    without,
+)
+from gauge_envs.tools.sanity.robot.mujoco_feet import first_moving_body
+from gauge_envs.tools.sanity.robot.robot import Robot
+
+HOLD_S, LATE_S = 2.0, 0.5
+"""Time for which the robot is held [s], and its end, in which loads and torques are read."""
+
+FREE_S = 1.0
+"""Time in which energy is read [s]."""
+
+SLOPE_DEG, SLOPE_PUSH = 10.0, 0.7
+"""Slope on which feet stand [degrees], and the largest push, over what their friction holds."""
+
+LEAST_FEET = 3
+"""Feet on which a robot stands without a policy."""
+
+NO_SERVO = "no servos hold the robot: its torques come from a policy, or its servos from code"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Held:
+    """What a robot did while its servos held it.
+
+    Attributes:
+        diverged_s: Time at which the state diverged [s]; infinite when it did not.
+        height: Height of its first body above the ground at the end, over that at the start.
+        loads: Share of the weight on each of its bodies that touch the ground, late in the motion.
+        saturation: Largest torque over its limit, late in the motion, and its joint.
+        slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
+    """
+
+    diverged_s: float
+    height: float = 0.0
+    loads: dict[int, float] | None = None
+    saturation: tuple[float, str] = (0.0, "")
+    slip_mm_per_s: float = 0.0
+
+
+@cache
+def held(robot: Robot, slope_deg: float = 0.0) -> Held:
+    """Return what a robot does while the controls of its pose hold it.
+
+    Args:
+        robot: The robot, which stands.
+        slope_deg: Slope of the ground along x, made by turning gravity [degrees].
+    """
+    assert robot.standing is not None, "only a robot that stands is held"
+    model, data = robot.model, start(robot)
+    gravity, body = model.opt.gravity.copy(), robot.standing.body
+    slope, size = np.radians(slope_deg), float(np.linalg.norm(gravity))
+    up, bodies = np.asarray(robot.up), set(robot.bodies)
+    along = np.cross([0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0], up)
+    model.opt.gravity[:] = size * (np.sin(slope) * along - np.cos(slope) * up) if slope_deg else gravity
+    ground = _ground_m(robot)
+    first = float(data.xpos[body] @ up) - ground
+    steps, limits = max(1, round(HOLD_S / model.opt.timestep)), torque_limits(model)
+    late = max(0, steps - round(LATE_S / model.opt.timestep))
+    loads: dict[int, float] = {}
+    torques, before = np.zeros(model.nv), np.zeros(3)
+    try:
+        for step in range(steps):
+            mujoco.mj_step(model, data)
+            if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
+                return Held(diverged_s=(step + 1) * float(model.opt.timestep))
+            if step == late:
+                before = _feet_m(robot, data)
+            if step >= late:
+                torques += np.abs(data.qfrc_actuator) / (steps - late)
+                _add_loads(robot, data, loads, bodies, 1.0 / (steps - late))
+    finally:
+        model.opt.gravity[:] = gravity
+    ratio = np.divide(torques, limits, out=np.zeros(model.nv), where=(limits > 0.0) & np.isfinite(limits))
+    dof = int(ratio.argmax()) if model.nv else 0
+    weight = float(model.body_mass[robot.bodies].sum()) * size
+    return Held(
+        diverged_s=np.inf,
+        height=(float(data.xpos[body] @ up) - ground) / max(first, 1e-6),
+        loads={one: load / weight for one, load in loads.items()},
+        saturation=(float(ratio[dof]), model.joint(int(model.dof_jntid[dof])).name),
+        slip_mm_per_s=1e3 * float(np.linalg.norm(_feet_m(robot, data) - before, axis=-1).mean()) / LATE_S,
+    )
+
+
+def _ground_m(robot: Robot) -> float:
+    """Return the height of the soles in the pose in which the robot stands [m]."""
+    assert robot.standing is not None
+    return min(float(point[2]) for point in robot.standing.support_m.values())
+
+
+def _feet_m(robot: Robot, data: mujoco.MjData) -> NDArray[np.float64]:
+    assert robot.standing is not None
+    return np.asarray(data.geom_xpos[[geoms[0] for geoms in robot.standing.feet.values()]].copy())
+
+
+def _add_loads(robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodies: set[int], share: float) -> None:
+    """Add the normal forces of the ground on the bodies of a robot [N], times a share."""
+    model, force = robot.model, np.zeros(6)
+    for number in range(data.ncon):
+        pair = [int(model.geom_bodyid[geom]) for geom in data.contact[number].geom]
+        own = [body for body in pair if body in bodies]
+        if len(own) == 1 and not model.body_dofnum[first_moving_body(model, sum(pair) - own[0])]:
+            mujoco.mj_contactForce(model, data, number, force)
+            loads[own[0]] = loads.get(own[0], 0.0) + share * float(force[0])
+
+
+def _held(robot: Robot, slope_deg: float = 0.0, *, is_loaded: bool = True) -> Held | Finding:
+    """Return the motion of a robot that its servos hold, or why a row does not apply to it."""
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    if not servos(robot.model).any():
+        return Finding(declined=NO_SERVO)
+    found = held(robot, slope_deg)
+    if is_loaded and not np.isfinite(found.diverged_s):
+        return found
+    return Finding(declined=f"the state diverges at {found.diverged_s:.3g} s") if is_loaded else found
+
+
+def _advisory(robot: Robot) -> str:
+    count = 0 if robot.standing is None else len(robot.standing.feet)
+    return "" if count >= LEAST_FEET else f"a robot with {count} feet balances with a policy alone"
+
+
+@row("robot-holds")
+def _finite(robot: Robot) -> Finding:
+    if not robot.model.nv or robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    found = held(robot)
+    until = found.diverged_s
+    return Finding(
+        value=1.0 if np.isinf(until) else until / HOLD_S, remark="" if np.isinf(until) else f"diverges at {until:.3g} s"
+    )
+
+
+@row("robot-stands")
+def _stands(robot: Robot) -> Finding:
+    found = _held(robot)
+    if isinstance(found, Finding):
+        return found
+    return Finding(value=max(found.height, 1e-3), advisory=_advisory(robot))
+
+
+@row("robot-loads")
+def _loads(robot: Robot) -> Finding:
+    found = _held(robot)
+    if isinstance(found, Finding):
+        return found
+    assert robot.standing is not None and found.loads is not None
+    feet = set(robot.standing.feet)
+    idle = [body for body in feet if found.loads.get(body, 0.0) < 0.01]
+    other = {body: load for body, load in found.loads.items() if body not in feet and load > 0.1}
+    shares = ", ".join(f"{body_name(robot, body)} {load:.0%}" for body, load in sorted(found.loads.items()))
+    return Finding(value=float(len(idle) + len(other)), remark=shares, advisory=_advisory(robot))
+
+
+@row("robot-saturation")
+def _saturation(robot: Robot) -> Finding:
+    found = _held(robot)
+    if isinstance(found, Finding):
+        return found
+    value, joint = found.saturation
+    return Finding(value=value, remark=joint, advisory=_advisory(robot))
+
+
+@row("robot-slip")
+def _slip(robot: Robot) -> Finding:
+    if not robot.foot_rows or _advisory(robot):
+        return Finding(declined=_advisory(robot) or NOT_STANDING)
+    friction = float(robot.pairs.constants[robot.foot_rows, 1].min())
+    slope = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
+    found = _held(robot, slope)
+    if isinstance(found, Finding):
+        return found
+    if not 0.7 < found.height < 1.3:
+        return Finding(declined="the robot falls on the slope")
+    return Finding(value=found.slip_mm_per_s, remark=f"{slope:.3g} degrees, friction {friction:.3g}")
+
+
+@row("robot-overlap")
+def _overlap(robot: Robot) -> Finding:
+    model, data, bodies = robot.model, start(robot), set(robot.bodies)
+    deepest, names = 0.0, ""
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
+        if set(pair) <= bodies and contact.exclude == 0 and -contact.dist > deepest:
+            deepest, names = -float(contact.dist), " and ".join(body_name(robot, body) for body in pair)
+    if robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    return Finding(
+        value=1e3 * deepest,
+        remark=names,
+        advice=f"exclude the pair {names}, or make its geoms smaller" if names else "",
+    )
+
+
+@row("robot-energy")
+def _energy(robot: Robot) -> Finding:
+    if not robot.model.nv or robot.standing is None:
+        return Finding(declined=NOT_STANDING)
+    bare = without(robot.model, "contact", "actuation", "limit", "frictionloss", "damper", "equality")
+    bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
+    data, values = start(robot, bare), []
+    data.qvel[6 if robot.is_floating else 0 :] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[
+        6 if robot.is_floating else 0 :
+    ]
+    for _ in range(max(1, round(FREE_S / bare.opt.timestep))):
+        mujoco.mj_step(bare, data)
+        values.append(data.energy.copy())
+    energies = np.asarray(values)
+    largest = float(energies[:, 1].max())
+    gained = float((energies.sum(axis=1) - energies[0].sum()).max())
+    return Finding(value=gained / max(largest, 1e-9) if np.isfinite(energies).all() else np.inf)

@@ -1,0 +1,233 @@
+"""The target's own robot: rows against closed forms and motion, planted mistakes, and cures that are applied."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from robot_faults import FAULTS, good_xml
+
+from gauge_envs.tools.sanity import check
+from gauge_envs.tools.sanity.cured import applied
+from gauge_envs.tools.sanity.model import Need, PhenomenonResult, TrainingConfiguration, Verdict
+from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomenon
+from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.robot.model_rows import ROWS, growth
+from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
+from gauge_envs.tools.sanity.robot.robot import never_touches
+from gauge_envs.tools.sanity.stacks import configuration, dialect
+from gauge_envs.tools.sanity.stated import robot_row, stated_rows
+
+G = 9.81
+
+
+def read(xml: str) -> TrainingConfiguration:
+    spec = mujoco.MjSpec.from_string(xml)
+    return mujoco_configuration(spec.compile(), name="robot.xml", source="test", spec=spec)
+
+
+def rows_of(xml: str) -> dict[str, PhenomenonResult]:
+    found = stated_rows(read(xml), dialect("mjcf"), ["gravity", *ROBOT_IDS])
+    return {row.phenomenon: row for row in found}
+
+
+def row(name: str, xml: str) -> PhenomenonResult:
+    return robot_row(name, read(xml).robot)
+
+
+ON_ROBOT = {name for name, fault in FAULTS.items() if any(one in (*ROBOT_IDS, "gravity") for one in fault.rows)}
+
+
+def test_the_rows_of_a_robot_are_listed() -> None:
+    assert robot_row("robot-servo", None).verdict is Verdict.DECLINED
+    assert set(ROWS) == set(ROBOT_IDS) == set(facts("robot_rows"))
+    for known in facts("robot_rows").values():
+        low, high = known["interval"]
+        assert known["consequence"].endswith(".") and low < high and known["source"] and known["limits"]
+
+
+def test_a_good_robot_has_no_flag() -> None:
+    found = rows_of(good_xml())
+    assert [name for name, one in found.items() if one.is_flag] == []
+    assert set(ROBOT_IDS) - set(found) == {"robot-bound"}
+
+
+@pytest.mark.parametrize("name", sorted(ON_ROBOT))
+def test_a_mistake_is_found_and_named(name: str) -> None:
+    fault = FAULTS[name]
+    flags = {row.phenomenon: row for row in rows_of(fault.xml()).values() if row.is_flag}
+    named = set(flags) & set(fault.rows)
+    assert named or not set(fault.rows) <= {*ROBOT_IDS, "gravity"}, flags
+    assert all(flags[one].consequence for one in named - {"gravity"})
+
+
+def test_every_mistake_has_a_thread() -> None:
+    assert len(FAULTS) >= 40
+    assert all(name.count("#") == 1 and name.split("#")[1].isdigit() for name in (f.thread for f in FAULTS.values()))
+
+
+# --- closed forms ----------------------------------------------------------------------------------------------------
+
+
+def hinge_xml(kp: float, kv: float, armature: float, option: str) -> str:
+    return f"""<mujoco><option {option}/><worldbody><body><joint name="j" axis="0 0 1" armature="{armature}"/>
+      <geom type="sphere" size=".1" mass="1"/></body></worldbody>
+      <actuator><position joint="j" kp="{kp}" kv="{kv}"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize("kp", [10.0, 900.0, 4000.0, 2e5])
+@pytest.mark.parametrize(("integrator", "is_implicit"), [("implicitfast", True), ("Euler", False)])
+def test_the_growth_of_a_servo_is_its_eigenvalue_and_motion_grows_with_it(
+    kp: float, integrator: str, is_implicit: bool
+) -> None:
+    step, kv, armature = 0.005, 0.4, 0.001
+    inertia = 0.4 * 0.1**2 + armature
+    robot = read(hinge_xml(kp, kv, armature, f'timestep="{step}" integrator="{integrator}"')).robot
+    mass = inertia + (step * kv if is_implicit else 0.0)
+    speed = np.array([-step * kp / mass, 1.0 - step * kv / mass])
+    expected = np.abs(np.linalg.eigvals([[1.0 + step * speed[0], step * speed[1]], speed])).max()
+    assert growth(robot, robot.model) == pytest.approx(expected, rel=1e-6)
+    data = mujoco.MjData(robot.model)
+    data.qpos[0] = 1e-6
+    reach = []
+    for _ in range(200):
+        mujoco.mj_step(robot.model, data)
+        reach.append(abs(data.qpos[0]) + step * abs(data.qvel[0]))
+        if reach[-1] > 1e3:
+            break
+    assert (max(reach) > 1e-2) == (expected > 1.1)
+
+
+def test_torque_damping_friction_and_armature_are_ratios_to_the_limb() -> None:
+    text = good_xml()
+    found = rows_of(text)
+    robot = read(text).robot
+    data = mujoco.MjData(robot.model)
+    mujoco.mj_resetDataKeyframe(robot.model, data, 0)
+    mujoco.mj_forward(robot.model, data)
+    # The limb of a hip weighs on it by the lever of its centre of mass, and the lowest ratio is the row.
+    torques = []
+    for leg in ("FL", "FR", "RL", "RR"):
+        body = robot.model.body(f"{leg}_thigh").id
+        lever = data.subtree_com[body] - data.joint(f"{leg}_hip").xanchor
+        torques.append(abs(robot.model.body_subtreemass[body] * G * lever[0]))
+    knee = max(
+        abs(robot.model.body_subtreemass[b] * G * (data.subtree_com[b] - data.joint(f"{leg}_knee").xanchor)[0])
+        for leg in ("FL", "RL")
+        for b in [robot.model.body(f"{leg}_calf").id]
+    )
+    assert found["robot-torque"].configured == pytest.approx(40.0 / max(*torques, knee), rel=1e-3)
+    assert found["robot-damping"].configured == pytest.approx(3.0 * 0.5 / 40.0)
+    assert found["robot-frictionloss"].configured == pytest.approx(0.2 / 40.0)
+
+
+def test_density_and_gravcomp_are_those_of_the_model() -> None:
+    assert row("robot-density", good_xml().replace('density="1500"', 'density="1.5"')).configured == pytest.approx(1.5)
+    lifted = good_xml().replace('<body name="trunk"', '<body name="trunk" gravcomp="1"')
+    robot = read(lifted).robot
+    share = robot.model.body("trunk").mass[0] / robot.model.body_subtreemass[1]
+    assert row("robot-gravcomp", lifted).configured == pytest.approx(share)
+
+
+def test_the_tilt_of_the_floor_is_the_slope_on_which_a_ball_rolls() -> None:
+    xml = """<mujoco><option timestep="0.001"/><worldbody>
+      <geom name="floor" type="plane" size="5 5 .1" euler="0 3.4 0" condim="1"/>
+      <body pos="0 0 .1"><freejoint/><geom size=".1" condim="1"/></body></worldbody></mujoco>"""
+    found = row("floor-tilt", xml)
+    assert found.configured == pytest.approx(3.4) and found.verdict is Verdict.WRONG
+    model = mujoco.MjModel.from_xml_string(xml)
+    data = mujoco.MjData(model)
+    while data.time < 0.4:
+        mujoco.mj_step(model, data)
+    downhill = np.linalg.norm(data.qvel[:3])
+    assert downhill / data.time == pytest.approx(G * np.sin(np.radians(found.configured)), rel=0.02)
+
+
+def test_the_friction_of_a_foot_is_what_a_slide_shows() -> None:
+    # The floor states 0.1, and the greater friction counts: a block on 35 degrees slides as with 0.5.
+    tilt = np.radians(35.0)
+    xml = f"""<mujoco><option timestep="0.001" cone="elliptic" impratio="100"
+      gravity="{G * np.sin(tilt)} 0 {-G * np.cos(tilt)}"/>
+      <default><geom solref="0.004 1" solimp="0.95 0.95 0.001"/></default><worldbody>
+      <geom name="floor" type="plane" size="9 9 .1" friction="0.1"/>
+      <body pos="0 0 .05"><freejoint/><geom name="sole" type="box" size=".2 .2 .05" friction="0.5"/></body>
+      </worldbody></mujoco>"""
+    configuration = read(xml)
+    assert configuration.robot.foot_rows
+    assert robot_row("robot-friction", configuration.robot).configured == pytest.approx(0.5)
+    assert robot_row("robot-floor-friction", configuration.robot).configured == pytest.approx(5.0)
+    model = configuration.robot.model
+    data = mujoco.MjData(model)
+    speeds = []
+    for _ in range(600):
+        mujoco.mj_step(model, data)
+        speeds.append(data.qvel[0])
+    slides = (speeds[-1] - speeds[299]) / 0.3
+    # A real slide resolves 4 % of the friction, the half-width of the interval of `slide-wood`.
+    assert np.tan(tilt) - slides / (G * np.cos(tilt)) == pytest.approx(0.5, rel=0.04)
+
+
+# --- what a robot can do ---------------------------------------------------------------------------------------------
+
+
+def test_a_planar_robot_is_judged_in_its_plane() -> None:
+    assert Need.SPACE in configuration("Walker2d-v5").inapplicable
+    assert Need.SPACE not in configuration("Ant-v5").inapplicable
+    (turned,) = check("Walker2d-v5", only=["slide-turned"]).rows
+    assert turned.verdict is Verdict.DECLINED and not turned.applies
+
+
+def test_a_robot_that_never_touches_is_not_judged_by_contacts() -> None:
+    arm = """<mujoco><worldbody>{floor}<body pos="0 0 3"><joint axis="0 1 0"/><geom type="capsule" size=".05"
+      fromto="0 0 0 0 0 1"/><body pos="0 0 1"><joint axis="0 1 0"/><geom type="capsule" size=".05"
+      fromto="0 0 0 0 0 1"/></body></body></worldbody></mujoco>"""
+    high = read(arm.format(floor='<geom type="plane" size="5 5 .1"/>'))
+    assert never_touches(high.robot) and Need.CONTACT in high.inapplicable
+    low = read(arm.format(floor='<geom type="plane" size="5 5 .1" pos="0 0 2"/>'))
+    assert not never_touches(low.robot) and Need.CONTACT not in low.inapplicable
+
+
+def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row() -> None:
+    xml = good_xml().replace('name="floor"', 'name="floor" margin="0.02"')
+    found = {
+        r.phenomenon: r for r in check(read(xml), only=["creep-wood", "rest-height", "release", "slide-wood"]).rows
+    }
+    assert found["rest-height"].configured == pytest.approx(20.0, abs=0.05)
+    assert abs(found["creep-wood"].configured) < 0.05
+    assert found["slide-wood"].verdict is Verdict.INSIDE
+    assert found["release"].configured > 100.0
+    assert phenomenon("release").scenario.scene.bodies == phenomenon("rest-height").scenario.scene.bodies
+
+
+# --- cures -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "rows", "text"),
+    [
+        ("margin_of_the_floor", ["rest-height"], 'margin="0" in floor, which the default does not reach'),
+        ("solimp_from_zero", ["rest-height"], "<default><geom solimp="),
+        ("gravcomp", ["robot-gravcomp"], 'gravcomp="0" for trunk'),
+        ("foot_cannot_collide", ["robot-feet"], "contype and conaffinity of FL_foot"),
+        ("kp_diverges", ["robot-servo"], "kp and kv times"),
+        ("slippery_floor_loses", ["robot-floor-friction"], 'priority="1" for floor'),
+    ],
+)
+def test_a_cure_is_applied_and_a_second_check_has_no_flag(name: str, rows: list[str], text: str) -> None:
+    before = read(FAULTS[name].xml())
+    report = check(before, only=rows)
+    assert report.cure is not None and text in report.cure.line
+    assert report.cure.mended_count == report.cure.flag_count
+    after = check(applied(before, report.cure.changes)[0], only=rows)
+    assert [one.phenomenon for one in after.rows if one.is_flag] == []
+
+
+def test_a_change_that_does_not_reach_a_geom_is_no_cure() -> None:
+    xml = good_xml().replace('name="floor"', 'name="floor" margin="0.02"')
+    robot = read(xml).robot
+    floor = robot.model.geom("floor").id
+    assert floor not in robot.reached_by_default("contact_margin_m")
+    assert robot.model.geom("trunk").id in robot.reached_by_default("contact_margin_m")
+    changed, own = robot.changed({"contact_margin_m": 0.0})
+    assert own == {"contact_margin_m": [floor]} and not changed.geom_margin.any()
+    assert robot.model.geom_margin[floor] == pytest.approx(0.02)
