@@ -234,7 +234,7 @@ finally:
     if os.getpid() == command:
         sys.stderr.write(json.dumps(moments))
 """
-"""A command of which a fork gets Ctrl-C every tenth of a second of processor time."""
+"""A command of which a fork gets Ctrl-C every 50 ms of processor time."""
 
 
 def test_ctrl_c_is_quiet_at_every_moment(tmp_path: Path) -> None:

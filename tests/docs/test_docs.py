@@ -291,10 +291,11 @@ def test_no_public_name_is_on_the_pages_twice() -> None:
 
 @pytest.mark.parametrize("engine", ["mujoco", "drake", "genesis", "newton", "physx", "pybullet", "rapier"])
 def test_the_page_of_an_engine_lists_its_presets(engine: str) -> None:
-    presets = importlib.import_module(f"gauge_envs.backends.{engine}.settings").PRESETS
+    settings = importlib.import_module(f"gauge_envs.backends.{engine}.settings")
+    presets = {*settings.PRESETS, *(["training"] if hasattr(settings, "TRAINING_CHANGES") else [])}
     page = (DOCS / "engines" / f"{engine}.md").read_text(encoding="utf-8")
     table = page.partition("\n## Presets\n")[2].partition("\n## ")[0]
-    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == set(presets)
+    assert set(re.findall(r"^\| `(\w+)` \|", table, flags=re.MULTILINE)) == presets
 
 
 def test_the_glossary_defines_each_term_once() -> None:

@@ -98,9 +98,8 @@ class Bench:
             if path is not None:
                 (place, turn), (there, turned) = path(index / 180), path((index + 1) / 180)
                 rate = 180 * np.concatenate([np.subtract(there, place), (turned * turn.inv()).as_rotvec()])
-                pose = Pose(position_m=tuple(place), quaternion=tuple(turn.as_quat(scalar_first=True)))
-                for body in self.driven:
-                    self.stepper.drive(body, pose, rate, np.zeros(6))
+                motion = np.concatenate([place, turn.as_quat(scalar_first=True), rate, np.zeros(6)])
+                self.stepper.drive(np.array(self.driven), np.tile(motion, (len(self.driven), 1)))
             self.stepper.advance(1 / 180)
 
     def nodes(self) -> NDArray[np.float64]:
