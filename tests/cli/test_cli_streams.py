@@ -223,7 +223,7 @@ def interrupt_a_fork(*_):
 
 command = os.getpid()
 signal.signal(signal.SIGPROF, interrupt_a_fork)
-signal.setitimer(signal.ITIMER_PROF, 0.01, 0.1)
+signal.setitimer(signal.ITIMER_PROF, 0.01, 0.05)
 from gauge_command import main
 
 sys.argv = ["gauge", "list", "SlopeSlider-2-wood"]
