@@ -461,8 +461,8 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     yield from ("### Ranks", "")
     yield (
         f"Among the {passing} configurations that fail no check of these laws. A cell has the score, 1 being a typical "
-        "trial, and the best to worst rank in this experiment: behind those that are distinguishably closer, before those that "
-        "are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference of at most "
+        "trial, and the best to worst rank in this experiment: behind those that are distinguishably closer, before "
+        "those that are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference of at most "
         f"{NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
     )
     by_name = dict(rows)
