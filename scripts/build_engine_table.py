@@ -462,8 +462,8 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     yield (
         f"Among the {passing} configurations that fail no check of these laws. A cell has the score, 1 being a typical "
         "trial, and the best to worst rank in this experiment: behind those that are distinguishably closer, before "
-        "those that are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference of at most "
-        f"{NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
+        "those that are distinguishably further, at 5 % for all pairs of the experiment together (Holm). A difference "
+        f"of at most {NEGLIGIBLE} counts as none. The mean rank counts each experiment the same."
     )
     by_name = dict(rows)
     for grade in data["grades"]:

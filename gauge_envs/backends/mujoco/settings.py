@@ -154,6 +154,17 @@ class SettingsMuJoCo(SteppedSettings):
         return softness
 
 
+CLOTH = SettingsMuJoCo(
+    preset="cloth",
+    timestep_s=1 / 900,
+    integrator="discrete",
+    cone="pyramidal",
+    impratio=1.0,
+    solver="CG",
+    iterations=2000,
+    tolerance=1e-7,
+)
+
 PRESETS: dict[str, SettingsMuJoCo] = {
     # Chosen on closed forms, not on scores: acceleration and hops in a slide, creep on a slope below the friction
     # angle, and drift on a plate at constant speed. MuJoCo's contact constraints omit the acceleration due to the
@@ -182,27 +193,10 @@ PRESETS: dict[str, SettingsMuJoCo] = {
     # every step, also without any contact; conjugate gradients multiply with it, and are twice as fast at the same
     # tolerance (studies/cost). `iterations` also limits the inner solve with the stiffness. A tolerance of 1e-7 moves
     # a flung fabric by 0.005 mm in 1.3 s; with 1e-6 the work of its grip is 1.5 % off.
-    "cloth": SettingsMuJoCo(
-        preset="cloth",
-        timestep_s=1 / 900,
-        integrator="discrete",
-        cone="pyramidal",
-        impratio=1.0,
-        solver="CG",
-        iterations=2000,
-        tolerance=1e-7,
-    ),
+    "cloth": CLOTH,
     # Bodies push into the cloth. Contacts need the smaller tolerance, and a larger one saves nothing here: the time
     # goes into the assembly of the stiffness.
-    "cloth_probed": SettingsMuJoCo(
-        preset="cloth_probed",
-        timestep_s=1 / 900,
-        integrator="discrete",
-        cone="pyramidal",
-        impratio=1.0,
-        solver="CG",
-        iterations=2000,
-    ),
+    "cloth_probed": CLOTH.model_copy(update={"preset": "cloth_probed", "tolerance": 1e-8}),
     # Dynamic bodies on cloth. Three requirements decide: a cube rests on a slope of 10 degrees, slides on 30 degrees,
     # and moves along with the cloth at constant speed. MuJoCo softens the contacts of light bodies: with its default
     # impedance, a cube of 0.34 kg on vertices of 0.3 g creeps by 15 mm/s on 10 degrees. With much stiffer contacts the
