@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Any
 
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 from gauge_envs.files import json_ready
 
@@ -278,7 +278,7 @@ class Reality:
         if trial_count == 1:
             factor, rationale = ONE_RECORDING_FACTOR, "two standard uncertainties of one recording"
         else:
-            quantile = float(student.ppf(0.5 + 0.5 * COVERAGE, trial_count - 1))
+            quantile = float(stdtrit(trial_count - 1, 0.5 + 0.5 * COVERAGE))
             factor = quantile * (1.0 + 1.0 / trial_count) ** 0.5
             rationale = f"covers {COVERAGE:.0%} of further trials, from the scatter of {trial_count} trials"
         return cls(

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import argrelextrema
 
 from gauge_envs.observables.functions import face_areas_mm2
 from gauge_envs.runs.rollout import Rollout
@@ -185,7 +184,8 @@ def beam() -> Phenomenon:
 
 def _frequency_hz(times_s: FloatArray, height: FloatArray) -> float:
     """Return the frequency [Hz] from the times between extrema; NaN for fewer than two of them."""
-    extrema = np.sort(np.concatenate([argrelextrema(height, np.less)[0], argrelextrema(height, np.greater)[0]]))
+    slopes = np.sign(np.diff(height))
+    extrema = 1 + np.flatnonzero(slopes[:-1] * slopes[1:] < 0.0)
     if len(extrema) < 2:
         return float("nan")
     # Apex of the parabola through three samples.
