@@ -366,7 +366,7 @@ FAULTS: dict[str, Fault] = dict(
         _own(
             "centre-elsewhere",
             "centre of mass 5 mm off",
-            "swing-union",
+            "start-velocity-of-origin",
             "centre of mass does not follow",
             simulation=_model(_centre_elsewhere),
         ),

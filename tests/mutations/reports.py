@@ -179,7 +179,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "velocity-frame",
             "velocity in the body frame",
-            "velocity-of-origin",
+            "start-velocity-reset",
             "body frame",
             simulation=_reporting(_velocity_in_body),
         ),
@@ -193,7 +193,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "spin-frame",
             "angular velocity in the body frame",
-            "angular-velocity",
+            "start-velocity-reset",
             "body frame",
             simulation=_reporting(_spin_in_body),
         ),
@@ -207,7 +207,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "spin-sign",
             "angular velocity reversed",
-            "angular-velocity",
+            "start-velocity-reset",
             "wrong sign",
             simulation=_reporting(_spin_reversed),
         ),
