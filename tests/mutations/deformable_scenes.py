@@ -35,6 +35,13 @@ def _edge_only(scene: Scene) -> Scene:
     return replace(scene, attachments=tuple(attachments))
 
 
+def _one_row_more(scene: Scene) -> Scene:
+    attachments = [
+        replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03)) for one in scene.attachments
+    ]
+    return replace(scene, attachments=tuple(attachments)) if isinstance(scene.deformables[0], Cloth) else scene
+
+
 def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
     return lambda scene: scene if scene.air is None else replace(scene, air=change(scene.air))
 
@@ -118,6 +125,13 @@ FAULTS: dict[str, Fault] = dict(
         ),
         fault(
             "attachment-depth", "attachments at the edge only", "cloth-bending", "a clamp of 50 mm", scene=_edge_only
+        ),
+        fault(
+            "attachment-row",
+            "attachments of cloth with one row of nodes too many",
+            "cloth-clamp",
+            "one line of nodes too many",
+            scene=_one_row_more,
         ),
         fault(
             "air-ignored",
