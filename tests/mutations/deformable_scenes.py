@@ -36,10 +36,9 @@ def _edge_only(scene: Scene) -> Scene:
 
 
 def _one_row_more(scene: Scene) -> Scene:
-    attachments = [
-        replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03)) for one in scene.attachments
-    ]
-    return replace(scene, attachments=tuple(attachments)) if isinstance(scene.deformables[0], Cloth) else scene
+    held = scene.attachments if any(isinstance(one, Cloth) for one in scene.deformables) else ()
+    deeper = [replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03)) for one in held]
+    return replace(scene, attachments=tuple(deeper or scene.attachments))
 
 
 def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
