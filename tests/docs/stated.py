@@ -223,7 +223,7 @@ def engines() -> dict[str, list[str]]:
             f"`out_of_box` passes {count('genesis', 'pass', configuration='out_of_box')} and fails "
             f"{count('genesis', 'fail', 'error', configuration='out_of_box')}.",
             "leaves with "
-            f"{100 * (1 - measured('genesis', 'oblique-grip-spin', 'default') / expected('oblique-grip-spin')):.0f} % less",
+            f"{100 - 100 * measured('genesis', spin := 'oblique-grip-spin', 'default') / expected(spin):.0f} % less",
         ],
         "docs/engines/physx.md": [
             f"TGS at {step(physx['default'])}, bounce threshold {physx['default'].bounce_threshold_m_per_s:g} m/s",
