@@ -7,6 +7,7 @@ strains are small. The fit ignores nodes within one width of the clamp, which hi
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,7 @@ from gauge_envs.tools.conformance.laws import (
     cantilever_load_over_stiffness,
     coefficient,
     hann_mean,
+    largest_mm,
     passive_energy_gain,
     stiffness,
 )
@@ -157,6 +159,28 @@ def _along(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
+START: dict[str, Any] = {
+    "measures": "distance of the node at the free end from the end of the axis, at the start",
+    "law": "pose and length_m",
+    "source": "contract (scene.py)",
+    "unit": "mm",
+    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
+    "diagnosis": "it is built at another position, orientation or length: the axis is x for a rope and z for a rod",
+}
+
+
+def _start_error(rollout: Rollout) -> Measurement:
+    """Measure the distance of the last node of the only line of a scene from its end [mm]."""
+    (line,) = rollout.scene.deformables
+    assert isinstance(line, Rope | Rod)
+    along = [1.0, 0.0, 0.0] if isinstance(line, Rope) else [0.0, 0.0, 1.0]
+    end = line.pose.to_world(0.5 * line.length_m * np.array(along))
+    return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
+
+
+_falling_rope.check("rope-start", title="rope, start", **START)(_start_error)
+
+
 @_falling_rope.check(
     "rope-nodes",
     title="rope, order of nodes",
@@ -264,6 +288,9 @@ def _drooping_rod(lab: Lab) -> Rollout:
     )
     clamp = Region(axis="z", side="low", depth_m=CLAMP_M)
     return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
+
+
+_drooping_rod.check("rod-start", title="rod, start", **START)(_start_error)
 
 
 @_drooping_rod.check(
