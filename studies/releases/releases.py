@@ -4,8 +4,8 @@
     python studies/releases/releases.py write --cache releases
 
 `run` installs each release into a folder of the cache, ahead of the packages of this environment, and writes its column
-there; a release that has a column is not run again. `write` compares each release with the one before as `gauge backend
-check --baseline` does, and writes checks.csv and changes.csv beside this script.
+there; a release that has a column is not run again. `write` compares each release with the one before, and writes
+checks.csv and changes.csv beside this script. It is `gauge backend check --baseline` with a tenth of its tolerances.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from pathlib import Path
 
 from packaging.version import Version
 
-from gauge_envs.tools.conformance import checks
-from gauge_envs.tools.conformance.matrix import MatrixColumn, changes, read_columns
+from gauge_envs.tools.conformance import CheckResult, Status, checks
+from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns
 
 HERE = Path(__file__).parent
 PACKAGES = {"mujoco": "mujoco", "physx": "sapien", "rapier": "rapier3d", "drake": "drake"}
@@ -29,6 +29,8 @@ PACKAGES = {"mujoco": "mujoco", "physx": "sapien", "rapier": "rapier3d", "drake"
 LEFT_OUT = ("cloth", "air", "soft", "benchmark", "continuation")
 """Families of checks that need deformable bodies, or test the backend more than its engine."""
 LIMIT_S = 1800.0
+SHARE = 0.1
+"""Change of a value that is listed, as a share of the tolerance of its check."""
 
 
 def rigid_checks() -> list[str]:
@@ -72,20 +74,37 @@ def columns(cache: Path) -> Iterator[tuple[str, str, MatrixColumn]]:
 
 
 def write(cache: Path) -> None:
-    """Write each result, and each change from one release to the next."""
-    rows, moved = [], []
+    """Write each result, and each change from one release that runs to the next."""
+    rows: list[tuple[str, ...]] = []
+    moved: list[tuple[str, ...]] = []
     before: MatrixColumn | None = None
     for engine, version, column in columns(cache):
+        runs = [one for one in column.findings.values() if one.status is not Status.ERROR]
+        if not runs:
+            print(f"{engine} {version}: {column.reason or next(iter(column.findings.values())).diagnosis}")
+            continue
         for name, one in column.findings.items():
             rows.append((engine, version, name, one.status.value, number(one.measured), number(one.expected)))
         if before is not None and before.backend == column.backend:
-            for one in changes([column], [before]):
-                values = number(one.before.measured), number(one.now.measured), number(one.now.expected)
-                moved.append((engine, version, one.now.check, one.kind, *values, one.now.status.value))
-        before = column if column.findings else before
-    header = ("engine", "release", "check", "status", "measured", "expected")
-    save("checks.csv", header, rows)
-    save("changes.csv", ("engine", "release", "check", "change", "before", "now", "expected", "status"), moved)
+            pairs = [(before.findings[name], one) for name, one in column.findings.items() if name in before.findings]
+            moved += [(engine, version, *change(old, one)) for old, one in pairs if is_changed(old, one)]
+        before = column
+    save("checks.csv", ("engine", "release", "check", "status", "measured", "expected"), rows)
+    save("changes.csv", ("engine", "release", "check", "status", "before", "now", "expected", "tolerance"), moved)
+
+
+def is_changed(before: CheckResult, now: CheckResult) -> bool:
+    """Return whether a check has another outcome, or a value that moved by `SHARE` of its tolerance."""
+    if before.status is not now.status or before.measured is None or now.measured is None:
+        return before.status is not now.status
+    return abs(now.measured - before.measured) > SHARE * (now.width or 0.0)
+
+
+def change(before: CheckResult, now: CheckResult) -> tuple[str, ...]:
+    """Return the check, both outcomes, both values, the expected value and the tolerance."""
+    status = now.status.value if now.status is before.status else f"{before.status.value} to {now.status.value}"
+    values = (before.measured, now.measured, now.expected, now.width)
+    return (now.check, status, *(number(one) for one in values))
 
 
 def number(value: float | None) -> str:

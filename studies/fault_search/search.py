@@ -1,6 +1,6 @@
 """Change each number that an engine reads from a scene, or reports, and see which check notices.
 
-    python studies/planted_faults/search.py --backend mujoco --out studies/planted_faults/search_mujoco.csv
+    python studies/fault_search/search.py --backend mujoco --out studies/fault_search/mujoco.csv
 
 A mutant multiplies one quantity by 1.05, reverses its sign, drops it, swaps its first two axes, limits it, or takes the
 value of the object before. It is *caught* by the first check that fails on it and not on the engine, and *named* if the
