@@ -1,6 +1,6 @@
 """Train linear policies on tasks as they are, apply the change that `gauge sanity` states, and compare.
 
-python studies/planted_faults/sanity_policies.py               writes sanity_policies.csv
+python studies/cures/policies.py               writes policies.csv
 
 A policy is a matrix from normalized observations to actions, found by augmented random search (Mania et al. 2018).
 """
@@ -123,7 +123,7 @@ def main() -> None:
                 row |= {f"{key}_{name}": f"{value:.4g}" for key, value in measured}
             rows.append(row)
             print(row, flush=True)
-    with (HERE / "sanity_policies.csv").open("w", newline="") as file:
+    with (HERE / "policies.csv").open("w", newline="") as file:
         writer = csv.DictWriter(file, fieldnames=list(rows[0]), lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
