@@ -141,6 +141,7 @@ FAILS_ITSELF: Mapping[str, frozenset[str]] = {
     "rapier": frozenset({"oblique-grip-speed", "oblique-slip-friction"}),
     "physx": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
     "drake": frozenset({"slide-between"}),
+    "genesis": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
 }
 """Checks that a healthy engine fails by a physics of its own, as its page says."""
 
