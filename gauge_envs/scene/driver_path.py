@@ -125,7 +125,8 @@ def _recorded_path(driver: Driver, start: Pose, count: int, interval_s: float) -
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
     starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
     still = np.zeros((count + 1, len(driver.motions)))
-    return _intervals(driver.states(starts, interval_s * np.arange(count + 1), still, still), interval_s)
+    times_s = interval_s * np.arange(count + 1, dtype=np.float64)
+    return _intervals(driver.states(starts, times_s, still, still), interval_s)
 
 
 def _intervals(states: FloatArray, interval_s: float) -> tuple[Interval, ...]:

@@ -38,10 +38,12 @@ class Policy:
     squares: NDArray[np.float64]
 
     def act(self, seen: NDArray[np.float64], gain: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the action."""
         spread = np.sqrt(np.maximum(self.squares / max(self.count, 1.0), 1e-4))
         return np.clip(gain @ ((seen - self.mean) / spread), -1.0, 1.0)
 
     def see(self, seen: NDArray[np.float64]) -> None:
+        """Add an observation to the mean and the variance."""
         self.count += 1.0
         before = seen - self.mean
         self.mean = self.mean + before / self.count

@@ -420,7 +420,8 @@ def sanity() -> dict[str, list[str]]:
             "slide down 30 degrees",
             f"is {min(pyramids):.0f} to {max(pyramids):.0f} % on 30 degrees",
             f"Once sunk in, by {-found['HalfCheetah-v5']['rest-height']:.1f} mm, it meets 100 % of its friction",
-            f"its friction of {stated_friction('HalfCheetah-v5'):g} at {found['HalfCheetah-v5']['foot-creep']:.0f} mm/s",
+            f"its friction of {stated_friction('HalfCheetah-v5'):g} at "
+            f"{found['HalfCheetah-v5']['foot-creep']:.0f} mm/s",
             f"rests {found['Ant-v5']['rest-height']:.0f} mm above",
             f"rests {found['Hopper-v5']['rest-height']:.0f} mm above",
             f"bounce threshold of {presets('physx')['out_of_box'].bounce_threshold_m_per_s:g} m/s",
