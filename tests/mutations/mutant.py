@@ -138,7 +138,7 @@ class Mutant(Backend):
 FAILS_ITSELF: Mapping[str, frozenset[str]] = {
     "mujoco": frozenset({"oblique-slip-rebound"}),
     "newton": frozenset({"oblique-slip-rebound"}),
-    "rapier": frozenset({"oblique-grip-speed", "oblique-slip-friction"}),
+    "rapier": frozenset({"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}),
     "physx": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
     "drake": frozenset({"slide-between"}),
     "genesis": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
