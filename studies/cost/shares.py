@@ -33,8 +33,8 @@ LEAST_S, MOST_S = 0.6, 4.0
 PARTS = {
     "contacts": "search for contacts",
     "constraints": "constraints and their solver",
-    "elements": "elements of cloth, foam, rods",
-    "motion": "rest of MuJoCo: motion",
+    "elements": "elements and passive forces",
+    "motion": "rest of MuJoCo: motion, sparse algebra",
     "python": "Python: driving, observing, reward",
     "scoring": "scoring",
 }
