@@ -12,7 +12,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 87_508, 56_506
+MOST_LINES, MOST_CODE_LINES = 87_588, 56_565
 """Of the package with its instruments."""
 MOST_CORE_LINES = 45_000
 """Of the package without `tools/`."""
