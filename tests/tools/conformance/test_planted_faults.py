@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from mutations import FAULTS, Mutant, first_failure
+from mutations import FAULTS, Mutant, first_failure, is_of_the_fault
 
 from gauge_envs.backends import backend
 from gauge_envs.tools.conformance import Status, checks, run_checks
@@ -86,8 +86,10 @@ SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft")
     ],
 )
 def test_a_check_names_the_fault_of_a_mutant(check: str, name: str, says: str) -> None:
-    (result,) = run_checks(Mutant(MUJOCO, FAULTS[name]), only=[check])
+    mutant = Mutant(MUJOCO, FAULTS[name])
+    (result,) = run_checks(mutant, only=[check])
     assert result.status is Status.FAIL
+    assert is_of_the_fault(mutant, result)
     assert says in result.diagnosis
 
 
