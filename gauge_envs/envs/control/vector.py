@@ -139,7 +139,13 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
             return None
         self._check_started("render", started=self._is_reset)
         return tuple(
-            self._pictures.draw(self.experiment, {}, reach=env.reach(), poses=env.moving_poses(), nodes_m={})
+            self._pictures.draw(
+                self.experiment,
+                env.rest_nodes_m,
+                reach=env.reach(),
+                poses=env.moving_poses(),
+                nodes_m=env.nodes_m(),
+            )
             for env in self.worlds.envs
         )
 
@@ -274,6 +280,10 @@ class _ReadWorld(World):
     def fault(self) -> str | None:
         """Return why the engine gave up the state, or None; see `World.fault`."""
         return self._world.fault()
+
+    def nodes(self, name: str) -> FloatArray:
+        """Return the nodes of a deformable body of the world itself; see `World.nodes`."""
+        return self._world.nodes(name)
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of the bodies from the reading of all worlds; see `World.body_states`."""
