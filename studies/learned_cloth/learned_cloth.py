@@ -46,7 +46,9 @@ def draw_curves(folder: Path, file: Path) -> None:
     axis = figure.subplots()
     for seed in sorted({row["seed"] for row in rows}):
         own = [row for row in rows if row["seed"] == seed]
-        axis.plot([1e-3 * float(row["steps"]) for row in own], [float(row["ratio"]) for row in own], label=f"seed {seed}")
+        axis.plot(
+            [1e-3 * float(row["steps"]) for row in own], [float(row["ratio"]) for row in own], label=f"seed {seed}"
+        )
     axis.axhline(law, color="#303030", lw=1, ls="--", label="the law's policy")
     axis.axhline(SHARE * law, color="#303030", lw=1, ls=":", label=f"{SHARE:.0%} of it")
     axis.set(xlabel="steps [thousands]", ylabel="rise over the law's limit (0 if U is left)", ylim=(0.0, 0.7))

@@ -92,7 +92,7 @@ def energies(env: FlingLimit, policy: Callable[[float], float]) -> tuple[np.ndar
 
 
 def stretch_speed(env: FlingLimit) -> float:
-    """Return sqrt(2 e) of the energy e per mass that the start, a cloth without its own stretch, has over rest [m/s]."""
+    """Return sqrt(2 e) [m/s], e being the energy per mass that the cloth has at its start, not yet stretched, over rest."""
     env.reset(seed=0)
     for _ in range(60):
         observation, *_ = env.step(np.zeros(1))
