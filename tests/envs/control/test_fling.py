@@ -92,7 +92,7 @@ def energies(env: FlingLimit, policy: Callable[[float], float]) -> tuple[np.ndar
 
 
 def stretch_speed(env: FlingLimit) -> float:
-    """Return sqrt(2 e) [m/s], e being the energy per mass that the cloth has at its start, not yet stretched, over rest."""
+    """Return sqrt(2 e) [m/s]: e is the energy per mass of the start over rest, as the cloth is not stretched yet."""
     env.reset(seed=0)
     for _ in range(60):
         observation, *_ = env.step(np.zeros(1))
