@@ -19,6 +19,7 @@ import numpy as np
 from generated import ROOT, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.experiments.variants import Variant, variants
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.deformation import bundled_deformation
@@ -39,10 +40,11 @@ HEAD = """
 
 `known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried, held or
 strained body covers every frame. Other laws end at an event, as the first contact of a free flight. Scores against
-these are not normalized, because the published baseline covers the whole motion. `statistics` are the statistics of
+these are not normalized, because the published baseline covers the whole motion. `end`: engines part, and the mean
+height at the last frame is rewarded, but nothing is scored. `statistics` are those of the
 deformation of foam, which are not scored.
 """
-GRADES = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.MODEL, BandGrade.NONE)
+SCORED = (BandGrade.TRIALS, BandGrade.RECORDING, BandGrade.LAW, BandGrade.MODEL)
 
 
 @dataclass(frozen=True)
@@ -71,13 +73,14 @@ def coverage(variant: Variant) -> Row:
     """Return what the package holds for one variant."""
     experiment = load_experiment(variant)
     measured, used = bundled_band(variant.name), reference_band(experiment)
+    rewarded = reward_band(experiment, used)
     band = measured if used is None else used
     baselines = published_baselines(variant.name)
     compared = used is not None and used.normalized_by_baseline
     metrics = [metric for metric in baselines if baselines[metric].mean and (compared or metric not in ("rmse", "dtw"))]
     return Row(
         variant=variant.name,
-        used=BandGrade.NONE if used is None else used.grade,
+        used=BandGrade.NONE if rewarded is None else rewarded.grade,
         withheld=None if measured is None else measured.withheld,
         statistics=bundled_deformation(variant.name) is not None,
         known="-" if band is None else f"{known_frames(band)} of {experiment.frame_count}",
@@ -100,10 +103,10 @@ def coverage_markdown(rows: Sequence[Row]) -> str:
     withheld = [row for row in rows if row.withheld is not None]
     drivers = Counter(row.driver for row in rows)
     lines = [HEAD.strip(), "", f"{len(rows)} ids:", ""]
-    lines += [f"- {grade.value}: {count[grade]} scored on" for grade in GRADES[:-1]]
+    lines += [f"- {grade.value}: {count[grade]} scored on" for grade in SCORED]
+    lines += [f"- end: {count[BandGrade.END]}, rewarded at the last frame, not scored"]
     lines += [
-        f"- none: {count[BandGrade.NONE]}, of which {sum(row.used is BandGrade.NONE for row in withheld)} have a "
-        "recording that is withheld",
+        f"- none: {count[BandGrade.NONE]}",
         f"- recording, withheld: {len(withheld)}, of which {sum(row.used is BandGrade.LAW for row in withheld)} are "
         "scored on a law",
         f"- statistics of deformation: {sum(row.statistics for row in rows)}",

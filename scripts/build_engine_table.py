@@ -12,12 +12,13 @@
 DIR keeps the result files and the conformance checks, one folder for each configuration, so that the script can be
 stopped at any time. Wall times are ratios to MuJoCo's default preset, which runs right before each episode.
 
-Ranks compare the configurations that fail no conformance check, neither in the data file nor in
-`scoring/conformance.json`; the others stand apart with their scores. They run with the published constants, and where
-the reference is the mean of real trials with the parameter set `effective`. All result files must be in DIR together.
-`--grades` measures no cost and no checks, so that a new engine joins the ranks without a second measurement of the
-others. An engine of another environment runs there, with `--engine` and the same DIR; ranks are written where all
-configurations are complete. Trajectories are scored again by the present code each time.
+Ranks compare the configurations that fail no conformance check of what a ranked experiment has (`UNRANKED` are the
+others), neither in the data file nor in `scoring/conformance.json`; the others stand apart with their scores. They run
+with the published constants, and where the reference is the mean of real trials with the parameter set `effective`.
+All result files must be in DIR together. `--grades` measures no cost and no checks, so that a new engine joins the
+ranks without a second measurement of the others. An engine of another environment runs there, with `--engine` and the
+same DIR; ranks are written where all configurations are complete. Trajectories are scored again by the present code
+each time.
 
 `--again` is for a conformance check that changed: it moves the check between the passed, failed and declined ones.
 """
@@ -46,7 +47,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
-from gauge_envs.tools.conformance import run_checks
+from gauge_envs.tools.conformance import checks, run_checks
 from gauge_envs.tools.conformance.matrix import read_columns
 from gauge_envs.tools.leaderboard.trajectory import rescored
 
@@ -403,13 +404,17 @@ def number(value: float | None, digits: int) -> str:
 def page(data: Mapping[str, Any]) -> str:
     """Return the generated part of the page: the main numbers of each configuration."""
     rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
+    first = data["configurations"][0]["conformance"]
+    counted = first["passed"] + len(first["failed"]) + len(first["declined"])
     lines = [
         f"Measured with {versions(data)}.",
         "",
         "### Closed forms and cost",
         "",
-        "Checks that passed, failed and were declined; difference from the law in per cent; *loss* is the energy that "
-        "a pendulum loses in 3 s, in per cent. *Cost* is the wall time over that of MuJoCo's default preset, the "
+        f"Checks that passed, failed and were declined, of the {counted} that there were; {len(checks()) - counted} "
+        "came later, and [conformance](conformance.md#results) has what they find. Difference from the law in per "
+        "cent; *loss* is the energy that a pendulum loses in 3 s, in per cent. *Cost* is the wall time over that of "
+        "MuJoCo's default preset, the "
         f"geometric mean over those of {len(TIMED)} episodes that ran.",
         "",
         *markdown_table(
@@ -420,7 +425,7 @@ def page(data: Mapping[str, Any]) -> str:
         "*Physics*: the engine's own defaults, its own options, or corrected by this package:",
         "",
         *(
-            f"- {BACKEND_TITLES[engine]}: {'; '.join(uninstalled_backend(engine).corrections) or 'nothing'}."
+            f"- {BACKEND_TITLES[engine]}: {'; '.join(uninstalled_backend(engine).corrections) or 'not corrected'}."
             for engine in ENGINES
         ),
         "",

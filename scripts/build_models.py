@@ -324,7 +324,8 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     limit = SCATTER_SHARE * baseline.mean if baseline is not None and baseline.mean else MOTION_SHARE * motion
     count = known_frames(uncertainty, limit)
     unit = experiment.score.observable.unit
-    ends = "" if count == len(mean) else f"its uncertainty exceeds {limit:.3g} {unit}"
+    exceeds = f"exceeds {limit:.3g} {unit}"
+    ends = "" if count == len(mean) else f"its uncertainty {exceeds}"
     points = solutions(runs, "points_m") if unit != "mm" else {}
     points = {engine: found for engine, found in points.items() if engine in each}
     point_count, point_arrays = None, {}
@@ -339,8 +340,8 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
         }
     if count < 2 or max(count, point_count or 0) < LEAST_SPAN * len(mean):
         return (
-            f"the solutions of {' and '.join(each)} part after {count / FRAME_RATE_HZ:.2f} of "
-            f"{len(mean) / FRAME_RATE_HZ:.2f} s: {ends}"
+            f"the solutions of {', '.join(each)} agree for {count / FRAME_RATE_HZ:.2f} of "
+            f"{len(mean) / FRAME_RATE_HZ:.2f} s; then the uncertainty of their mean {exceeds}"
         )
     quantum = rounded(max(float(np.median(uncertainty[:count])), 1e-9 * float(np.abs(mean).max())) / 20.0)
     values = [value[:count] - mean[:count] for value, _, _ in each.values()]

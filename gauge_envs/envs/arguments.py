@@ -14,13 +14,14 @@ from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
 from gauge_envs.errors import GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
-from gauge_envs.evaluation.reference import load_band, reference_band
+from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
+from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DataSource
 from gauge_envs.references.user_data import has_import
 from gauge_envs.scene.jitter import Jitter, jittered
@@ -250,21 +251,26 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
 
     Args:
         experiment: The experiment of the environment.
-        band: Band that its rewards are relative to.
+        band: Band that its scores are relative to.
     """
     if experiment.id in _warned:
         return
+    band = reward_band(experiment, band)
     if band is None:
         message = _no_reward_message(experiment)
     else:
         known = np.flatnonzero(np.isfinite((band.points or band).mean).any(axis=1))
         last = int(known.max(initial=0))
-        if last >= experiment.frame_count - 1:
-            return
         message = (
             f"{experiment.id}: its reference of grade {band.grade} ends at {last / FRAME_RATE_HZ:.2f} of "
             f"{(experiment.frame_count - 1) / FRAME_RATE_HZ:.2f} s. Later rewards are 0."
         )
+        if band.grade is BandGrade.END:
+            message = (
+                f"{experiment.id}: engines part on its scene. The last frame alone is rewarded; nothing is scored."
+            )
+        elif last >= experiment.frame_count - 1:
+            return
     warnings.warn(message, NoRewardWarning, stacklevel=CALLER)
     _warned.add(experiment.id)
 

@@ -64,8 +64,8 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._no_rates = np.zeros((count, sum(driver.motion_count for driver in self._drivers)))
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
-        bands = {id(episode.band): episode.band for episode in episodes}
-        numbers = np.array([list(bands).index(id(episode.band)) for episode in episodes])
+        bands = {id(episode.reward_band): episode.reward_band for episode in episodes}
+        numbers = np.array([list(bands).index(id(episode.reward_band)) for episode in episodes])
         self._rewards = [(_BatchReward(band), numbers == number) for number, band in enumerate(bands.values())]
         self._frame = 0
         self._faults: dict[int, str] = {}

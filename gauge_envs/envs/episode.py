@@ -20,6 +20,7 @@ from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
 from gauge_envs.errors import ActionError, EpisodeError
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
+from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
@@ -81,13 +82,14 @@ class Episode:
     Args:
         experiment: The experiment.
         world: The world, at the start of the experiment's scene.
-        band: Band that rewards are relative to; with None they are 0.
+        band: Band that scores are relative to, or None.
         marker_proxy: Marker proxy of deformable bodies: tracked node or material point.
         backend: Name of the engine, whose sensitivities the score uses; None for other settings than its default ones.
 
     Attributes:
         experiment: The experiment.
-        band: Band that rewards are relative to, or None.
+        band: Band that scores are relative to, or None.
+        reward_band: Band that rewards are relative to, or None: they are 0.
         marker_proxy: Marker proxy of deformable bodies.
         frame: Number of the current frame; None before `begin`.
         fault: Why the simulation counts as diverged, or None.
@@ -127,8 +129,9 @@ class Episode:
         rows = [self._dynamic.index(name) for name in experiment.recorded]
         # A slice reads faster than an index array, and most experiments record all dynamic bodies.
         self._recorded_rows = slice(None) if rows == list(range(len(self._dynamic))) else rows
-        self._reward_terms = reward_terms(band)
-        self._rewards_points = band is not None and band.points is not None
+        self.reward_band = reward_band(experiment, band)
+        self._reward_terms = reward_terms(self.reward_band)
+        self._rewards_points = self.reward_band is not None and self.reward_band.points is not None
         self.rest_nodes_m = self.nodes_m()
         self._rigid_bounds = RigidBounds(scene)
         self.deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
@@ -140,7 +143,7 @@ class Episode:
         )
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
         self._origin: dict[str, Any] = {
-            "reference": self._grade,
+            "reference": self._grade if self.reward_band is None else self.reward_band.grade.value,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
             **({"edited": True} if experiment.edited else {}),
@@ -562,6 +565,12 @@ def reward_text(band: Band | None) -> str:
     compared = band.points or band
     names = compared.coordinates if len(compared.coordinates) < 4 else (f"{len(compared.coordinates)} coordinates",)
     scale = "sigma"
+    if band.grade is BandGrade.END:
+        height_mm, left_mm = terms[1][known[0], 0], 1.0 / terms[2][known[0], 0]
+        return (
+            f"minus |{names[0]} of what is recorded - {height_mm:.3g} mm| / {left_mm:.2g} mm at {span}{elsewhere}; "
+            "engines part, and that is what is known of the end"
+        )
     if band.points is not None:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)
         scale = f"{POINT_SIGMA_MM:g} mm, or over the uncertainty of the mean where it is larger"

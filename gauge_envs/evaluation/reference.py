@@ -10,7 +10,7 @@ from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DataSource, load_imported
-from gauge_envs.references.models import solved_model
+from gauge_envs.references.models import end_band, solved_model
 from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
 from gauge_envs.scene import Scene
@@ -40,8 +40,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         return band
     law = law_for(experiment.name)
     if law is None:
-        is_another = experiment.edited or experiment.overrides or experiment.drivers is not DataSource.BUNDLED
-        solved = None if is_another else solved_model(experiment.name)
+        solved = solved_model(experiment.name) if _is_calibrated(experiment) else None
         return None if solved is None else solved.band
     # An asset changes the simulated scene. The law holds for the calibrated one.
     calibrated = experiment.scene if experiment.asset is None else load_experiment(experiment.name).scene
@@ -58,6 +57,29 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
     scene = calibrated if not experiment.overrides else load_experiment(experiment.name).scene
     positions_mm, uncertainty_mm = law_motion(law, scene, variant=experiment.name, frame_count=experiment.frame_count)
     return uncontacted_band(law, positions_mm=positions_mm, uncertainty_mm=uncertainty_mm)
+
+
+def reward_band(experiment: Experiment, band: Band | None) -> Band | None:
+    """Return what rewards are relative to: the band, or without one what is known of the last frame, if anything.
+
+    Args:
+        experiment: The experiment.
+        band: Band that its scores are relative to.
+    """
+    if band is not None or not _is_calibrated(experiment):
+        return band
+    markers = experiment.scene.markers
+    return end_band(
+        experiment.name,
+        frame_count=experiment.frame_count,
+        body_count=len(experiment.recorded),
+        marker_count=0 if markers is None else len(markers.positions_m),
+    )
+
+
+def _is_calibrated(experiment: Experiment) -> bool:
+    """Return whether the scene is the one that models were solved for."""
+    return not (experiment.edited or experiment.overrides or experiment.drivers is not DataSource.BUNDLED)
 
 
 def _carried_positions_mm(scene: Scene, body: str, carrier: str, frame_count: int) -> NDArray[np.float64]:

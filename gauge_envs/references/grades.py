@@ -16,6 +16,8 @@ class BandGrade(StrEnum):
     """Mean from a closed form that holds under a stated condition, sigma from the published baseline or measurement."""
     MODEL = "model"
     """Solution of the calibrated scene by several engines, with its uncertainty. It says nothing of reality."""
+    END = "end"
+    """Mean height at the last frame, of engines whose solutions part. It is rewarded and not scored."""
     NONE = "none"
     """No reference: no score."""
 

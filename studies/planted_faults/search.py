@@ -13,6 +13,7 @@ import argparse
 import csv
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Backend, Simulation, Support, backend
+from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, Pose, RigidBody, Scene
 from gauge_envs.tools.conformance import Lab, checks, run_checks
 
@@ -124,19 +126,22 @@ class Recorder(Backend):
         return Support(("it is only recorded",))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Build nothing."""
-        raise NotImplementedError
+        """Refuse, as `supports` does."""
+        raise UnsupportedSceneError("it is only recorded")
 
 
-def known_numbers(engine: Backend) -> dict[Key, float]:
-    """Return the quantities of the scenes of all checks that an engine builds, with their largest size."""
+def scenes_of_checks(engine: Backend) -> list[Scene]:
+    """Return the scenes of all checks that an engine builds."""
     recorder = Recorder(engine)
     lab = Lab(recorder)
     for one in checks():
-        try:
+        with suppress(Exception):  # Nothing is built.
             one.measure(lab)
-        except Exception:  # Nothing was built.
-            continue
+    return [scene for scene in recorder.scenes if engine.supports(scene)]
+
+
+def known_numbers(scenes: Iterable[Scene]) -> dict[Key, float]:
+    """Return the quantities of scenes, with their largest size."""
     largest: dict[Key, float] = {}
 
     def note(key: Key, value: Any) -> Any:
@@ -144,9 +149,8 @@ def known_numbers(engine: Backend) -> dict[Key, float]:
         largest[key] = max(largest.get(key, 0.0), float(flat.max(initial=0.0)))
         return value
 
-    for scene in recorder.scenes:
-        if engine.supports(scene):
-            mapped(scene, note)
+    for scene in scenes:
+        mapped(scene, note)
     return largest
 
 
@@ -260,9 +264,9 @@ def calling(part: str, how: str) -> type[Passed]:
 # --- the search ------------------------------------------------------------------------------------------------------
 
 
-def mutants(engine: Backend) -> Iterator[tuple[str, str, Fault]]:
+def mutants(scenes: Sequence[Scene]) -> Iterator[tuple[str, str, Fault]]:
     """Yield quantity, change and fault of each mutant."""
-    for key, largest in known_numbers(engine).items():
+    for key, largest in known_numbers(scenes).items():
         for how in MUTATORS:
             change = mutation(key, how, largest)
             yield " ".join(key), how, Fault(what="", caught_by="", says="", scene=change)
@@ -309,18 +313,12 @@ def main() -> int:
     if arguments.out.exists():
         with arguments.out.open(encoding="utf-8", newline="") as stream:
             known = {(row["quantity"], row["change"]) for row in csv.DictReader(stream)}
-    recorder = Recorder(engine)
-    for one in checks():
-        try:
-            one.measure(Lab(recorder))
-        except Exception:  # Nothing was built.
-            continue
-    scenes = [scene for scene in recorder.scenes if engine.supports(scene)]
+    scenes = scenes_of_checks(engine)
     with arguments.out.open("a", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         if not known:
             writer.writerow(("quantity", "change", "caught by", "named", "words"))
-        for quantity, how, fault in mutants(engine):
+        for quantity, how, fault in mutants(scenes):
             if (quantity, how) in known:
                 continue
             if fault.simulation is Passed and not any(differs(fault, scene) for scene in scenes):

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 
 import pytest
+from mutations import FAILS_ITSELF
 
 from gauge_envs.tools.conformance import Status, checks, run_checks
 
@@ -25,7 +26,6 @@ class Engine:
         name: Name of the backend.
         module: Module of the engine.
         lacks: Beginnings of the ids of the checks that it declines.
-        fails: Checks that it fails by a physics of its own, as its page says.
         quick: Patterns of the checks of the default run.
         long: Patterns of checks that take too long for it.
     """
@@ -33,7 +33,6 @@ class Engine:
     name: str
     module: str
     lacks: tuple[str, ...] = ()
-    fails: frozenset[str] = frozenset()
     quick: Sequence[str] = ("*",)
     long: Sequence[str] = ("restore-benchmark-*",)
 
@@ -61,21 +60,9 @@ LONG = (
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
 ENGINES = (
-    Engine(name="mujoco", module="mujoco", fails=frozenset({"oblique-slip-rebound"})),
-    Engine(
-        name="rapier",
-        module="rapier3d",
-        lacks=DEFORMABLE,
-        fails=frozenset({"oblique-grip-speed", "oblique-slip-friction"}),
-        long=LONG,
-    ),
-    Engine(
-        name="physx",
-        module="sapien",
-        lacks=DEFORMABLE,
-        fails=frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
-        long=LONG,
-    ),
+    Engine(name="mujoco", module="mujoco"),
+    Engine(name="rapier", module="rapier3d", lacks=DEFORMABLE, long=LONG),
+    Engine(name="physx", module="sapien", lacks=DEFORMABLE, long=LONG),
     Engine(
         name="pybullet",
         module="pybullet",
@@ -90,10 +77,9 @@ ENGINES = (
         name="newton",
         module="newton",
         lacks=("air", "tether"),
-        fails=frozenset({"oblique-slip-rebound"}),
         quick=(*CORE, "cloth-stretch", "cloth-slide"),
     ),
-    Engine(name="drake", module="pydrake", lacks=DEFORMABLE, fails=frozenset({"slide-between"}), quick=CORE),
+    Engine(name="drake", module="pydrake", lacks=DEFORMABLE, quick=CORE),
     Engine(
         name="genesis", module="genesis.version", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")
     ),
@@ -110,7 +96,8 @@ def test_the_engine_obeys_the_laws(engine: Engine, only: list[str]) -> None:
     results = list(run_checks(engine.name, only=only))
     assert [one.check for one in results] == (only or [one.id for one in checks()])
     bad = {one.check: f"{one.check}: {one.measured} {one.diagnosis}" for one in results if one.is_bad}
-    assert [text for name, text in bad.items() if name not in engine.fails] == []
-    assert bad.keys() == engine.fails & {one.check for one in results}, "a check that failed passes: mend this table"
+    own = FAILS_ITSELF.get(engine.name, frozenset())
+    assert [text for name, text in bad.items() if name not in own] == []
+    assert bad.keys() == own & {one.check for one in results}, "a check that failed passes: mend this table"
     declined = {one.check for one in results if one.status is Status.DECLINED}
     assert declined == {one.check for one in results if one.check.startswith(engine.lacks)}

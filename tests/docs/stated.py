@@ -222,6 +222,8 @@ def engines() -> dict[str, list[str]]:
             f"Of {checks}, `default` passes {count('genesis', 'pass')} and declines {count('genesis', 'declined')}; "
             f"`out_of_box` passes {count('genesis', 'pass', configuration='out_of_box')} and fails "
             f"{count('genesis', 'fail', 'error', configuration='out_of_box')}.",
+            "leaves with "
+            f"{100 - 100 * measured('genesis', spin := 'oblique-grip-spin', 'default') / expected(spin):.0f} % less",
         ],
         "docs/engines/physx.md": [
             f"TGS at {step(physx['default'])}, bounce threshold {physx['default'].bounce_threshold_m_per_s:g} m/s",
@@ -231,7 +233,8 @@ def engines() -> dict[str, list[str]]:
             f"{sapien.bounce_threshold_m_per_s:g} m/s in SAPIEN, "
             f"{physx['isaac'].bounce_threshold_m_per_s:g} m/s in Isaac Lab",
             f"`out_of_box` and `isaac` fail {count('physx', 'fail', configuration='out_of_box')} and "
-            f"{count('physx', 'fail', configuration='isaac')} of the {count('physx', 'pass')} [conformance checks]",
+            f"{count('physx', 'fail', configuration='isaac')} of the {count('physx', 'pass', 'fail')} "
+            f"[conformance checks](conformance.md#results) that they build; `default` fails {count('physx', 'fail')}",
         ],
         "docs/engines/pybullet.md": [
             f"reaches {of('backends.pybullet.world.PLANE_REACH_M'):g} m to each side",
@@ -250,7 +253,7 @@ def engines() -> dict[str, list[str]]:
         ],
         "docs/engines/rapier.md": [
             f"Of {checks}, `default` passes {count('rapier', 'pass')} and declines {count('rapier', 'declined')},",
-            f"fails {count('rapier', 'fail', configuration='out_of_box')}:",
+            f"fails {count('rapier', 'fail', configuration='out_of_box')}, among them:",
             f"| {step(rapier['default'])} with {rapier['default'].solver_iterations} substeps",
             f"sinks {-measured('rapier', 'rest-box'):.0f} mm",
             f"slips {measured('rapier', 'carry-turn'):.0f} mm",

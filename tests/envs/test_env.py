@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import inspect
+import statistics
 import warnings
 from collections.abc import Iterable
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import gymnasium
 import numpy as np
@@ -18,6 +19,7 @@ import gauge_envs
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords
 from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.envs.env import GaugeEnv
+from gauge_envs.envs.episode import reward_terms
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import (
     ActionError,
@@ -27,6 +29,8 @@ from gauge_envs.errors import (
     UnknownNameError,
     UnsupportedSceneError,
 )
+from gauge_envs.evaluation.reference import reward_band
+from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.scene import GRAVITY_M_PER_S2
 
 SHORT = tuple(name for name in RIGID if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking"))
@@ -81,7 +85,7 @@ def test_every_deformable_id_steps_inside_its_spaces(name: str) -> None:
     assert observation in env.observation_space
     assert np.isfinite(observation["observable"]).all()
     assert not terminated
-    assert (reward == 0.0) == (info["reference"] == "none")
+    assert (reward == 0.0) == (info["reference"] in ("none", "end"))
 
 
 def test_curvature_of_a_hanging_cloth_is_nothing() -> None:
@@ -163,7 +167,8 @@ def test_episode_starts_from_the_published_pose(name: str) -> None:
     assert observation["observable"] == pytest.approx(1e3 * expected.ravel(), abs=1e-6)
     assert observation["bodies"][:, 7:] == pytest.approx(0.0, abs=1e-12)
     assert observation["time"] == pytest.approx([0.0])
-    assert info["reference"] == (env.unwrapped.band.grade if env.unwrapped.band else "none")
+    band = env.unwrapped.episode.reward_band
+    assert info["reference"] == (band.grade if band else "none")
 
 
 def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
@@ -178,10 +183,29 @@ def test_reward_is_minus_the_mean_abs_z(rollout) -> None:
 
 
 def test_reward_is_zero_without_a_reference() -> None:
-    env = gymnasium.make("GAUGE/WallBreaking-wood")
+    env = gymnasium.make("GAUGE/RopeWinding-rubber")
     _, info = env.reset(seed=0)
     assert info["reference"] == "none"
-    assert env.step(0)[1] == 0.0
+    assert env.step(np.zeros(env.action_space.shape))[1] == 0.0
+
+
+@pytest.mark.parametrize("name", ["CantileverBeam-hard", "WallBreaking-wood"])
+def test_where_engines_part_the_mean_height_of_the_last_frame_is_rewarded_and_nothing_scored(name: str) -> None:
+    env = gymnasium.make(f"GAUGE/{name}").unwrapped
+    observation, info = env.reset(seed=0)
+    assert (env.band, info["reference"]) == (None, "end")
+    projection, mean, weight = reward_terms(env.episode.reward_band)
+    assert np.flatnonzero(weight).tolist() == [env.experiment.frame_count - 1]
+    points_m = observation["markers"] if "markers" in observation else observation["bodies"][:, :3]
+    assert projection @ (1e3 * points_m.ravel()) == pytest.approx(1e3 * points_m[:, 2].mean())
+    if "bodies" in observation:
+        assert projection @ observation["observable"] == pytest.approx(1e3 * points_m[:, 2].mean())
+    found = unsolved_scenes()[name].statistics["mean height [mm]"].values()
+    heights = [height for height, _, _ in found]
+    squares = [statistics.variance(heights), statistics.mean(std**2 for _, std, _ in found)]
+    assert mean[-1, 0] == pytest.approx(statistics.mean(heights))
+    assert 1.0 / weight[-1, 0] == pytest.approx((sum(squares) / len(heights)) ** 0.5)
+    assert reward_band(replace(env.experiment, overrides={"constant": 1.0}), None) is None
 
 
 def test_observation_is_si_and_consistent_with_the_motion() -> None:

@@ -520,7 +520,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "friction-capped",
             "friction of at most 0.6",
-            "slide-steep",
+            "hold-steep",
             "limits friction",
             scene=change_contacts(friction=lambda mu: min(mu, 0.6)),
         ),

@@ -35,8 +35,8 @@ class BackendDrake(BundledBackend):
         {name: {"preset": name} for name in ("tamsi", "sap", "similar", "point", "out_of_box")}
     )
     corrections = (
-        "restitution: the dissipation of a contact is derived from it, as Drake has no coefficient",
-        "strings: a spring that this package computes",
+        "the dissipation of a contact is derived from the restitution, of which Drake has no coefficient",
+        "a string is a spring that this package computes",
     )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 

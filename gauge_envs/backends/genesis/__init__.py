@@ -29,9 +29,9 @@ class BackendGenesis(BundledBackend):
     # MuJoCo reads the description of the bodies.
     packages = ("genesis-world", "quadrants", "torch", "mujoco")
     corrections = (
-        "restitution: an impact is a damped spring that is fitted to it, as Genesis has no coefficient",
-        "cloth: bending, collision and friction by kernels of this package",
-        "strings: a spring that this package computes",
+        "an impact is a damped spring that is fitted to the restitution, of which Genesis has no coefficient",
+        "kernels of this package bend cloth and rub it against bodies",
+        "a string is a spring that this package computes",
     )
     features = frozenset({Feature.STATED_INERTIA})
     own_defaults = frozenset({"out_of_box", "paper"})

@@ -28,7 +28,7 @@ class BackendMuJoCo(BundledBackend):
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
     file_suffixes = (".xml",)
-    corrections = ("restitution: the damping of a contact is derived from it, as MuJoCo has no coefficient",)
+    corrections = ("the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",)
     features = frozenset(Feature)
     configurations = MappingProxyType(
         {

@@ -41,8 +41,8 @@ class BackendNewton(BundledBackend):
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
     corrections = (
-        "restitution: the damping of a contact is derived from it, as its MuJoCo solver ignores the coefficient",
-        "cloth: a step starts from the last acceleration, by a subclass of SolverVBD",
+        "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
+        "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
     own_defaults = frozenset({"out_of_box", "paper"})

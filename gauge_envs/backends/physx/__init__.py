@@ -36,7 +36,7 @@ class BackendPhysX(BundledBackend):
     configurations = MappingProxyType(
         {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
     )
-    corrections = ("cylinders: a capsule or a ball in a prism",)
+    corrections = ("a cylinder is a capsule or a ball in a prism",)
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 

@@ -46,8 +46,8 @@ class BackendPyBullet(BundledBackend):
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}})
     corrections = (
-        "lengths: 100 units per metre, as margins and thresholds of Bullet are absolute",
-        "strings: a chain of three joints",
+        "a metre has 100 units, because margins and thresholds of Bullet are absolute",
+        "a string is a chain of three joints",
     )
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
 

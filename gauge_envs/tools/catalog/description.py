@@ -16,7 +16,7 @@ import numpy as np
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.tasks import ControlTask
 from gauge_envs.envs.episode import reward_text
-from gauge_envs.evaluation.reference import load_band, reference_band
+from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
@@ -175,7 +175,7 @@ def _reference(experiment: Experiment) -> dict[str, Any]:
         "normalized_by_baseline": shown and shown.normalized_by_baseline,
         "withheld": band and band.withheld,
         "unsolved": unsolved.model_dump() if used is None and unsolved is not None else None,
-        "reward": reward_text(used),
+        "reward": reward_text(reward_band(experiment, used)),
     }
 
 

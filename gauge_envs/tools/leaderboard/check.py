@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-from gauge_envs.errors import ResultFileError
+from gauge_envs.backends import backend
+from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.tools.leaderboard.reruns import Rerun, rerun, rerun_sample
@@ -39,7 +41,9 @@ class SubmissionCheck:
     Attributes:
         folder: Folder of the submission, relative to the one that was checked.
         statement: Its `submission.toml`; None if that is faulty.
-        results: Results without faults, with scores that were computed anew, in the order of the experiments.
+        results: Results without faults, in the order of the experiments: those of episodes that were run again, else of
+            the files, with scores that were computed anew.
+        unverified: Ids that are left out although the engine builds them, or without an engine here that could tell.
         faults: What is wrong.
         notes: What a reader should know, a sentence each.
         reruns: Episodes that were run again.
@@ -53,11 +57,17 @@ class SubmissionCheck:
     notes: tuple[str, ...] = ()
     reruns: tuple[Rerun, ...] = ()
     content_sha256: str = ""
+    unverified: tuple[str, ...] = ()
 
     @property
     def ok(self) -> bool:
         """Whether nothing is wrong."""
         return not self.faults
+
+    @property
+    def is_partial(self) -> bool:
+        """Whether the submission is listed apart, so that it changes no comparison of others."""
+        return bool(self.unverified)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,16 +115,16 @@ def check_leaderboard(
 
 
 def _without_doubles(checks: Sequence[SubmissionCheck]) -> Iterator[SubmissionCheck]:
-    """Yield the checks, with a fault for a submission that states the same as an earlier one."""
-    earlier: dict[tuple[object, ...], str] = {}
+    """Yield the checks, with a fault for a submission whose results are of the configuration of an earlier one."""
+    earlier: list[tuple[RunConfiguration, str]] = []
     for one in checks:
-        said = one.statement
-        if said is not None:
-            key = (said.engine, said.version, said.parameters, *sorted(said.settings.items()))
-            first = earlier.setdefault(key, one.folder)
-            if first != one.folder:
-                reason = f"states the engine, version, parameters and settings of {first}; a configuration counts once"
+        if one.results:
+            own = RunConfiguration.of(one.results[0])
+            first = next((folder for configuration, folder in earlier if configuration == own), None)
+            if first is not None:
+                reason = f"has the engine, versions, parameters and settings of {first}; a configuration counts once"
                 one = replace(one, faults=(*one.faults, Fault(file=one.folder, reason=reason)))
+            earlier.append((own, one.folder))
         yield one
 
 
@@ -136,11 +146,14 @@ def _check_submission(
     faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen)]
     content = files.sha256(folder)
     reruns: list[Rerun] = []
+    by_id = {result.id: file for file, result in results.items()}
     if rerun_count:
         for result in rerun_sample(list(results.values()), rerun_count, content_sha256=content, salt=salt):
             advance(f"run {result.id}")
-            reruns.append(rerun(result))
-    by_id = {result.id: file for file, result in results.items()}
+            compared, own = rerun(result)
+            reruns.append(compared)
+            if own is not None:
+                results[by_id[result.id]] = rescored(own, load_experiment(result.id, stated.parameters))
     faults += [
         Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
     ]
@@ -153,7 +166,19 @@ def _check_submission(
         notes=tuple(_notes(results.values())),
         reruns=tuple(reruns),
         content_sha256=content,
+        unverified=tuple(_unverified(stated, {result.id for result in results.values()})),
     )
+
+
+def _unverified(stated: Statement, present: Collection[str]) -> Iterator[str]:
+    """Yield the ids without a result that the engine does not decline here."""
+    try:
+        engine = backend(stated.engine)
+    except GaugeError:
+        engine = None
+    for variant in variants():
+        if variant.id not in present and (engine is None or engine.supports(load_experiment(variant).scene)):
+            yield variant.id
 
 
 def _path_faults(folder: Path, stated: Statement) -> Found:
@@ -223,6 +248,9 @@ def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
         yield "outcome", f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out"
     if result.score.withheld is not None:
         yield "score.withheld", "the reference is withheld: run without --use withheld"
+    if stated.package in versions():
+        own = ", ".join(sorted(set(result.versions) - set(versions())))
+        yield f"versions.{stated.package}", f"is no package of the engine, whose packages are {own}"
     version = result.versions.get(stated.package)
     if version != stated.version:
         yield f"versions.{stated.package}", f"is {version!r}, expected {stated.version!r}, as {STATEMENT_FILE} states"

@@ -45,7 +45,8 @@ class Rerun:
         status: How it compares.
         unit: Unit of the differences.
         largest_difference: Largest difference of a coordinate; None if the two have other lengths.
-        rmse: Root-mean-square distance over the frames; None if the two have other lengths.
+        rmse: Root-mean-square distance over the samples of one phase, as those of the frames, whichever phase is
+            farthest; None if the two have other lengths.
         allowed: Largest distance that counts as the same.
         cause: What is known of the cause of a difference, or why the episode was not run; empty for the same bits.
     """
@@ -87,11 +88,14 @@ def rerun_sample(results: Sequence[Result], count: int, *, content_sha256: str, 
     return [results[number] for number in sorted(chosen)]
 
 
-def rerun(result: Result) -> Rerun:
-    """Run the episode of a result again and compare the trajectories.
+def rerun(result: Result) -> tuple[Rerun, Result | None]:
+    """Run the episode of a result again and compare the trajectories, with all samples between and after the frames.
 
     Args:
         result: A result with a trajectory and without an asset.
+
+    Returns:
+        The comparison, and the result of this run where it has a trajectory.
     """
     blank = Rerun(id=result.id, status=RerunStatus.NOT_RUN, unit=result.score.unit)
     request = RunRequest(
@@ -105,9 +109,9 @@ def rerun(result: Result) -> Rerun:
     try:
         again = next(iter(run_many([request], isolate=None)))
     except GaugeError as error:
-        return replace(blank, cause=str(error))
+        return replace(blank, cause=str(error)), None
     if again.error is not None or again.trajectory is None or result.trajectory is None:
-        return replace(blank, cause=again.error or "no trajectory")
+        return replace(blank, cause=again.error or "no trajectory"), None
     cause, different = _cause(result, again), replace(blank, status=RerunStatus.DIFFERENT)
     (_, stored), (_, repeated) = result.trajectory.arrays(later=True), again.trajectory.arrays(later=True)
     if again.outcome is not result.outcome or stored.shape != repeated.shape:
@@ -115,21 +119,23 @@ def rerun(result: Result) -> Rerun:
             f"{result.outcome.value} with {len(stored)} samples in the file, "
             f"{again.outcome.value} with {len(repeated)} here"
         )
-        return replace(different, cause=f"{lengths}; {cause}")
+        return replace(different, cause=f"{lengths}; {cause}"), again
     missing = object()
     names = {**result.settings, **again.settings}
     changed = [name for name in names if result.settings.get(name, missing) != again.settings.get(name, missing)]
     if changed and result.versions == again.versions:
-        return replace(different, cause=f"settings in force differ: {', '.join(sorted(changed))}")
+        return replace(different, cause=f"settings in force differ: {', '.join(sorted(changed))}"), again
     both = np.isnan(stored) & np.isnan(repeated)
     apart = np.where(both, 0.0, np.nan_to_num(np.abs(stored - repeated), nan=np.inf))
     largest = float(apart.max())
-    rmse = float(np.sqrt(np.square(apart[::SAMPLES_PER_FRAME]).sum(axis=1).mean()))
+    # A score reads one phase, so a difference must not be diluted by the samples that no score reads.
+    squares = np.square(apart).sum(axis=1)
+    rmse = max(float(np.sqrt(squares[phase::SAMPLES_PER_FRAME].mean())) for phase in range(SAMPLES_PER_FRAME))
     allowed = _allowed(result, np.where(both, 0.0, stored)[::SAMPLES_PER_FRAME])
     status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
     if largest == 0.0:
         status, cause = RerunStatus.EQUAL, ""
-    return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause)
+    return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause), again
 
 
 def _allowed(result: Result, frames: NDArray[np.float64]) -> float:

@@ -86,7 +86,7 @@ class Statement(BaseModel):
     url: Annotated[str, Field(max_length=200, pattern=r"^(https://[^\s\x00-\x1f\x7f]+)?$")] = ""
     parameters: Name = "calibrated"
     settings: dict[str, Setting] = Field(default_factory=dict)
-    left_out: dict[Line, Line] = Field(default_factory=dict)
+    left_out: dict[Line, Literal["not supported", "error", "too slow", "not run"]] = Field(default_factory=dict)
 
 
 def read_statement(file: Path, name: str) -> Statement | Fault:

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from gauge_envs.envs.episode import LATER_FRAMES
 from gauge_envs.evaluation.deviation import band_baseline
@@ -88,9 +89,9 @@ def trajectory_faults(result: Result, experiment: Experiment) -> Iterator[Found]
         yield "trajectory.samples", f"sample {int((~finite).argmax())} holds a value that is not finite"
         return
     yield from _start_faults(samples[0], trajectory, experiment)
-    yield from _speed_faults(samples[: len(trajectory.times_s) : SAMPLES_PER_FRAME], experiment)
+    yield from _speed_faults(samples, experiment)
     if result.outcome is Outcome.FINISHED:
-        copied = copied_reference(samples[: len(trajectory.times_s) : SAMPLES_PER_FRAME], experiment)
+        copied = copied_reference(samples, experiment)
         if copied is not None:
             yield "trajectory.samples", copied
 
@@ -136,40 +137,50 @@ def _start_faults(first: FloatArray, trajectory: RecordedTrajectory, experiment:
         )
 
 
-def _speed_faults(frames: FloatArray, experiment: Experiment) -> Iterator[Found]:
-    """Yield a fault for a point that moves between two frames faster than anything in the scene can."""
+def _speed_faults(samples: FloatArray, experiment: Experiment) -> Iterator[Found]:
+    """Yield a fault for a point that moves between two samples faster than anything in the scene can."""
     if experiment.score.observable.unit != "mm":
         return
-    points = 1e-3 * frames.reshape(len(frames), -1, 3)
+    points = 1e-3 * samples.reshape(len(samples), -1, 3)
     with np.errstate(invalid="ignore"):
-        speeds = np.abs(np.diff(points, axis=0)).max(axis=2, initial=0.0) * FRAME_RATE_HZ
+        speeds = np.abs(np.diff(points, axis=0)).max(axis=2, initial=0.0) / SAMPLE_INTERVAL_S
     limit = experiment.scene.speed_limit_m_per_s
     fast = np.nan_to_num(speeds) > limit
     if fast.any():
-        frame, point = (int(index) for index in np.argwhere(fast)[0])
+        sample, point = (int(index) for index in np.argwhere(fast)[0])
         name = experiment.coordinates[3 * point].rpartition(".")[0]
         yield (
             "trajectory.samples",
-            f"{name} moves at {speeds[frame, point]:.3g} m/s after frame {frame}, "
+            f"{name} moves at {speeds[sample, point]:.3g} m/s after sample {sample}, "
             f"above the limit of the scene, {limit:.3g} m/s",
         )
 
 
-def copied_reference(frames: FloatArray, experiment: Experiment) -> str | None:
+def copied_reference(samples: FloatArray, experiment: Experiment) -> str | None:
     """Return why a trajectory is a copy of the real mean or of a real trial, or None.
 
-    Laws and models are left out: an exact engine follows them within rounding.
+    An aligned score reads the samples between the frames, so each of their phases is compared, with a spline through
+    the real frames. Laws and models are left out: an exact engine follows them within rounding.
 
     Args:
-        frames: g(t) at the 30 Hz frames, shape [frame_count, coordinate_count].
+        samples: g(t), `SAMPLES_PER_FRAME` in a frame, shape [sample_count, coordinate_count].
         experiment: The experiment.
     """
     band = reference_band(experiment, use_withheld=True)
     if band is None or not band.grade.is_real:
         return None
-    simulated = band.project(frames)
+    simulated = band.project(samples)
     for name, real in _real_trajectories(band):
-        distance, allowed = _nearness(simulated, real, experiment, band)
+        known = np.flatnonzero(np.isfinite(real).all(axis=1))
+        if len(known) < 4:
+            continue
+        path = CubicSpline(known, real[known], extrapolate=False)
+        nearness = [
+            _nearness(ours, path(phase / SAMPLES_PER_FRAME + np.arange(len(ours))), experiment, band)
+            for phase in range(SAMPLES_PER_FRAME)
+            for ours in [simulated[phase::SAMPLES_PER_FRAME]]
+        ]
+        distance, allowed = min(nearness, key=lambda pair: pair[0] - pair[1])
         if distance < allowed:
             return (
                 f"follows {name} within {distance:.3g} {band.unit}, closer than an engine can ({allowed:.3g}): "

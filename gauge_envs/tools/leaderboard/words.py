@@ -72,6 +72,7 @@ def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
         "diverged": sum(result.outcome is Outcome.DIVERGED for result in one.results),
         "left_out": dict(said.left_out) if said else {},
         "ok": one.ok,
+        "unverified": list(one.unverified),
         "faults": len(one.faults),
         "content_sha256": one.content_sha256,
     }
@@ -79,7 +80,7 @@ def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
 
 def leaderboard_document(check: LeaderboardCheck) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
-    comparison = compare(result for one in check.submissions if one.ok for result in one.results)
+    comparison = compare(result for one in _ranked(check) for result in one.results)
     columns = {"engine": "engine", "version": "version", "configuration": "configuration", "submitter": "submitter"}
     standing = Table(
         title="Submissions",
@@ -93,19 +94,35 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
         rows=[
             {"label": comparison.labels[comparison.configurations.index(RunConfiguration.of(one.results[0]))]}
             | _submission_row(one)
-            for one in check.submissions
-            if one.ok and one.results
+            for one in _ranked(check)
         ],
         notes=(
             "Scores are computed from the submitted trajectories. Means and ranks are within one grade of reference, "
             "and over the experiments that all have; nothing is averaged across grades.",
         ),
     )
+    apart = Table(
+        title="Partial submissions",
+        columns=(
+            *(Column(key, title) for key, title in columns.items()),
+            RESULTS,
+            Column("left_out", "left out", _left_out_text, place=Place.BELOW),
+        ),
+        rows=[_submission_row(one) for one in check.submissions if one.ok and one.is_partial],
+        notes=(
+            "They lack results of experiments that their engine builds, or an engine that is installed here. They are "
+            "not compared, so that the experiments of the others stay the same.",
+        ),
+    )
     # Wall times are those of the submitters' machines, which no trajectory proves.
     compared = comparison_document(comparison, with_costs=False)
-    parts = (standing, *(compared.parts if comparison.experiments else ()))
-    rows = [{"record": "submission"} | row for row in standing.rows]
+    parts = (standing, *([apart] if apart.rows else ()), *(compared.parts if comparison.experiments else ()))
+    rows = [{"record": "submission"} | row for row in (*standing.rows, *apart.rows)]
     return Document(parts=parts, rows=rows + as_rows(compared), markdown=(Heading("Leaderboard", 1), *parts))
+
+
+def _ranked(check: LeaderboardCheck) -> list[SubmissionCheck]:
+    return [one for one in check.submissions if one.ok and one.results and not one.is_partial]
 
 
 def _left_out_text(reasons: dict[str, str]) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,7 +26,6 @@ def write_submission(root: Path, configuration: str, results: Sequence[Result], 
     version = results[0].versions["mujoco"]
     folder = root / str(engine) / version / configuration
     (folder / "results").mkdir(parents=True)
-    present = {result.id for result in results}
     lines = [
         "format = 1",
         f'engine = "{engine}"',
@@ -34,8 +34,6 @@ def write_submission(root: Path, configuration: str, results: Sequence[Result], 
         f'configuration = "{configuration}"',
         'submitter = "A [red]vendor[/] | <b>"',
         f"settings = {settings}",
-        "[left_out]",
-        *(f'"{variant.name}" = "not run"' for variant in variants() if variant.id not in present),
     ]
     (folder / "submission.toml").write_text("\n".join(lines), encoding="utf-8")
     for result in results:
@@ -55,6 +53,13 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"{{timestep_s = {1 / 900}}}",
     )
     return root
+
+
+@pytest.fixture(autouse=True)
+def small_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the benchmark have two experiments, so that two results are a whole submission."""
+    small = [variant for variant in variants() if variant.name in NAMES]
+    monkeypatch.setattr("gauge_envs.tools.leaderboard.check.variants", lambda: small)
 
 
 @pytest.fixture
@@ -103,6 +108,27 @@ def test_markdown_is_written_and_submitters_change_no_table(
     assert "Cost" not in text
     content = json.loads((tmp_path / "leaderboard.json").read_text(encoding="utf-8"))
     assert {one["record"] for one in content} == {"submission", "experiment", "grade", "pair"}
+
+
+def test_a_partial_submission_is_listed_apart_and_changes_no_comparison(
+    gauge: Callable[..., Any], board: Path, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(board, tmp_path / "board"))
+    whole = records(gauge("leaderboard", "table", copy, "--json").stdout)
+    partial = {"timestep_s": 1 / 540}
+    write_submission(copy, "one", [run_episode(RunRequest(NAMES[1], settings=partial))], f"{{timestep_s = {1 / 540}}}")
+    (statement,) = copy.glob("*/*/one/submission.toml")
+    statement.write_text(
+        f'{statement.read_text(encoding="utf-8")}\n[left_out]\n"{NAMES[0]}" = "error"\n', encoding="utf-8"
+    )
+    done = gauge("leaderboard", "table", copy, "--json")
+    found = records(done.stdout)
+    assert done.exit_code == 0, done.output
+    assert [one["configuration"] for one in found if one["record"] == "submission"] == ["coarse", "default", "one"]
+    assert [one for one in found if one["record"] != "submission"] == [
+        one for one in whole if one["record"] != "submission"
+    ]
+    assert "Partial submissions" in gauge("leaderboard", "table", copy).output
 
 
 def test_a_fault_gives_exit_code_1_and_leaves_the_submission_out(

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicSpline
 
 from gauge_envs.errors import ResultFileError
 from gauge_envs.evaluation.reference import reference_band
@@ -23,7 +24,7 @@ from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
-from gauge_envs.tools.leaderboard.reruns import rerun_sample
+from gauge_envs.tools.leaderboard.reruns import rerun, rerun_sample
 from gauge_envs.tools.leaderboard.trajectory import copied_reference, rescored, start_values
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "NonsmoothContact-1-wood")
@@ -105,17 +106,27 @@ def only_fault(board: Path) -> str:
     return str(check.all_faults[0])
 
 
-def replace_trajectory(board: Path, name: str, frames: np.ndarray) -> None:
-    """Replace the trajectory of a result by frames, interpolated, with the scores that these give."""
+def sampled(frames: np.ndarray) -> np.ndarray:
+    """Interpolate between frames."""
+    times = np.arange((len(frames) - 1) * SAMPLES_PER_FRAME + 1) / SAMPLES_PER_FRAME
+    return np.column_stack([np.interp(times, np.arange(len(frames)), column) for column in frames.T])
+
+
+def replace_samples(board: Path, name: str, forge: Callable[[np.ndarray], np.ndarray]) -> None:
+    """Replace the samples of a result, the later ones included, with the scores that these give."""
     file = result_file(board, name)
     result = load_result(file)
+    assert result.trajectory is not None
     experiment = load_experiment(result.id)
-    count = (len(frames) - 1) * SAMPLES_PER_FRAME + 1
-    times_s = np.arange(count) / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
-    at_s = np.arange(len(frames)) / FRAME_RATE_HZ
-    samples = np.column_stack([np.interp(times_s, at_s, column) for column in frames.T])
+    samples = forge(result.trajectory.arrays(later=True)[1].copy())
+    times_s = np.arange(len(samples)) / (FRAME_RATE_HZ * SAMPLES_PER_FRAME)
     forged = replace(result, trajectory=RecordedTrajectory.of(experiment, times_s, samples))
-    write_result(replace(result, trajectory=forged.trajectory, score=rescored(forged, experiment).score), file)
+    write_result(replace(forged, score=rescored(forged, experiment).score), file)
+
+
+def replace_trajectory(board: Path, name: str, frames: np.ndarray) -> None:
+    """Replace the trajectory of a result by frames, interpolated, with the scores that these give."""
+    replace_samples(board, name, lambda samples: sampled(frames))
 
 
 # --- a good submission -----------------------------------------------------------------------------------------------
@@ -179,7 +190,10 @@ EDITS = [
     (lambda content: content["trajectory"]["times_s"].__setitem__(50, 0.2751), "sample 50 is at 0.2751 s, expected"),
     (lambda content: content["trajectory"]["samples"][0].__setitem__(0, 1.0), "cube.x starts at 1 mm, expected the"),
     (lambda content: content["trajectory"]["samples"][60].__setitem__(0, 9e3), "cube moves at "),
-    (lambda content: content["trajectory"]["samples"][60].__setitem__(0, 450.0), "score.rmse: the file states 7.4"),
+    (
+        lambda content: content["trajectory"]["samples"].__setitem__(60, content["trajectory"]["samples"][62]),
+        "score.rmse: the file states 7.4",
+    ),
 ]
 
 
@@ -259,17 +273,17 @@ def test_a_copy_of_a_real_trial_is_found() -> None:
     number = int(np.argmax(np.isfinite(band.trials).all(axis=(1, 2))))
     # The trial is known in the coordinates of the band alone.
     frames = band.trials[number] @ np.linalg.pinv(band.projection).T
-    assert f"follows real trial {number} within" in str(copied_reference(frames, experiment))
+    assert f"follows real trial {number} within" in str(copied_reference(sampled(frames), experiment))
 
 
 def test_an_honest_trajectory_is_no_copy(honest: Path) -> None:
     result = load_result(result_file(honest))
     assert result.trajectory is not None
-    frames = result.trajectory.arrays()[1][::SAMPLES_PER_FRAME]
+    frames = result.trajectory.arrays()[1]
     experiment = load_experiment(result.id)
     assert copied_reference(frames, experiment) is None
     # Half way to the mean is still ten times further than a copy; a thousandth of the way is one.
-    near = reference_frames("SlopeSlider-2-wood")
+    near = sampled(reference_frames("SlopeSlider-2-wood"))
     assert copied_reference(near + 0.5 * (frames - near), experiment) is None
     assert copied_reference(near + 0.001 * (frames - near), experiment) is not None
 
@@ -284,6 +298,108 @@ def test_a_forged_trajectory_with_its_own_scores_is_found_by_a_rerun(board: Path
     check = check_leaderboard(board, rerun_count=3)
     assert "run again: different" in texts(check)
     assert "SlopeSlider-2-wood" in texts(check)
+
+
+def between_frames(samples: np.ndarray) -> np.ndarray:
+    """Honest frames, and the real mean between them, where an aligned score reads."""
+    frames = np.arange(len(samples)) % SAMPLES_PER_FRAME == 0
+    real = reference_frames("SlopeSlider-2-wood")
+    path = CubicSpline(np.arange(len(real)), real)(np.arange(len(samples)) / SAMPLES_PER_FRAME)
+    return np.where(frames[:, None], samples, path)
+
+
+def noisy(samples: np.ndarray) -> np.ndarray:
+    """A replayed real trial with a noise of 2 mm."""
+    band = reference_band(load_experiment("SlopeSlider-2-wood"))
+    assert band is not None and band.trials is not None
+    trial = band.trials[int(np.argmax(np.isfinite(band.trials).all(axis=(1, 2))))]
+    moved = samples[0] + sampled((trial - trial[0]) @ np.linalg.pinv(band.projection).T)
+    moved[1:] += np.random.default_rng(0).normal(scale=2.0, size=moved[1:].shape)
+    return moved
+
+
+def slower(samples: np.ndarray) -> np.ndarray:
+    """The motion of an engine with more friction, as a patched plug-in gives it."""
+    return samples[0] + 0.9 * (samples - samples[0])
+
+
+def smoothed(samples: np.ndarray) -> np.ndarray:
+    """A tenth of the way toward the real mean."""
+    real = reference_frames("SlopeSlider-2-wood")
+    path = CubicSpline(np.arange(len(real)), real)(np.arange(len(samples)) / SAMPLES_PER_FRAME)
+    return 0.9 * samples + 0.1 * path
+
+
+def later(samples: np.ndarray) -> np.ndarray:
+    """Another course after the last frame, which the alignment reads."""
+    count = SAMPLES_PER_FRAME * 10
+    return np.concatenate([samples[:-count], samples[-count:] + np.linspace(0.0, 5.0, count)[:, None]])
+
+
+def first_samples(samples: np.ndarray) -> np.ndarray:
+    """A start that is kept, and a jump right after it."""
+    return np.concatenate([samples[:1], samples[1:] + 3.0])
+
+
+@pytest.mark.parametrize("forge", [noisy, slower, smoothed, later, first_samples])
+def test_a_forgery_that_files_do_not_show_is_found_by_a_rerun(
+    forge: Callable[[np.ndarray], np.ndarray], board: Path
+) -> None:
+    replace_samples(board, "SlopeSlider-2-wood", forge)
+    assert check_leaderboard(board).ok
+    assert "run again: different" in texts(check_leaderboard(board, rerun_count=3))
+
+
+def test_the_mean_between_honest_frames_is_a_copy_and_no_rerun(board: Path) -> None:
+    replace_samples(board, "SlopeSlider-2-wood", between_frames)
+    assert "follows the real mean within" in texts(check_leaderboard(board))
+    experiment = load_experiment("SlopeSlider-2-wood")
+    forged = load_result(result_file(board))
+    honest_frames = load_result(result_file(board)).trajectory.arrays()[1][::SAMPLES_PER_FRAME]
+    assert copied_reference(sampled(honest_frames), experiment) is None
+    compared, own = rerun(forged)
+    assert (compared.status.value, own is None) == ("different", False)
+
+
+def test_the_table_has_the_numbers_of_the_episode_that_was_run_again(board: Path, honest: Path) -> None:
+    replace_samples(board, "SlopeSlider-2-wood", lambda samples: np.concatenate([samples[:1], samples[1:] + 1e-3]))
+    (stated,) = check_leaderboard(board).submissions
+    (again,) = check_leaderboard(board, rerun_count=3).submissions
+    (true,) = check_leaderboard(honest).submissions
+    place = [result.id for result in true.results].index("GAUGE/SlopeSlider-2-wood")
+    assert again.ok
+    assert stated.results[place].score.rmse != true.results[place].score.rmse
+    assert again.results[place].score.rmse == true.results[place].score.rmse
+
+
+def test_a_package_that_is_not_of_the_engine_is_found(board: Path) -> None:
+    file = submission(board) / "submission.toml"
+    result = load_result(result_file(board))
+    text = file.read_text(encoding="utf-8").replace('package = "mujoco"', 'package = "numpy"')
+    file.write_text(
+        text.replace(f'version = "{result.versions["mujoco"]}"', f'version = "{result.versions["numpy"]}"'),
+        encoding="utf-8",
+    )
+    assert "is no package of the engine, whose packages are mujoco" in texts(check_leaderboard(board))
+
+
+def test_what_an_engine_declines_is_no_part_and_what_it_builds_is(board: Path) -> None:
+    (one,) = check_leaderboard(board).submissions
+    assert one.is_partial
+    assert len(one.unverified) == len(variants()) - len(NAMES)
+    folder = submission(board)
+    for file in sorted((folder / "results").iterdir()):
+        edit(file, set_value("backend", "rapier"))
+        file.rename(file.with_name(file.name.replace(".mujoco.", ".rapier.")))
+    file = folder / "submission.toml"
+    file.write_text(
+        file.read_text(encoding="utf-8").replace('engine = "mujoco"', 'engine = "rapier"'), encoding="utf-8"
+    )
+    (board / "mujoco").rename(board / "rapier")
+    (other,) = check_leaderboard(board).submissions
+    assert other.ok and other.is_partial
+    assert "GAUGE/SlopeSlider-2-metal" in other.unverified
+    assert "GAUGE/TextileBending-satin" not in other.unverified
 
 
 def test_a_forged_setting_in_force_is_found_by_a_rerun(board: Path) -> None:
@@ -416,8 +532,8 @@ STATEMENTS = [
     ('submitter = "A vendor"', "", "submitter: missing key"),
     ("format = 1", "format = 1\nscore = 3", "score: unknown key"),
     ("[left_out]", "[left_out", "not TOML"),
-    ("[left_out]", '[left_out]\n"Sphere*" = "none"', "left_out.'Sphere*': matches no experiment"),
-    ("[left_out]", '[left_out]\n"Slope*" = "none"', "left_out.'Slope*': also has a result: SlopeSlider-1-wood"),
+    ("[left_out]", '[left_out]\n"Sphere*" = "error"', "left_out.'Sphere*': matches no experiment"),
+    ("[left_out]", '[left_out]\n"Slope*" = "error"', "left_out.'Slope*': also has a result: SlopeSlider-1-wood"),
     ('configuration = "default"', 'configuration = "fast"', "configuration: is 'fast', but the folder is 'default'"),
 ]
 
