@@ -76,7 +76,8 @@ def trained(task: str, seed: int, steps: int, settings: Mapping[str, Any], curve
         n_epochs=10,
         gamma=gamma,
         gae_lambda=gae_lambda,
-        learning_rate=lambda left: 2e-3 * left,
+        # The last rollout ends after the last step, where the rest of the training is negative.
+        learning_rate=lambda left: 2e-3 * max(left, 0.0),
         policy_kwargs={"log_std_init": math.log(FIRST_NOISE[family]), "net_arch": [64, 64]},
         seed=seed,
         device="cpu",

@@ -288,7 +288,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
-        return self._pictures.draw(
+        return self.picture(self._pictures)
+
+    def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
+        """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
+        return pictures.draw(
             self.experiment,
             self.rest_nodes_m,
             reach=self.reach(),

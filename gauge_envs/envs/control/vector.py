@@ -138,16 +138,7 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
-        return tuple(
-            self._pictures.draw(
-                self.experiment,
-                env.rest_nodes_m,
-                reach=env.reach(),
-                poses=env.moving_poses(),
-                nodes_m=env.nodes_m(),
-            )
-            for env in self.worlds.envs
-        )
+        return tuple(env.picture(self._pictures) for env in self.worlds.envs)
 
     def _free(self) -> None:
         super()._free()
