@@ -233,6 +233,18 @@ def _npz_member(archive: zipfile.ZipFile, name: str, left: int, most_bytes: int)
     return np.frombuffer(bytes(data), dtype=dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
+def child_command(script: Path, *arguments: str, cpu_s: int) -> tuple[list[str], dict[str, str]]:
+    """Return command and environment of a script in a child process with limits of memory and time.
+
+    Args:
+        script: Script that needs no module of this package.
+        arguments: Arguments of the script.
+        cpu_s: Limit of its processor time [s].
+    """
+    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(cpu_s), str(script), *arguments]
+    return command, os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
+
+
 def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: int = CHILD_CPU_S) -> str | None:
     """Run a script on a file of a stranger in a child process with limits of memory and time.
 
@@ -248,8 +260,7 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: in
     Returns:
         Why the file must not be loaded; None for a file that stays within the limits.
     """
-    command = [sys.executable, "-P", "-c", CHILD_START, str(CHILD_MEMORY), str(cpu_s), str(script), *arguments]
-    environment = os.environ | {"OMP_NUM_THREADS": "1", "PXR_WORK_THREAD_LIMIT": "1"}
+    command, environment = child_command(script, *arguments, cpu_s=cpu_s)
     try:
         done = subprocess.run(
             command, input=content, capture_output=True, timeout=CHILD_WALL_S, env=environment, check=False

@@ -27,7 +27,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 from build_convergence import supported
-from extrapolation import combined, extrapolate, known_frames, rms
+from extrapolation import LEAST_SPAN, combined, extrapolate, known_frames, rms
 from generated import SCORING, markdown_table
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
@@ -62,9 +62,6 @@ SCATTER_SHARE = 0.5
 
 MOTION_SHARE = 0.1
 """Share of the root mean square motion at which a reference ends where no scatter is published."""
-
-LEAST_SPAN = 0.25
-"""Share of the episode that a reference covers at least, in g(t) or in the points that rewards are of."""
 
 PICTURED = (
     "TextileFlinging-satin",
@@ -322,18 +319,20 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
     baseline = published_baselines(name).get("rmse")
     motion = rms(mean - mean[0])
     limit = SCATTER_SHARE * baseline.mean if baseline is not None and baseline.mean else MOTION_SHARE * motion
-    count = known_frames(uncertainty, limit)
+    count, gap = known_frames(uncertainty, limit)
+    known = np.delete(np.arange(count), slice(*gap) if gap else [])
     unit = experiment.score.observable.unit
     exceeds = f"exceeds {limit:.3g} {unit}"
-    ends = "" if count == len(mean) else f"its uncertainty {exceeds}"
+    ends = "" if len(known) == len(mean) else f"its uncertainty {exceeds}"
     points = solutions(runs, "points_m") if unit != "mm" else {}
     points = {engine: found for engine, found in points.items() if engine in each}
-    point_count, point_arrays = None, {}
+    point_count, point_gap, point_arrays = None, None, {}
     if points:
         places, spread, _ = combined([(value, left) for value, left, _ in points.values()])
         # One number for each marker: the uncertainty of a coordinate of it.
         spread = np.sqrt(np.square(spread).reshape(len(spread), -1, 3).mean(axis=2))
-        point_count = max(known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0])), 1)
+        point_count, point_gap = known_frames(np.sqrt(3.0) * spread, MOTION_SHARE * rms(places - places[0]))
+        point_count = max(point_count, 1)
         point_arrays = {
             "points": packed(places[:point_count], POINT_QUANTUM_MM),
             "points_uncertainty": spread[:point_count:STRIDE].astype(np.float16),
@@ -343,7 +342,7 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
             f"the solutions of {', '.join(each)} agree for {count / FRAME_RATE_HZ:.2f} of "
             f"{len(mean) / FRAME_RATE_HZ:.2f} s; then the uncertainty of their mean {exceeds}"
         )
-    quantum = rounded(max(float(np.median(uncertainty[:count])), 1e-9 * float(np.abs(mean).max())) / 20.0)
+    quantum = rounded(max(float(np.median(uncertainty[known])), 1e-9 * float(np.abs(mean).max())) / 20.0)
     values = [value[:count] - mean[:count] for value, _, _ in each.values()]
     arrays = {
         "mean": packed(mean[:count], quantum),
@@ -357,10 +356,12 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
         frames=len(mean),
         solved_frames=count,
         point_frames=point_count,
+        gap=gap,
+        point_gap=point_gap,
         ends=ends,
         quantum=quantum,
         point_quantum_mm=POINT_QUANTUM_MM if points else None,
-        families_apart=digits(rms(apart[:count])),
+        families_apart=digits(rms(apart[known])),
         engines=tuple(
             EngineSolution(
                 engine=engine,
@@ -371,12 +372,12 @@ def write_model(experiment: Experiment, runs: Sequence[Run], folder: Path) -> st
                         parameter=parameter,
                         factors=tuple(factors),
                         order=None if result.order is None else digits(result.order),
-                        change=digits(rms(change[:count])),
-                        uncertainty=digits(rms(result.uncertainty[:count])),
+                        change=digits(rms(change[known])),
+                        uncertainty=digits(rms(result.uncertainty[known])),
                     )
                     for parameter, (factors, result, change) in refined.items()
                 ),
-                correction=digits(rms((value - base.quantity("frames"))[:count])),
+                correction=digits(rms((value - base.quantity("frames"))[known])),
             )
             for engine, (value, _, refined) in each.items()
             for base in [next(run for run in runs if run.engine == engine and run.parameter == "base")]
@@ -483,7 +484,8 @@ def table(options: argparse.Namespace) -> int:
         assert model is not None
         sidecar, band = model.sidecar, model.band
         baseline = published_baselines(file.stem).get("rmse")
-        spread = rms(np.nan_to_num(band.uncertainty[: sidecar.solved_frames]))
+        known = np.isfinite(band.mean).all(axis=1)
+        spread = rms(band.uncertainty[known])
         orders = [
             f"{one.engine} "
             + ", ".join(f"{r.parameter} {'-' if r.order is None else f'{r.order:.1f}'}" for r in one.refinements)
@@ -492,7 +494,7 @@ def table(options: argparse.Namespace) -> int:
         rows.append(
             [
                 file.stem,
-                f"{sidecar.solved_frames} of {sidecar.frames}",
+                f"{known.sum()} of {sidecar.frames}",
                 "; ".join(orders),
                 f"{sidecar.families_apart:.3g} {sidecar.unit}",
                 f"{spread:.3g} {sidecar.unit}",

@@ -110,10 +110,23 @@ def combined(each: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray,
     return mean, np.sqrt(np.tensordot(weights, squares, axes=1) + np.square(apart)), apart
 
 
-def known_frames(uncertainty: FloatArray, limit: float) -> int:
-    """Return the number of frames until the uncertainty, as a norm over coordinates, first exceeds a limit."""
-    beyond = np.linalg.norm(uncertainty, axis=1) > limit
-    return int(beyond.argmax()) if beyond.any() else len(uncertainty)
+LEAST_SPAN = 0.25
+"""Share of an episode that a reference covers at least, and its part after a gap."""
+
+
+def known_frames(uncertainty: FloatArray, limit: float) -> tuple[int, tuple[int, int] | None]:
+    """Return the end of the frames at which the uncertainty, as a norm over coordinates, is at most a limit, and a gap.
+
+    They end where it first exceeds the limit. Where it stays below the limit from a later frame on, for a good part of
+    the episode, the motion has settled, and they go on after a gap.
+    """
+    beyond = np.flatnonzero(np.linalg.norm(uncertainty, axis=1) > limit)
+    if not len(beyond):
+        return len(uncertainty), None
+    first, after = int(beyond[0]), int(beyond[-1]) + 1
+    if len(uncertainty) - after >= LEAST_SPAN * len(uncertainty):
+        return len(uncertainty), (first, after)
+    return first, None
 
 
 def rms(values: FloatArray) -> float:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field, NonNegativeFloat, PositiveFloat, PositiveInt, TypeAdapter
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat, PositiveInt, TypeAdapter
 
 from gauge_envs.errors import ReferenceFileError
 from gauge_envs.files import MEGABYTE, npz_arrays
@@ -83,7 +83,9 @@ class ModelSidecar(FileModel):
         frames: Number of frames of the episode.
         solved_frames: Number of frames, from the first one, at which g(t) is known.
         point_frames: The same of the points; None where g(t) is of positions.
-        ends: Why it ends there; empty if it covers the episode.
+        gap: First frame before the last one at which g(t) is not known, and the frame after them; None without any.
+        point_gap: The same of the points.
+        ends: Why g(t) is not known at some frames; empty if it covers the episode.
         quantum: Value of one count of `mean` and `offsets`, in the unit of g(t).
         point_quantum_mm: Value of one count of `points` [mm].
         families_apart: Largest distance of an engine's g(t) from the mean, root mean square over frames.
@@ -96,6 +98,8 @@ class ModelSidecar(FileModel):
     frames: PositiveInt
     solved_frames: PositiveInt
     point_frames: PositiveInt | None = None
+    gap: tuple[NonNegativeInt, PositiveInt] | None = None
+    point_gap: tuple[NonNegativeInt, PositiveInt] | None = None
     ends: str = ""
     quantum: PositiveFloat
     point_quantum_mm: PositiveFloat | None = None
@@ -207,12 +211,14 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
     if shapes != expected:
         raise ReferenceFileError(file, None, f"has arrays {shapes}, expected {expected}")
     mean = unpacked(arrays["mean"], sidecar.quantum)
+    mean[_frames_of(sidecar.gap)] = np.nan
     uncertainty = interpolated(arrays["uncertainty"], count)
     points = None
     if sidecar.point_quantum_mm is not None and sidecar.point_frames is not None:
         points_mm = unpacked(arrays["points"], sidecar.point_quantum_mm).reshape(sidecar.point_frames, -1)
         spread = np.repeat(interpolated(arrays["points_uncertainty"], sidecar.point_frames), 3, axis=1)
         names = tuple(f"marker-{index}.{axis}" for index in range(points_mm.shape[1] // 3) for axis in "xyz")
+        points_mm[_frames_of(sidecar.point_gap)] = np.nan
         points = _band(sidecar, points_mm, spread, unit="mm", coordinates=names)
         points = replace(points, sigma=np.maximum(points.sigma, POINT_SIGMA_MM))
     baseline = published_baselines(variant).get("rmse")
@@ -221,7 +227,7 @@ def _read(file: Path, variant: str) -> SolvedModel | None:
         # The mean over trials of the squared E_RMSE is the variance of the vector; see `carried_band`.
         sigma = np.hypot(baseline.mean, baseline.std or 0.0) / np.sqrt(width)
         band = replace(band, sigma=np.full_like(band.mean, sigma), sigma_source=SigmaSource.BASELINE)
-        band = replace(band, normalized_by_baseline=sidecar.solved_frames == sidecar.frames)
+        band = replace(band, normalized_by_baseline=bool(np.isfinite(band.mean).all()))
     solutions = mean + unpacked(arrays["offsets"].swapaxes(0, 1), sidecar.quantum).swapaxes(0, 1)
     engines = [one.engine for one in sidecar.engines]
     others = {
@@ -236,21 +242,26 @@ def _band(
     sidecar: ModelSidecar, mean: FloatArray, uncertainty: FloatArray, *, unit: str, coordinates: tuple[str, ...]
 ) -> Band:
     """Return a band whose sigma is the uncertainty of its mean."""
-    spread = padded(uncertainty, sidecar.frames)
+    mean = padded(mean, sidecar.frames)
+    spread = np.where(np.isfinite(mean), padded(uncertainty, sidecar.frames), np.nan)
     return Band(
         grade=BandGrade.MODEL,
         unit=unit,
         coordinates=coordinates,
         projection=np.eye(mean.shape[1]),
-        mean=padded(mean, sidecar.frames),
+        mean=mean,
         sigma=np.nan_to_num(spread),
-        measured=np.arange(sidecar.frames) < len(mean),
+        measured=np.asarray(np.isfinite(mean).all(axis=1)),
         trial_count=None,
         source=sidecar.source,
         sigma_source=SigmaSource.MODEL,
         uncertainty=spread,
         normalized_by_baseline=False,
     )
+
+
+def _frames_of(gap: tuple[int, int] | None) -> slice:
+    return slice(0, 0) if gap is None else slice(*gap)
 
 
 def packed(values: FloatArray, quantum: float) -> np.ndarray:

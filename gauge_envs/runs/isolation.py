@@ -31,7 +31,7 @@ TIME_LIMIT_S = 3600.0
 LOOK_S = 0.05
 """Time between two looks at the memory of a process [s]."""
 
-PARENT_LOOK_S = 1.0
+PARENT_LOOK_S = 0.2
 """Time between two looks of a process at whether its parent lives [s]."""
 
 GRACE_S = 10.0
@@ -228,8 +228,11 @@ def serve() -> None:
         except BaseException as error:  # Also SystemExit.
             reply = (f"{type(error).__name__}: {error}", None)
         faulthandler.cancel_dump_traceback_later()
-        results.write(_pickled(reply))
-        results.flush()
+        try:
+            results.write(_pickled(reply))
+            results.flush()
+        except OSError:  # The parent is gone.
+            return
 
 
 def _end_with_parent(parent: int) -> None:

@@ -86,7 +86,7 @@ def main() -> None:
 def read_clips(folder: Path, first_frames: Path | None) -> list[Clip]:
     published = published_results()
     clips = []
-    for model, task_id, file in find_videos(folder):
+    for model, task_id, file in find_videos(folder)[0]:
         task = video_task(task_id)
         if task.motion not in (Motion.SLIDE, Motion.FALL):
             continue

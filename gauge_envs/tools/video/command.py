@@ -125,7 +125,8 @@ def video_report(
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed. Exit code 1 when a video cannot be read; the others are on the page.
+    The pictures show what was followed. Exit code 1 when a video cannot be read or is named otherwise; the others are
+    on the page.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import score_track, video_task
@@ -133,8 +134,9 @@ def video_report(
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import find_videos, video_page
 
-    videos = find_videos(folder)
-    results, files, broken = {}, {}, []
+    videos, others = find_videos(folder)
+    results, files = {}, {}
+    broken = [f"{file}: left out, because it is named otherwise than MODEL/TASK.mp4" for file in others]
     with Progress("videos", len(videos)) as progress:
         for model, task, file in videos:
             progress.show(f"{model}: {task}")

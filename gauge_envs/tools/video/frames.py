@@ -117,6 +117,9 @@ MOST_PICTURE_BYTES = 64 * MEGABYTE
 MOST_SIDE_PX = 8192
 """Largest width and height of a video [px]: 8K."""
 
+HEAD_BYTES = 4096
+"""Bytes at the start of a file, among which each container of videos has a zero."""
+
 MOST_FRAMES = 20_000
 """Most frames of a video."""
 
@@ -171,6 +174,14 @@ class Frames(ABC):
             )
 
 
+def _check_container(path: Path) -> None:
+    """Check that a file holds its pictures: a playlist, as of ffconcat, is a text that names other files."""
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be read: {cause}")), path.open("rb") as stream:
+        head = stream.read(HEAD_BYTES)
+    if b"\0" not in head:
+        raise VideoError(f"{path}: it is a text and no video; give an MP4 or WebM video")
+
+
 class FileFrames(Frames):
     """Frames of a video file.
 
@@ -183,6 +194,7 @@ class FileFrames(Frames):
         self.name = str(path)
         self._path = path
         _check_size(path, MOST_BYTES, "cut the clip to the event")
+        _check_container(path)
         capture = self._opened()
         try:
             if not capture.isOpened():

@@ -125,18 +125,19 @@ Results = Mapping[tuple[str, str], VideoScore]
 """Results by model and task."""
 
 
-def find_videos(folder: Path) -> list[tuple[str, str, Path]]:
-    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, sorted."""
+def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
+    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, and the other videos."""
     tasks = {task.id: order for order, task in enumerate(video_tasks())}
-    files = sorted(folder.glob("*/*")) if folder.is_dir() else []
+    files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in SUFFIXES]
     found = [
-        (file.parent.name, file.stem, file) for file in files if file.suffix.lower() in SUFFIXES and file.stem in tasks
+        (file.parent.name, file.stem, file) for file in files if file.parent.parent == folder and file.stem in tasks
     ]
     if not found:
         raise VideoError(
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
         )
-    return sorted(found, key=lambda one: (tasks[one[1]], one[0]))
+    used = {file for *_, file in found}
+    return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [file for file in files if file not in used]
 
 
 def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:

@@ -285,7 +285,7 @@ def test_an_onnx_policy_acts_as_its_network_and_is_clipped(env, tmp_path) -> Non
         assert policy(observation) == pytest.approx(expected, abs=1e-6)
     with pytest.raises(PolicyError, match="observation has 5 entries"):
         load_policy(str(write_onnx(tmp_path / "b.onnx", 6)), env)
-    with pytest.raises(PolicyError, match=r"action has shape \(1, 3\), the task takes \(1,\)"):
+    with pytest.raises(PolicyError, match=r"action has shape \(3,\), the task takes \(1,\)"):
         load_policy(str(write_onnx(tmp_path / "c.onnx", 5, outputs=3)), env)
 
 
@@ -309,6 +309,37 @@ def test_an_onnx_file_is_run_within_limits_first(env, tmp_path, monkeypatch) -> 
     onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
     with pytest.raises(PolicyError, match=r"bomb\.onnx: onnxruntime cannot run the network"):
         load_policy(str(file), env)
+    # A network that is cheap for zeros and a loop without end for the task's own observations.
+    body = helper.make_graph(
+        [helper.make_node("Identity", ["go"], ["on"]), helper.make_node("Identity", ["before"], ["after"])],
+        "body",
+        [
+            helper.make_tensor_value_info("step", kinds.INT64, []),
+            helper.make_tensor_value_info("go", kinds.BOOL, []),
+            helper.make_tensor_value_info("before", kinds.FLOAT, ["batch", 5]),
+        ],
+        [
+            helper.make_tensor_value_info("on", kinds.BOOL, []),
+            helper.make_tensor_value_info("after", kinds.FLOAT, ["batch", 5]),
+        ],
+    )
+    graph = helper.make_graph(
+        [
+            helper.make_node("ReduceMax", ["observation"], ["largest"], keepdims=0),
+            helper.make_node("Greater", ["largest", "zero"], ["go"]),
+            helper.make_node("Loop", ["many", "go", "observation"], ["end"], body=body),
+            helper.make_node("ReduceSum", ["end"], ["action"], keepdims=1),
+        ],
+        "policy",
+        [helper.make_tensor_value_info("observation", kinds.FLOAT, ["batch", 5])],
+        [helper.make_tensor_value_info("action", kinds.FLOAT, ["batch", 1])],
+        [helper.make_tensor("zero", kinds.FLOAT, [], [0.0]), helper.make_tensor("many", kinds.INT64, [], [2**62])],
+    )
+    onnx.save(helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8), file)
+    monkeypatch.setattr("gauge_envs.tools.transfer.policies.load.MOST_ONNX_CPU_S", 3)
+    policy = load_policy(str(file), env)
+    with pytest.raises(PolicyError, match=r"bomb\.onnx: the network needs more than"):
+        policy(np.ones(5))
     file.write_bytes(b"no network")
     with pytest.raises(PolicyError, match=r"bomb\.onnx: it is no network that onnxruntime can load"):
         load_policy(str(file), env)

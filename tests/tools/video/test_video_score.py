@@ -195,8 +195,13 @@ def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> 
         (tmp_path / "videos" / model).mkdir(parents=True)
     written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
     (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    for other in ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm"):
+        (tmp_path / "videos" / other).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / "videos" / other).write_text("no video")
     outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
     assert outcome.exit_code == 1
+    for other in ("SlopeSlider-2-metal_v2.mp4", "a/SlopeSlider-2-metal.mp4", "top.webm"):
+        assert f"{other}: left out, because it is named otherwise" in "".join(outcome.stderr.split("\n"))
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
     assert json.loads(line)["model"] == "seedance2"
@@ -220,8 +225,14 @@ def test_published_values_are_those_of_the_table() -> None:
 
 def test_files_that_are_no_videos_are_errors(tmp_path: Path) -> None:
     (tmp_path / "text.mp4").write_text("no video\n" * 100)
-    with pytest.raises(VideoError, match=r"text.mp4: OpenCV cannot decode it"):
+    with pytest.raises(VideoError, match=r"text.mp4: it is a text and no video"):
         FileFrames(tmp_path / "text.mp4")
+    (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile other.mp4\n")
+    with pytest.raises(VideoError, match=r"list.mp4: it is a text and no video"):
+        FileFrames(tmp_path / "list.mp4")
+    (tmp_path / "zeros.mp4").write_bytes(bytes(1000))
+    with pytest.raises(VideoError, match=r"zeros.mp4: OpenCV cannot decode it"):
+        FileFrames(tmp_path / "zeros.mp4")
     with pytest.raises(VideoError, match="there is no such file"):
         FileFrames(tmp_path / "none.mp4")
 

@@ -29,6 +29,11 @@ MOST_DEPTH = 64
 MOST_NODES = 50_000
 """Largest count of values, where each alias counts as all that it stands for."""
 
+MOST_DIGITS = 64
+"""Largest length of a number: Python takes a time that grows with the square of it, and more than 64 bits overflow."""
+
+NUMBER = re.compile(r"[-+]?[0-9][0-9a-fA-FxXoO._:]*")
+
 PLAIN = "tag:yaml.org,2002:"
 """Start of the tags of YAML itself."""
 
@@ -110,6 +115,8 @@ def _check(events: Iterable[Any], takes_objects: bool) -> None:
             _check_tag(event.tag, line, takes_objects)
             count += 1
             sizes[str(anchor)] = 1
+        if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_DIGITS and NUMBER.fullmatch(event.value):
+            raise ValueError(f"line {line}: a number of more than {MOST_DIGITS} characters")
         if isinstance(event, yaml.CollectionStartEvent):
             open_values.append((anchor, count - 1))
         if len(open_values) > MOST_DEPTH:

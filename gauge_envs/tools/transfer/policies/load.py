@@ -10,9 +10,12 @@ import io
 import pickle
 import pickletools
 import re
+import subprocess
 import sys
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -23,13 +26,16 @@ from numpy.typing import NDArray
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
-from gauge_envs.files import MEGABYTE, child_refusal, os_errors, read_regular
+from gauge_envs.files import CHILD_MEMORY, MEGABYTE, child_command, os_errors, read_regular
+from gauge_envs.tools.transfer.policies import onnx_child
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 
 MOST_ONNX_BYTES = 512 * MEGABYTE
 
-NUMBERS = {"tensor(float)": np.float32, "tensor(double)": np.float64}
-"""Types of the input that an ONNX policy may have."""
+MOST_ONNX_CPU_S = 86400
+"""Limit of the processor time of all actions of an ONNX policy [s]."""
+
+FloatArray = NDArray[np.float64]
 
 
 def load_policies(
@@ -113,55 +119,42 @@ def _function(source: str, *, trust: bool) -> Policy:
 def _onnx(file: Path, *, observation_size: int) -> Policy:
     """Return the policy of an ONNX file: one input of shape [1, n] or [n]; the first output is the action.
 
-    The network is loaded and run in another process first, which has limits of memory and time.
+    The network runs in another process, which has limits of memory, and of time for each action.
 
     Args:
         file: The file.
         observation_size: Size n of the task's observation.
     """
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise MissingExtraError("an ONNX policy", "onnx", error) from error
+    if find_spec("onnxruntime") is None:
+        raise MissingExtraError("an ONNX policy", "onnx", ModuleNotFoundError(name="onnxruntime"))
     with os_errors(lambda cause: PolicyError(f"{file}: cannot be read: {cause}")):
         content = read_regular(file, MOST_ONNX_BYTES)
-    refusal = child_refusal(Path(__file__).with_name("onnx_probe.py"), str(observation_size), content=content)
-    if refusal is not None:
-        raise PolicyError(f"{file}: {refusal}")
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 4
-    session = onnxruntime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
-    inputs = session.get_inputs()
-    if len(inputs) != 1:
-        names = ", ".join(one.name for one in inputs)
-        raise PolicyError(f"{file}: the network has the inputs {names}, expected one, the observation")
-    entry = inputs[0]
-    if entry.type not in NUMBERS:
-        raise PolicyError(f"{file}: input {entry.name!r} has the type {entry.type}, expected {' or '.join(NUMBERS)}")
-    shape = _shape(entry.shape, observation_size)
-    if shape is None:
-        raise PolicyError(
-            f"{file}: input {entry.name!r} has shape {entry.shape}, "
-            f"the task's observation has {observation_size} entries"
-        )
-    number, first = NUMBERS[entry.type], session.get_outputs()[0].name
+    command, environment = child_command(Path(onnx_child.__file__), str(observation_size), cpu_s=MOST_ONNX_CPU_S)
+    child = subprocess.Popen(
+        command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=environment
+    )
 
-    def act(observation: NDArray[np.float64]) -> NDArray[np.floating]:
-        fed = np.asarray(observation, dtype=number).reshape(shape)
-        return np.asarray(session.run([first], {entry.name: fed})[0])
+    def ask(message: bytes) -> FloatArray:
+        try:
+            onnx_child.write_message(child.stdin, message)
+            answer = onnx_child.read_message(child.stdout)
+        except OSError:  # The process has ended.
+            answer = None
+        if answer is None:
+            raise PolicyError(
+                f"{file}: the network needs more than {onnx_child.ACTION_CPU_S} s of processor time for an action or "
+                f"{CHILD_MEMORY // MEGABYTE} MB of memory, or the runtime crashes on it"
+            )
+        if not answer.startswith(b"+"):
+            raise PolicyError(f"{file}: {answer[1:].decode(errors='replace')}")
+        return np.frombuffer(answer[1:])
 
+    def act(observation: FloatArray) -> FloatArray:
+        return ask(np.asarray(observation, dtype=np.float64).tobytes())
+
+    weakref.finalize(act, child.kill)
+    ask(content)
     return act
-
-
-def _shape(stated: list[Any], size: int) -> tuple[int, ...] | None:
-    """Return the shape of an input for one observation, or None if the observation does not fit."""
-    # A free dimension has a name or None.
-    if not 1 <= len(stated) <= 2 or (isinstance(stated[-1], int) and stated[-1] != size):
-        return None
-    if len(stated) == 2 and isinstance(stated[0], int) and stated[0] != 1:
-        return None
-    return (1, size)[-len(stated) :]
 
 
 def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
