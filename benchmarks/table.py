@@ -5,10 +5,9 @@
 Times are processor times, so that other programs matter little; those of threads and jobs are wall times, which need an
 idle machine, and are left out on a busy one. Limits with a reason:
 
-- a step over bare MuJoCo: a frame of the pendulum takes MuJoCo a quarter of a millisecond, and six samples, bounds,
-  reward and observation take Python 20 microseconds. Experiments whose frame takes longer are below 1.04;
+- a step over bare MuJoCo: without the clock that MuJoCo reads in Python, a step of the environment is the cheaper one;
 - dynamic time warping: tslearn compiles its loop with Numba, which with scikit-learn adds 280 MB to an installation.
-  Here it is NumPy.
+  Here it is NumPy. Of light libraries, dtw-python takes twice as long with the same local costs.
 """
 
 from __future__ import annotations
@@ -80,8 +79,8 @@ def starts() -> Iterator[Row]:
 
 def steps() -> Iterator[Row]:
     """Yield the cost of a step over that of bare MuJoCo."""
-    for name, limit in (("SlopeSlider-2-wood", 1.04), ("Turntable-1-wood", 1.06), ("Pendulum-metal", 1.1)):
-        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], limit)
+    for name in ("SlopeSlider-2-wood", "BouncingBall-rubber", "Pendulum-metal"):
+        yield Row(f"env.step / mj_step, {name}", step.measured(name)[2], 1.0)
 
 
 def warping() -> Iterator[Row]:

@@ -1,6 +1,7 @@
 """Physics engines behind one interface, one folder per engine."""
 
 from gauge_envs.backends.base import (
+    ArraySimulation,
     ArrayWorlds,
     Backend,
     Feature,
@@ -25,6 +26,7 @@ from gauge_envs.backends.registry import (
 from gauge_envs.backends.shared.states import ReplayedSimulation
 
 __all__ = [
+    "ArraySimulation",
     "ArrayWorlds",
     "Backend",
     "Feature",

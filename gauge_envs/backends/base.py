@@ -397,6 +397,29 @@ class _ArrayWorld(World):
         return self._worlds.faults().get(self._number)
 
 
+class ArraySimulation(_ArrayWorld, Simulation):
+    """The only world of an `ArrayWorlds`: what `build` of an engine in arrays returns, in a `ReplayedSimulation`.
+
+    Args:
+        worlds: Worlds of one scene.
+    """
+
+    def __init__(self, worlds: ArrayWorlds) -> None:
+        super().__init__(worlds, worlds.worlds[0].settings, 0)
+
+    def reset(self, seed: int) -> None:
+        """Return to the scene's start."""
+        self._worlds.reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        """Simulate an interval."""
+        self._worlds.advance(seconds)
+
+    def close(self) -> None:
+        """Free the engine's resources."""
+        self._worlds.close()
+
+
 class Feature(StrEnum):
     """Part of a scene that an engine builds only if it says so."""
 

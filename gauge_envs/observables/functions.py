@@ -10,7 +10,6 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
@@ -127,6 +126,8 @@ def assign_markers(markers_m: ArrayLike, nodes_m: ArrayLike, *, max_distance_m: 
             raise ShapeError(f"{name}: point {np.argwhere(~np.isfinite(points))[0, 0]} is not finite")
     if len(nodes_m) < len(markers_m):
         raise ShapeError(f"{len(nodes_m)} nodes are too few for {len(markers_m)} markers; refine the mesh")
+    from scipy.optimize import linear_sum_assignment
+
     distances = cdist(markers_m, nodes_m)
     _, nodes = linear_sum_assignment(distances)
     assigned = distances[np.arange(len(nodes)), nodes]

@@ -15,7 +15,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, NonNegativeInt, PositiveInt, model_validator
-from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from gauge_envs.errors import ParameterError, ReferenceFileError
@@ -214,6 +213,7 @@ class SingleShot:
             Positions [m], shape [Q, 3], and orientations.
         """
         # Lists of experiments need no spline, and the import takes a tenth of a second.
+        from scipy.interpolate import CubicSpline
 
         held = np.clip(times_s, 0.0, self.duration_s)
         return CubicSpline(self.times_s, self.positions_m)(held), Slerp(self.times_s, self.rotations)(held)

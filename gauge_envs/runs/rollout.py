@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import traceback
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -134,19 +134,21 @@ def record(
         observer = ObserverMarkers(scene, Observable.MARKER_POSITION, simulation, MarkerProxy.MATERIAL)
     last: _Sample | None = None
     samples: list[_Sample] = []
+    names = [body.name for body in scene.bodies]
+    dynamic = [index for index, body in enumerate(scene.bodies) if body.motion is Motion.DYNAMIC]
     for index in range(count + 1):
         time = f"after {index * interval_s:.3g} s"
-        now = _read(simulation, scene, observer)
+        now = _read(simulation, scene, names, observer)
         if fault := simulation.fault():
             raise DivergedError(f"{time} {fault}")
-        if name := _not_finite(scene, now):
+        if name := _not_finite(names, now):
             raise NotFiniteError(f"{time} {name!r} is not finite")
-        for name, speed in _speeds_m_per_s(scene, last or now, now, interval_s):
-            if speed > speed_limit_m_per_s:
-                limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
-                raise DivergedError(f"{time} {name!r} moves at {speed:.3g} m/s; {limit}")
+        speeds = _speeds_m_per_s(names, dynamic, last or now, now, interval_s)
+        for name in (name for name, speed in speeds.items() if speed > speed_limit_m_per_s):
+            limit = f"the scene allows {speed_limit_m_per_s:.3g} m/s at most"
+            raise DivergedError(f"{time} {name!r} moves at {speeds[name]:.3g} m/s; {limit}")
         kept = {name: nodes for name, nodes in now.nodes_m.items() if nodes_of is None or name in nodes_of}
-        samples.append(now._replace(nodes_m=kept))
+        samples.append(now._replace(nodes_m=kept) if now.nodes_m else now)
         last = now
         if index < count:
             _advance(simulation, paths, index, time)
@@ -202,11 +204,11 @@ class _Sample(NamedTuple):
     markers_m: NDArray[np.float64]
 
 
-def _read(simulation: Simulation, scene: Scene, observer: ObserverMarkers | None) -> _Sample:
+def _read(simulation: Simulation, scene: Scene, names: Sequence[str], observer: ObserverMarkers | None) -> _Sample:
     if observer is not None:
         observer.now(simulation)
     return _Sample(
-        states=states_now(simulation, [body.name for body in scene.bodies]),
+        states=states_now(simulation, names),
         nodes_m={body.name: np.array(simulation.nodes(body.name), dtype=np.float64) for body in scene.deformables},
         markers_m=np.zeros((0, 3)) if observer is None else observer.markers_m,
     )
@@ -221,21 +223,24 @@ def _advance(simulation: Simulation, paths: DriverPaths, index: int, time: str) 
         raise DivergedError(f"{time} the engine raises {type(error).__name__}: {reason}{raised_at(error)}") from error
 
 
-def _not_finite(scene: Scene, now: _Sample) -> str:
+def _not_finite(names: Sequence[str], now: _Sample) -> str:
     """Return the first body whose state or node is not finite; empty when all are."""
-    rigid = {body.name: state for body, state in zip(scene.bodies, now.states, strict=True)}
+    if np.isfinite(now.states).all() and not now.nodes_m:
+        return ""
+    rigid = dict(zip(names, now.states, strict=True))
     return next((name for name, values in (rigid | now.nodes_m).items() if not np.isfinite(values).all()), "")
 
 
-def _speeds_m_per_s(scene: Scene, last: _Sample, now: _Sample, interval_s: float) -> Iterator[tuple[str, float]]:
-    """Yield the largest speed along an axis of each dynamic or deformable body, reported or from displacements.
+def _speeds_m_per_s(
+    names: Sequence[str], dynamic: Sequence[int], last: _Sample, now: _Sample, interval_s: float
+) -> dict[str, float]:
+    """Return the largest speed along an axis of each dynamic or deformable body, reported or from displacements.
 
     The displacement is bounded like the speed, since an engine may set diverged bodies back to the start.
     """
-    reported = np.abs(now.states[:, 7:10]).max(axis=1)
-    between = np.abs(now.states[:, :3] - last.states[:, :3]).max(axis=1) / interval_s
-    for body, speed in zip(scene.bodies, np.maximum(reported, between), strict=True):
-        if body.motion is Motion.DYNAMIC:
-            yield body.name, float(speed)
-    for name, nodes in now.nodes_m.items():
-        yield name, float(np.abs(nodes - last.nodes_m[name]).max(initial=0.0)) / interval_s
+    between = np.abs(now.states[:, :3] - last.states[:, :3]) / interval_s
+    largest = np.maximum(np.abs(now.states[:, 7:10]), between).max(axis=1, initial=0.0).tolist()
+    moved = {name: np.abs(nodes - last.nodes_m[name]).max(initial=0.0) for name, nodes in now.nodes_m.items()}
+    return {names[index]: largest[index] for index in dynamic} | {
+        name: float(distance_m) / interval_s for name, distance_m in moved.items()
+    }

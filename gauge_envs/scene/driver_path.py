@@ -38,11 +38,12 @@ class DriverPath:
         self.interval_s = interval_s
         self.motion_count = len(driver.motions)
         self._driver = driver
-        self._start = scene.body(driver.body).pose
+        start = scene.body(driver.body).pose
+        self._starts = np.array([[*start.position_m, *start.quaternion]] * 2)
         self._scale = np.array([motion.residual_rate for motion in driver.motions])
         self.offsets = np.zeros(self.motion_count)
         count = round((frame_count - 1) / FRAME_RATE_HZ / interval_s)
-        self._path = _recorded_path(driver, self._start, count, interval_s)
+        self._path = _recorded_path(driver, start, count, interval_s)
 
     def reset(self) -> None:
         """Return to the recorded motion."""
@@ -58,10 +59,11 @@ class DriverPath:
         if not self.offsets.any() and not action.any():
             return self._path[sample]
         rates = action * self._scale
-        before = self._driver.state(self._start, sample * self.interval_s, self.offsets, rates)
-        self.offsets = self.offsets + rates * self.interval_s
-        after = self._driver.state(self._start, (sample + 1) * self.interval_s, self.offsets, rates)
-        return _intervals([before, after], self.interval_s)[0]
+        moved = self.offsets + rates * self.interval_s
+        times_s = np.array([sample, sample + 1]) * self.interval_s
+        states = self._driver.states(self._starts, times_s, np.array([self.offsets, moved]), np.array([rates, rates]))
+        self.offsets = moved
+        return _intervals(states, self.interval_s)[0]
 
 
 class DriverPathOfWorlds:
@@ -121,21 +123,25 @@ class DriverPathOfWorlds:
 @lru_cache(maxsize=32)
 def _recorded_path(driver: Driver, start: Pose, count: int, interval_s: float) -> tuple[Interval, ...]:
     """Return the motion without actions; for minutes of motion it takes longer than the build of most scenes."""
-    return _intervals([driver.state(start, k * interval_s) for k in range(count + 1)], interval_s)
+    starts = np.tile([*start.position_m, *start.quaternion], (count + 1, 1))
+    still = np.zeros((count + 1, len(driver.motions)))
+    times_s = interval_s * np.arange(count + 1, dtype=np.float64)
+    return _intervals(driver.states(starts, times_s, still, still), interval_s)
 
 
-def _intervals(states: Sequence[tuple[Pose, FloatArray]], interval_s: float) -> tuple[Interval, ...]:
+def _intervals(states: FloatArray, interval_s: float) -> tuple[Interval, ...]:
     """Return the uniformly accelerated motions between states, with velocities closest to the given ones.
 
     Args:
-        states: Pose and velocity at the ends of the intervals; each motion ends at the next pose.
+        states: Position, quaternion and velocity at the ends of the intervals, shape [interval_count + 1, 13]; each
+            motion ends at the next pose.
         interval_s: Length of an interval [s].
     """
-    rows = np.array([[*pose.position_m, *pose.quaternion, *velocity] for pose, velocity in states])
-    motions = _between(rows[:-1], rows[1:], interval_s)
+    motions = _between(states[:-1], states[1:], interval_s)
     for motion in motions:
         motion.flags.writeable = False
-    return tuple(zip([pose for pose, _ in states[:-1]], *motions, strict=True))
+    poses = [Pose(position_m=(x, y, z), quaternion=(a, b, c, d)) for x, y, z, a, b, c, d in states[:-1, :7].tolist()]
+    return tuple(zip(poses, *motions, strict=True))
 
 
 def _between(before: FloatArray, after: FloatArray, interval_s: float) -> tuple[FloatArray, FloatArray]:

@@ -251,13 +251,15 @@ class Driver:
         w, x, y, z = state[3:7].tolist()
         return Pose(position_m=vector(state[:3]), quaternion=(w, x, y, z)), state[7:]
 
-    def states(self, starts: FloatArray, time_s: float, offsets: FloatArray, rates: FloatArray) -> FloatArray:
-        """Return poses and velocities in many worlds at a time.
+    def states(
+        self, starts: FloatArray, time_s: float | FloatArray, offsets: FloatArray, rates: FloatArray
+    ) -> FloatArray:
+        """Return poses and velocities in many worlds at a time, or in one at many times.
 
         Args:
             starts: Position [m] (3) and quaternion w x y z (4) in each world before anything moves, shape
                 [world_count, 7].
-            time_s: Time since the start of the episode [s].
+            time_s: Time since the start of the episode [s], or one for each row of `starts`.
             offsets: Displacement of each motion by actions [m or rad], shape [world_count, motion_count].
             rates: Rate of each motion due to actions [m/s or rad/s], shape [world_count, motion_count].
 
@@ -267,9 +269,10 @@ class Driver:
         """
         position, rotation = starts[:, :3], Rotation.from_quat(starts[:, 3:], scalar_first=True)
         linear, angular = np.zeros_like(position), np.zeros_like(position)
+        times_s = np.atleast_1d(time_s).tolist()
         for index, motion in enumerate(self.motions):
-            value = (motion.value(time_s) + offsets[:, index])[:, None]
-            rate = (motion.rate(time_s) + rates[:, index])[:, None]
+            value = (np.array([motion.value(one) for one in times_s]) + offsets[:, index])[:, None]
+            rate = (np.array([motion.rate(one) for one in times_s]) + rates[:, index])[:, None]
             axis = np.asarray(motion.axis)
             if motion.kind == "translate":
                 position = position + value * axis

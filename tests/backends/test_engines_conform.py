@@ -56,6 +56,7 @@ CORE = (
 LONG = (
     *("restore-benchmark-*", "restore-impact", "restore-rest", "determinism", "driven-*", "pushed-ball"),
     *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
+    *("carry-line", "carry-turn", "reset-start", "finite"),
 )
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
@@ -70,7 +71,7 @@ ENGINES = (
         long=(
             *LONG,
             *("restore-*", "reset-*", "copy", "swing-*", "foam-*"),
-            *("carry-line", "carry-turn", "rest-lying-cylinder"),
+            "rest-lying-cylinder",
         ),
     ),
     Engine(

@@ -413,6 +413,35 @@ def test_the_whole_conformance_kit_finds_nothing(environment: dict[str, str], tm
     assert statuses(run.stdout) == {"pass", "declined"}
 
 
+# --- worlds in arrays ------------------------------------------------------------------------------------------------
+
+CONTACTS = ("rebound-*", "oblique-*", "roll-ball", "rest-sphere", "start-velocity*", "restore", "free-fall")
+
+
+def measure_marbles() -> dict[str, Any]:
+    """Results of checks, and the largest distance of worlds that start and rebound differently from each one alone."""
+    engine = backend("marbles")
+    results = {one.check: one.status.value for one in run_checks("marbles", only=CONTACTS)}
+    scenes = [
+        ball_on_plane(tilt_deg=20, drop_m=0.05 * drop, friction=0.1 * drop, restitution=0.2 * drop) for drop in range(5)
+    ]
+    worlds = engine.build_worlds(scenes)
+    alone = [engine.build(scene) for scene in scenes]
+    apart = 0.0
+    for _ in range(90):
+        for one in (worlds, *alone):
+            one.advance(SAMPLE_INTERVAL_S)
+        single = np.array([one.body_states(["ball"]) for one in alone])
+        apart = max(apart, float(np.abs(worlds.body_states(["ball"]) - single).max()))
+    return {"results": results, "apart": apart}
+
+
+def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measured: dict[str, Any]) -> None:
+    assert set(measured["marbles"]["results"].values()) == {"pass", "declined"}
+    assert list(measured["marbles"]["results"].values()).count("pass") > 14
+    assert measured["marbles"]["apart"] == 0.0
+
+
 # --- guide -----------------------------------------------------------------------------------------------------------
 
 
@@ -423,8 +452,8 @@ def fenced(language: str) -> list[str]:
 
 def unquoted() -> list[str]:
     """Python blocks of the guide that are not quoted from the example."""
-    source = (PACKAGE / "point_engine.py").read_text(encoding="utf-8")
-    return [block for block in fenced("python") if block not in source]
+    sources = [(PACKAGE / name).read_text(encoding="utf-8") for name in ("point_engine.py", "marbles.py")]
+    return [block for block in fenced("python") if not any(block in source for source in sources)]
 
 
 def measure_guide() -> str:

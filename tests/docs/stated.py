@@ -396,10 +396,10 @@ def readers() -> dict[str, list[str]]:
     }
 
 
-def halfcheetah_friction() -> float:
-    """Friction that HalfCheetah states for its feet on the ground."""
+def stated_friction(target: str) -> float:
+    """Friction that a target states for its feet on the ground."""
     rows = json.loads((ROOT / "scoring" / "popular_configurations.json").read_text(encoding="utf-8"))["rows"]
-    return next(float(row["friction"]) for row in rows if "HalfCheetah-v5" in row["targets"])
+    return next(float(row["friction"]) for row in rows if target in row["targets"])
 
 
 def sanity() -> dict[str, list[str]]:
@@ -425,19 +425,26 @@ def sanity() -> dict[str, list[str]]:
             f"accelerate by {', '.join(slides[:3])} and {slides[3]} instead of {real_value('slide-wood'):.2f} m/s²",
             f"A cube of wood (friction {of('tools.sanity.phenomena.friction.real_friction')('wood'):.2f}) does not "
             "slide down 30 degrees",
-            f"is {min(pyramids):.0f} to {max(pyramids):.0f} %",
+            f"is {min(pyramids):.0f} to {max(pyramids):.0f} % on 30 degrees",
             f"Once sunk in, by {-found['HalfCheetah-v5']['rest-height']:.1f} mm, it meets 100 % of its friction",
-            f"its friction of {halfcheetah_friction():g} at {found['HalfCheetah-v5']['foot-creep']:.0f} mm/s",
+            f"its friction of {stated_friction('HalfCheetah-v5'):g} at "
+            f"{found['HalfCheetah-v5']['foot-creep']:.0f} mm/s",
             f"rests {found['Ant-v5']['rest-height']:.0f} mm above",
             f"rests {found['Hopper-v5']['rest-height']:.0f} mm above",
             f"bounce threshold of {presets('physx')['out_of_box'].bounce_threshold_m_per_s:g} m/s",
-            f"within {100 - met('PickCube-v1', 'slide-wood'):.0f} % of the law",
+            f"is {met('G1JoystickFlatTerrain', 'slide-wood'):.0f} % on 30 degrees",
+            f"{met('WalkerWalk', 'slide-wood'):.0f} % with the two iterations of Playground's walker",
+            f"with their friction of {stated_friction('Go1JoystickFlatTerrain'):g} on 10 degrees, their feet move at "
+            f"{found['Go1JoystickFlatTerrain']['foot-creep']:.0f} and "
+            f"{found['SpotFlatTerrainJoystick']['foot-creep']:.0f} mm/s",
+            f"down to {met('ApolloJoystickFlatTerrain', 'slide-turned'):.0f} % (Apollo)",
+            "meets the law of friction on 30 degrees",
             "slides down 30 degrees, over its stated friction; *held*: it does not slide | 100 % |",
             f"turned by {of('tools.sanity.phenomena.friction.TURN_DEG'):g} degrees about the vertical | 100 % |",
             f"rest on 10 degrees | 0 +- {tolerance('creep-wood'):.1f} mm/s |",
             f"sinks in | 0 +- {tolerance('rest-height'):g} mm |",
-            f"on {of('tools.sanity.phenomena.foot.HOLD_DEG'):.0f} degrees, with its load and its friction; for "
-            f"Playground and mjlab that of the cube | 0 +- {tolerance('creep-wood'):.1f} mm/s |",
+            f"on {of('tools.sanity.phenomena.foot.HOLD_DEG'):.0f} degrees, with its load and its friction "
+            f"| 0 +- {tolerance('creep-wood'):.1f} mm/s |",
             f"on {of('tools.sanity.phenomena.foot.SLIDE_DEG'):.0f} degrees, over its stated friction | 100 % |",
         ],
     }

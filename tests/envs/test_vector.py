@@ -32,6 +32,8 @@ SIX = (
     "BouncingBall-rubber",
 )
 NEWTON_RIGID = "NonsmoothContact-1-wood"
+COARSE = {"timestep_s": 1 / 900}
+"""A step for what does not depend on it."""
 
 
 def zeros(envs: VectorEnv) -> Any:
@@ -68,14 +70,14 @@ def test_make_vec_makes_the_native_one_by_default() -> None:
     ("name", "steps"), [*((name, 9) for name in ALL_KINDS), ("Pendulum-metal", 9), ("FoamStretching-soft", 2)]
 )
 def test_worlds_are_single_environments_bit_for_bit(name: str, steps: int) -> None:
-    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2)
+    envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=2, settings=COARSE)
     options = {} if name.endswith("-soft") else {"jitter": True}
     batches = [envs.reset(seed=5, options=options)]
     envs.action_space.seed(0)
     actions = [envs.action_space.sample() for _ in range(steps)]
     batches += [envs.step(action) for action in actions]
     for number in range(2):
-        env = gymnasium.make(f"GAUGE/{name}")
+        env = gymnasium.make(f"GAUGE/{name}", settings=COARSE)
         singles = [env.reset(seed=5 + number, options=options)]
         singles += [env.step(action[number]) for action in actions]
         for batch, single in zip(batches, singles, strict=True):
@@ -149,7 +151,7 @@ def test_the_step_after_the_end_starts_the_next_episode() -> None:
 def test_native_sync_and_async_agree_over_two_episodes() -> None:
     episodes = []
     for mode in ("vector_entry_point", "sync", "async"):
-        envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=2, vectorization_mode=mode)
+        envs = gymnasium.make_vec(f"GAUGE/{RIGID}", num_envs=2, vectorization_mode=mode, settings=COARSE)
         envs.reset(seed=0)
         steps = [envs.step(zeros(envs)) for _ in range(2 * 19)]
         envs.close()
@@ -293,6 +295,7 @@ def test_scores_arrive_from_sub_environments(name: str, mode: str, autoreset: st
             num_envs=count,
             vectorization_mode=mode,
             vector_kwargs={"autoreset_mode": AutoresetMode(autoreset)},
+            settings=COARSE,
         )
     )
     envs.reset(seed=0)
@@ -334,14 +337,15 @@ def test_episodes_that_are_cut_short_have_no_score() -> None:
 def test_six_ids_at_once_for_three_episodes() -> None:
     singles = {}
     for name in SIX:
-        env = gymnasium.make(f"GAUGE/{name}")
+        env = gymnasium.make(f"GAUGE/{name}", settings=COARSE)
         env.reset(seed=0)
         over = False
         while not over:
             *_, over, info = env.step(0)
         singles[name] = info["score"]
     envs = AsyncVectorEnv(
-        [lambda name=name: gymnasium.make(f"GAUGE/{name}") for name in SIX], observation_mode="different"
+        [lambda name=name: gymnasium.make(f"GAUGE/{name}", settings=COARSE) for name in SIX],
+        observation_mode="different",
     )
     envs.reset(seed=0)
     scores: dict[str, list[Score]] = {name: [] for name in SIX}

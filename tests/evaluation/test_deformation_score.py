@@ -28,8 +28,8 @@ from gauge_envs.runs.score_file import score_file
 from gauge_envs.tools.run.words import summary_document
 
 NAME = "FoamStretching-soft"
-COARSE = {"cell_m": 0.05}
-"""Cells for what holds with any mesh."""
+COARSE = {"preset": "training", "cell_m": 0.05}
+"""Step and cells for what holds with any."""
 EXPERIMENT = load_experiment(NAME)
 REST_M = np.array(EXPERIMENT.scene.markers.positions_m)
 

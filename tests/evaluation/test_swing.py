@@ -72,7 +72,7 @@ def test_the_calibrated_cradle_rests_for_a_step_or_not_at_all(cradles: dict[str,
 
 
 def test_the_period_is_between_the_bins_or_on_one(rollout: Callable) -> None:
-    score = rollout("Pendulum-metal")[2]["score"]
+    score = rollout("Pendulum-metal", settings={"timestep_s": 1 / 360})[2]["score"]
     assert score.pd_s == pytest.approx(1.2303, abs=2e-4)
     assert score.pd_fft_s == pytest.approx(10 / 8)
     assert round(score.pd_fft_normalized, 2) == published_baselines("Pendulum-metal")["pd"].engines["isaacsim"]

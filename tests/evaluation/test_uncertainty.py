@@ -179,7 +179,7 @@ def test_a_bounce_implies_its_restitution_and_that_of_the_trials(scores):
 
 def test_a_pendulum_implies_its_period():
     # Both periods are of one course, and a longer step is as good.
-    score = run_episode(RunRequest("Pendulum-metal", settings={"timestep_s": 1 / 1800})).score
+    score = run_episode(RunRequest("Pendulum-metal", settings={"timestep_s": 1 / 360})).score
     period = next(one for one in score.implied if one.parameter == "period")
     assert period.value == pytest.approx(score.pd_s, rel=1e-3)
     assert (period.real, period.real_scatter) == (1.14, 0.066)

@@ -7,8 +7,9 @@ from dataclasses import asdict, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene import Air, Cloth, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import Air, Cloth, Pose, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.geometry import vector
 from mutations.mutant import Fault, fault
 from mutations.scenes import change_contacts, change_deformables
@@ -33,6 +34,23 @@ def _warp_along_y(scene: Scene) -> Scene:
 def _edge_only(scene: Scene) -> Scene:
     attachments = [replace(one, region=replace(one.region, depth_m=0.0)) for one in scene.attachments]
     return replace(scene, attachments=tuple(attachments))
+
+
+def _one_row_more(scene: Scene) -> Scene:
+    held = scene.attachments if any(isinstance(one, Cloth) for one in scene.deformables) else ()
+    deeper = [replace(one, region=replace(one.region, depth_m=one.region.depth_m + 0.03)) for one in held]
+    return replace(scene, attachments=tuple(deeper or scene.attachments))
+
+
+def _lines_turned(scene: Scene) -> Scene:
+    turn = Rotation.from_euler("z", 3.0, degrees=True)
+    changed = [
+        replace(one, pose=Pose.from_rotation(one.pose.position_m, turn * one.pose.rotation))
+        if isinstance(one, Rope | Rod)
+        else one
+        for one in scene.deformables
+    ]
+    return replace(scene, deformables=tuple(changed))
 
 
 def _air(change: Callable[[Air], Air]) -> Callable[[Scene], Scene]:
@@ -120,6 +138,13 @@ FAULTS: dict[str, Fault] = dict(
             "attachment-depth", "attachments at the edge only", "cloth-bending", "a clamp of 50 mm", scene=_edge_only
         ),
         fault(
+            "attachment-row",
+            "attachments of cloth with one row of nodes too many",
+            "cloth-clamp",
+            "one line of nodes too many",
+            scene=_one_row_more,
+        ),
+        fault(
             "air-ignored",
             "air ignored",
             "air-terminal",
@@ -183,10 +208,17 @@ FAULTS: dict[str, Fault] = dict(
             scene=change_deformables(SoftBody, mass_kg=1.3),
         ),
         fault(
+            "lines-turned",
+            "ropes and rods turned by 3 degrees",
+            "rope-start",
+            "another position, orientation or length",
+            scene=_lines_turned,
+        ),
+        fault(
             "rope-length",
             "rope 3 % long",
-            "rope-length",
-            "another length",
+            "rope-start",
+            "or length",
             scene=change_deformables(Rope, length_m=1.03),
         ),
         fault(

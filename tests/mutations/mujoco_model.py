@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
-from gauge_envs.scene import Box, ConvexUnion, RigidBody, Scene
+from gauge_envs.scene import Box, ConvexUnion, RigidBody, Rope, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import parent_hinges
 from gauge_envs.scene.meshes import mass_properties
@@ -178,6 +178,12 @@ class _ResetForgetsVelocity(Passed):
 def _centre_elsewhere(model: Any, scene: Scene) -> None:
     for one in _dynamic(scene, ConvexUnion):
         model.body(one.name).ipos[0] += 0.005
+
+
+def _rope_ends(model: Any, scene: Scene) -> None:
+    if any(isinstance(one, Rope) for one in scene.deformables):
+        masses = model.body_mass
+        masses[np.isclose(masses, 0.5 * np.median(masses[masses > 0.0]))] *= 2.0
 
 
 def _torsional(model: Any, scene: Scene) -> None:
@@ -366,7 +372,7 @@ FAULTS: dict[str, Fault] = dict(
         _own(
             "centre-elsewhere",
             "centre of mass 5 mm off",
-            "swing-union",
+            "start-velocity-of-origin",
             "centre of mass does not follow",
             simulation=_model(_centre_elsewhere),
         ),
@@ -383,6 +389,13 @@ FAULTS: dict[str, Fault] = dict(
             "time",
             "each call changes its speed",
             simulation=_GainsEnergy,
+        ),
+        _own(
+            "rope-ends",
+            "ends of a rope have the mass of a whole segment",
+            "rope-period",
+            "mass at the ends",
+            simulation=_model(_rope_ends),
         ),
         _own(
             "torsional-friction",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -104,6 +105,31 @@ class _NaNMass(Passed):
         return states
 
 
+class _StateLate(Passed):
+    """States are those of an interval before."""
+
+    _before: Mapping[str, Array] = {}
+
+    def reset(self, seed: int) -> None:
+        self._before = {}
+        super().reset(seed)
+
+    def advance(self, seconds: float) -> None:
+        names = [one.name for one in self.scene.bodies]
+        self._before = dict(zip(names, super().body_states(names), strict=True))
+        super().advance(seconds)
+
+    def body_states(self, names: Sequence[str]) -> Array:
+        return np.array([self._before[name] for name in names]) if self._before else super().body_states(names)
+
+    def state(self) -> Any:
+        return super().state(), self._before
+
+    def restore(self, state: Any) -> None:
+        super().restore(state[0])
+        self._before = state[1]
+
+
 class _NodesLag(Passed):
     """Nodes are those of an interval before."""
 
@@ -179,7 +205,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "velocity-frame",
             "velocity in the body frame",
-            "velocity-of-origin",
+            "start-velocity-reset",
             "body frame",
             simulation=_reporting(_velocity_in_body),
         ),
@@ -193,7 +219,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "spin-frame",
             "angular velocity in the body frame",
-            "angular-velocity",
+            "start-velocity-reset",
             "body frame",
             simulation=_reporting(_spin_in_body),
         ),
@@ -207,7 +233,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "spin-sign",
             "angular velocity reversed",
-            "angular-velocity",
+            "start-velocity-reset",
             "wrong sign",
             simulation=_reporting(_spin_reversed),
         ),
@@ -215,6 +241,7 @@ FAULTS: dict[str, Fault] = dict(
             "order-of-names", "rows in alphabetical order", "order-of-names", "order asked for", simulation=_SceneOrder
         ),
         fault("nan-mass", "mass of a body NaN", "finite", "mass", simulation=_NaNMass),
+        fault("state-late", "states one interval late", "time", "one interval late", simulation=_StateLate),
         fault("nodes-lag", "nodes one interval late", "cloth-pinned-edge", "late", simulation=_NodesLag),
         fault(
             "nodes-shuffled", "nodes of a rope in another order", "rope-nodes", "in order", simulation=_NodesShuffled

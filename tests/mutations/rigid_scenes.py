@@ -141,6 +141,15 @@ def _one_friction(scene: Scene) -> Scene:
     return change_contacts(friction=lambda mu: scene.contacts[-1].friction)(scene)
 
 
+def _per_point(scene: Scene) -> Scene:
+    boxes = {one.name for one in scene.dynamic_bodies if isinstance(one.shape, Box)}
+    contacts = (
+        replace(one, restitution=0.5 * one.restitution) if boxes.intersection((*one.first, *one.second)) else one
+        for one in scene.contacts
+    )
+    return replace(scene, contacts=tuple(contacts))
+
+
 def _one_restitution(scene: Scene) -> Scene:
     largest = max((one.restitution for one in scene.contacts if one.mode is ContactMode.IMPACT), default=0.0)
     return change_contacts(restitution=lambda e: largest)(scene)
@@ -327,6 +336,13 @@ FAULTS: dict[str, Fault] = dict(
             "rebound-of-pair",
             "its own restitution",
             scene=_one_restitution,
+        ),
+        fault(
+            "restitution-per-point",
+            "half the restitution where a box touches with several points",
+            "rebound-flat",
+            "number of contact points",
+            scene=_per_point,
         ),
         fault(
             "restitution-sustained",

@@ -81,6 +81,14 @@ class _DrivenInDegrees(Passed):
         super().drive(body, pose, velocity, acceleration)
 
 
+class _DriveSwapped(Passed):
+    """Exchanges x and y of the angular velocity and acceleration of driven bodies."""
+
+    def drive(self, body: str, pose: Pose, velocity: Array, acceleration: Array) -> None:
+        order = [0, 1, 2, 4, 3, 5]
+        super().drive(body, pose, np.asarray(velocity)[order], np.asarray(acceleration)[order])
+
+
 class _DriveLate(Passed):
     """Drives each body by the interval before."""
 
@@ -181,6 +189,13 @@ FAULTS: dict[str, Fault] = dict(
             "carry-line",
             "drive() gives is ignored",
             simulation=_NoAcceleration,
+        ),
+        fault(
+            "drive-swapped",
+            "x and y of a driven body's angular velocity exchanged",
+            "driven-flick",
+            "exchanges axes",
+            simulation=_DriveSwapped,
         ),
         fault("drive-late", "driven bodies one interval late", "driven-path", "late", simulation=_DriveLate),
         fault("no-reset", "reset does nothing", "reset-start", "does not restore", simulation=_NoReset),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 
-import build_models
 import extrapolation
 import gymnasium
 import numpy as np

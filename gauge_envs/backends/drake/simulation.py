@@ -65,7 +65,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         self._apply_forces()
 
     def _place(self, name: str, pose: Pose, velocity: NDArray[np.float64]) -> None:
-        """Write the pose of a driven body to the state, and keep what `body_states` returns."""
+        """Write the pose of a driven body to the state, and keep what `body_states` returns until the next step."""
         first, _ = self._rows[name]
         self._state[first : first + 7] = [*pose.quaternion, *pose.position_m]
         self.placed[name] = body_state(pose, velocity)
@@ -92,13 +92,10 @@ class SimulationDrake(PlacedWorld, Simulation):
             values = self._model.diagram.EvalUniquePeriodicDiscreteUpdate(self._context)
             self._state = np.array(values.value(0) if values.num_groups() > 1 else values.value())
             self._context.SetDiscreteState(self._state)
-        # Driven bodies rest at the end of their interval until they are driven again.
+        # Driven bodies rest at the end of their interval until they are driven again; what Drake made of them is read.
         for name, motion in self._motions.items():
-            end = motion.pose(seconds)
-            self._place(name, end, motion.velocity_at(seconds))
-            self._motions[name] = DrivenMotion(end)
-        if self._motions:
-            self._context.SetDiscreteState(self._state)
+            self.placed.pop(name, None)
+            self._motions[name] = DrivenMotion(motion.pose(seconds))
 
     def _start_step(self, start_s: float, end_s: float) -> None:
         for name, motion in self._motions.items():
@@ -125,7 +122,7 @@ class SimulationDrake(PlacedWorld, Simulation):
         return force
 
     def moving_states(self, names: Sequence[str]) -> list[NDArray[np.float64]]:
-        """Return poses and velocities of dynamic bodies, rows of shape [13]."""
+        """Return poses and velocities of dynamic and driven bodies in Drake, rows of shape [13]."""
         return [self._free_state(name) if name in self._rows else self._hinged_state(name) for name in names]
 
     def _free_state(self, name: str) -> NDArray[np.float64]:

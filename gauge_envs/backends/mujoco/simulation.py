@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 from collections.abc import Callable, Mapping, Sequence
 from math import cos, sin
 from typing import Any, Protocol
@@ -26,6 +27,10 @@ BAD_STATES = {
     mujoco.mjtWarning.mjWARN_BADQACC: "acceleration",
 }
 """Quantity of each warning after which MuJoCo puts the state back to its start."""
+
+NO_CLOCK = ctypes.cast(ctypes.pythonapi.PyFloat_GetMin, ctypes.CFUNCTYPE(ctypes.c_double))
+"""A function of C that returns a constant. In Python MuJoCo reads a clock dozens of times in each step, for the timers
+of `MjData`: a fifth to a third of a step of a few rigid bodies (studies/cost)."""
 
 
 class SimulationMuJoCo(Simulation):
@@ -117,7 +122,14 @@ class SimulationMuJoCo(Simulation):
 
     def _step(self, count: int) -> None:
         if not self._air:
-            mujoco.mj_step(self.model, self.data, nstep=count)
+            has_clock = mujoco.get_mjcb_time() is not None  # of the user, or of another thread that is in this method
+            if not has_clock:
+                mujoco.set_mjcb_time(NO_CLOCK)
+            try:
+                mujoco.mj_step(self.model, self.data, nstep=count)
+            finally:
+                if not has_clock:
+                    mujoco.set_mjcb_time(None)
             return
         for _ in range(count):
             for air in self._air:

@@ -13,7 +13,7 @@ from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Motion, Pose, Scene
+from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import pose_distance
 
 SAME_POSE = 1e-5
@@ -40,7 +40,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._is_new = True
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         self._driven: dict[str, DrivenMotion] = {}
-        self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
+        self.placed = placed_states(self._scene)
 
     def _open(self) -> Model:
         if self._model is None:
@@ -57,11 +57,12 @@ class SimulationPhysX(PlacedWorld, Simulation):
         """Prescribe a kinematic body; PhysX moves it to its exact pose at the end of each step."""
         component = self._open().parts[body].component
         self._is_new = False
-        before = self.placed[body]
+        before = self.body_states([body])[0]
         known = Pose(position_m=tuple(before[:3]), quaternion=tuple(before[3:7]))
         if pose_distance(known, pose) > SAME_POSE:
             component.entity.set_pose(physx_pose(pose))
         self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
+        # Until the next step, which takes the body along: then the engine is asked.
         self.placed[body] = body_state(pose, velocity)
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
@@ -81,16 +82,16 @@ class SimulationPhysX(PlacedWorld, Simulation):
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
             model.system.step()
-        for name, motion in self._driven.items():
-            self.placed[name] = motion.state_at(seconds)
+        for name in self._driven:
+            self.placed.pop(name, None)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities, in single precision for dynamic bodies; see `World.body_states`."""
+        """Return poses and velocities, in single precision for moving bodies; see `World.body_states`."""
         self._open()
         return super().body_states(names)
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
+        """Return poses and velocities of dynamic and driven bodies in PhysX, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
         for row, name in zip(states, names, strict=True):
             part = self._open().parts[name]

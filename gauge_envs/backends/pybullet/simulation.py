@@ -15,7 +15,6 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.scene import Motion, Plane, Pose, Scene
-from gauge_envs.scene.geometry import vector
 
 Rows = list[list[float]]
 
@@ -46,8 +45,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def _start(self) -> None:
         self._driven: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, NDArray[np.float64]] = {}
-        # Fixed and driven bodies are where they were put; Bullet has nothing to add.
-        self.placed = placed_states(self._scene, Motion.FIXED, Motion.KINEMATIC)
+        self.placed = placed_states(self._scene)
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start in a new world. Bullet draws no random numbers, so the seed has no effect."""
@@ -57,6 +55,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def drive(self, body: str, pose: Pose, velocity: NDArray[np.float64], acceleration: NDArray[np.float64]) -> None:
         """Prescribe a kinematic body; each step moves it to where the motion is at the end of the step."""
         self._driven[body] = DrivenMotion.copied(pose, velocity, acceleration)
+        # Until the next step, which takes the body along: then Bullet is asked.
         self.placed[body] = body_state(pose, velocity)
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
@@ -82,8 +81,8 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
             pybullet.stepSimulation(physicsClientId=client)
-        for name, motion in motions.items():
-            self.placed[name] = motion.state_at(seconds)
+        for name in self._driven:
+            self.placed.pop(name, None)
         self._driven.clear()
 
     def fault(self) -> str | None:
@@ -102,10 +101,10 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def _motion(self, name: str) -> DrivenMotion:
         """Return the motion of a driven body; without a call of `drive`, it stays where it is."""
-        w, x, y, z = self.placed[name][3:7].tolist()
-        return self._driven.get(name) or DrivenMotion(
-            Pose(position_m=vector(self.placed[name][:3]), quaternion=(w, x, y, z))
-        )
+        if name in self._driven:
+            return self._driven[name]
+        x, y, z, *turn = self.body_states([name])[0, :7].tolist()
+        return DrivenMotion(Pose(position_m=(x, y, z), quaternion=tuple(turn)))
 
     def _path(self, handle: Handle, motion: DrivenMotion, count: int) -> tuple[int, Rows, Rows, Rows, Rows]:
         """Return what Bullet gets of a driven body before each of the next steps.
@@ -169,7 +168,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         return self.world.ropes[name].track(points_m, self._read, self._scale)
 
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
-        """Return poses and velocities of dynamic bodies, shape [len(names), 13]."""
+        """Return poses and velocities of dynamic and driven bodies in Bullet, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
         for state, name in zip(states, names, strict=True):
             handle = self.world.handles[name]

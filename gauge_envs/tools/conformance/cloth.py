@@ -54,6 +54,9 @@ from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, re
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
 
+HELD_M = 1e-7
+"""Displacement below which a node of a drooping strip is held [m]; single precision at 1 m."""
+
 CLAMP_SHARE, WIDTH_SHARE = 1.0 / 3.0, 2.0 / 3.0
 BENT_FREE_M = 0.15
 """Free length of the cantilever of the conformance checks [m]."""
@@ -158,6 +161,28 @@ def _cloth_pinned_edge(lab: Lab) -> Measurement:
     return attachment_error(lab.rollout(strip_on_rod(), 0.5), "cloth")
 
 
+_cantilever = rollout_of(
+    "a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity", cantilever_strip(BENT_FABRIC)
+)
+
+
+@_cantilever.check(
+    "cloth-clamp",
+    title="cloth, depth of the clamp",
+    measures="largest distance from the strip's edge of a node that does not move, beyond the 50 mm of the clamp",
+    law="Region.depth_m",
+    source="contract (scene.Region)",
+    unit="mm",
+    tolerance=Tolerance("of free nodes 1 mm beyond the clamp, each droops by a micrometre or more", absolute=1.0),
+    diagnosis="the attachment holds one line of nodes too many: only nodes within depth_m of the side are attached",
+)
+def _cloth_clamp(rollout: Rollout) -> Measurement:
+    local, cloth = local_nodes(rollout), strip_of(rollout)
+    held = np.linalg.norm(local - local[0], axis=2).max(axis=0) < HELD_M
+    deepest_m = float((local[0, held, 0] + 0.5 * cloth.size_m[0]).max(initial=0.0))
+    return Measurement(measured=1e3 * max(0.0, deepest_m - CLAMP_SHARE * BENT_FREE_M))
+
+
 @_hanging.check(
     "cloth-stretch",
     title="cloth, stretch stiffness K_s",
@@ -220,11 +245,6 @@ def _cloth_shear(rollout: Rollout) -> Measurement:
         return Measurement(measured=float("nan"), expected=SHEAR_STRETCH / STRETCH_OVER_SHEAR, hint="too few nodes")
     slope = coefficient((rest - now)[free, 1], 0.5 * (SPAN_M * s - s**2)[free])
     return stiffness(SHEAR_DENSITY * G, slope, SHEAR_STRETCH / STRETCH_OVER_SHEAR, "shears")
-
-
-_cantilever = rollout_of(
-    "a horizontal strip of cloth of 0.15 m, clamped at one end, at a fifth of gravity", cantilever_strip(BENT_FABRIC)
-)
 
 
 @_cantilever.check(

@@ -57,16 +57,22 @@ def backend_check(
     out: Annotated[
         list[Path] | None, typer.Option(help="Page with all commands (.html), or columns (.json); repeatable.")
     ] = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="A .json file of --out by an earlier version of the engine: list what got worse or moved."),
+    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check engines against closed forms, with a diagnosis of each failure.
 
-    gauge list checks shows the checks; for configurations, one per phenomenon runs without --only. Exit code 1 when a
-    check failed or raised an error. A declined check is no failure. Engines of other packages run in another process,
-    all engines do with --limits, --out or a configuration: one that crashes, exits or hangs there costs one check.
+    gauge list checks shows the checks; for configurations, one per phenomenon runs without --only: NAME:default is the
+    quick check of an engine. Exit code 1 when a check failed or raised an error; with --baseline, when one became worse
+    or its value moved by more than its tolerance. A declined check is no failure. Engines of other packages run in
+    another process, all engines do with --limits, --out, --baseline or a configuration: one that crashes, exits or
+    hangs there costs one check.
     """
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.matrix import CANONICAL
+    from gauge_envs.tools.conformance.matrix import CANONICAL, read_columns
     from gauge_envs.tools.conformance.run import CHECK_LIMIT_S
 
     if not names:
@@ -80,12 +86,12 @@ def backend_check(
     isolate, time_s, memory_gb = arguments.parsed_limits(limits)
     bounds = (CHECK_LIMIT_S if time_s is None else time_s, memory_gb)
     has_configurations = any(":" in name for name in engines)
-    if not (has_configurations or files or out):
+    if not (has_configurations or files or out or baseline):
         return _check(engines, patterns, settings, isolate, bounds, form)
     places = _checked_places(arguments.by_suffix(out, ".html", ".json"))
-    return _matrix(
-        engines, files, settings, patterns or (CANONICAL if has_configurations else []), bounds, places, form
-    )
+    only_ids = patterns or (CANONICAL if has_configurations else [])
+    before = None if baseline is None else read_columns(baseline)
+    return _matrix(engines, files, settings, only_ids, bounds, places, form, before)
 
 
 def _check(
@@ -144,6 +150,7 @@ def _matrix(
     limits: Limits,
     places: Mapping[str, Path],
     form: Format,
+    before: Sequence[MatrixColumn] | None,
 ) -> bool:
     """Run checks on engines and configurations, print and write the matrix, and return whether a result is bad.
 
@@ -155,11 +162,12 @@ def _matrix(
         limits: Limits of a process.
         places: Files by suffix: the page, and the columns.
         form: Format on stdout.
+        before: Columns of an earlier version, by which the result is judged; None to judge by the laws.
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.runs.isolation import Worker
     from gauge_envs.tools.conformance import checks
-    from gauge_envs.tools.conformance.matrix import matrix_columns, with_columns, write_columns
+    from gauge_envs.tools.conformance.matrix import changes, matrix_columns, with_columns, write_columns
     from gauge_envs.tools.conformance.words import conformance_page, matrix_document
 
     new: list[MatrixColumn] = []
@@ -168,6 +176,8 @@ def _matrix(
             new = matrix_columns(names, settings, worker=importer)
     # Before anything runs, so that a wrong file costs no time.
     columns = with_columns(new, files)
+    if before is not None:
+        changes(new, before)
     for column in _measured(new, only, limits, form):
         if ".json" in places and column is not new[-1]:
             # After each column, so that a run that is stopped leaves the columns that ended.
@@ -179,6 +189,8 @@ def _matrix(
     if ".html" in places:
         page = conformance_page(columns, chosen, command=join(["gauge", *sys.argv[1:]]), when=datetime.now(UTC))
         message(save_file(places[".html"], page))
+    if before is not None:
+        return _is_worse(new, before, form)
     if form is not Format.JSON:
         print_document(matrix_document(columns, chosen), form)
     bad = sum(finding.is_bad for column in new for finding in column.findings.values())
@@ -187,6 +199,19 @@ def _matrix(
     else:
         message(f"{counted(len(columns), 'column')} of files; no check ran")
     return bad > 0
+
+
+def _is_worse(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn], form: Format) -> bool:
+    """Print what changed since an earlier version of the engines, and return whether something got worse or moved."""
+    from gauge_envs.tools.conformance.matrix import changes
+    from gauge_envs.tools.conformance.words import changes_table
+
+    changed = changes(columns, before)
+    if form is not Format.JSON and changed:
+        print_document(changes_table(changed), form)
+    kinds = [one.kind for one in changed]
+    message(", ".join(f"{kinds.count(kind)} {kind}" for kind in ("worse", "moved", "mended")) + " since the baseline")
+    return bool({"worse", "moved"}.intersection(kinds)) or any(column.reason for column in columns)
 
 
 def _measured(

@@ -229,7 +229,7 @@ def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity:
 def _ratio_of_speeds(
     rollout: Rollout, restitution: float, *, name: str = "ball", drop_m: float = DROP_M
 ) -> Measurement:
-    """Measure the outgoing over the incoming speed of a ball that was dropped on a plane at height 0.
+    """Measure the outgoing over the incoming speed of a ball or box that was dropped on a plane at height 0.
 
     Energy gives the outgoing speed at the height of contact, as samples are 5.6 ms apart.
     """
@@ -238,11 +238,11 @@ def _ratio_of_speeds(
     height, speed = rollout.position(name)[:, 2] - RADIUS_M, rollout.velocity(name)[:, 2]
     falling = np.flatnonzero(speed < -0.36 * incoming)
     if not len(falling):
-        return Measurement(measured=float("nan"), expected=restitution, hint="the ball does not fall")
+        return Measurement(measured=float("nan"), expected=restitution, hint="it does not fall")
     rising = np.flatnonzero((speed > 0.018 * incoming) & (height > 2.5e-3 * drop_m))
     rising = rising[rising > falling[0]]
     if not len(rising):
-        return Measurement(measured=0.0, expected=restitution, hint="the ball does not leave the ground again")
+        return Measurement(measured=0.0, expected=restitution, hint="it does not leave the ground again")
     outgoing = speed[rising[0]] ** 2 + 2.0 * gravity * height[rising[0]]
     return Measurement(measured=float(np.sqrt(outgoing) / incoming), expected=restitution)
 
@@ -282,6 +282,22 @@ _rebound_check(
     source="Newton's law of restitution; contract (scene.Contact)",
     tolerance=Tolerance("as for one ball", absolute=0.005),
     diagnosis="each pair of bodies has its own restitution: check how the engine combines the values of two bodies",
+)
+_rebound_check(
+    "rebound-flat",
+    Scene(
+        bodies=(box("box", (0.0, 0.0, RADIUS_M + DROP_M), (0.1, 0.08, 2.0 * RADIUS_M)), ground()),
+        contacts=(contact("box", "ground", friction=0.5, restitution=0.5),),
+        duration_s=0.6,
+    ),
+    0.5,
+    name="box",
+    title="rebound of a box on its face",
+    scene="a box of 0.1 m by 0.08 m by 0.06 m dropped by 0.4 m on a plane, flat",
+    measures="outgoing over incoming speed of the box, at a restitution of 0.5",
+    tolerance=Tolerance("as for one ball", absolute=0.005),
+    diagnosis="where rebound-0.5 passes, restitution depends on the number of contact points: each point adds its own, "
+    "or points are solved in turn",
 )
 _rebound_check(
     "rebound-sustained",

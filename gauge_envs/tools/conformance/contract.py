@@ -251,6 +251,8 @@ def _time(lab: Lab) -> Measurement:
     law_m = 0.5 * G * (54 * SAMPLE_INTERVAL_S) ** 2
     wrong = abs(abs(fallen[1]) - law_m) > 0.05 * law_m
     hint = f"in 54 calls it fell by {fallen[1]:.3g} m instead of {law_m:.3g} m: each call changes its speed"
+    if np.allclose(fallen, law_m * np.square([8 / 9, 53 / 54]), rtol=5e-3):
+        hint, wrong = "the states are those before the last call of advance(): one interval late", True
     return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
 
 

@@ -81,10 +81,10 @@ def _driven_path(rollout: Rollout) -> Measurement:
 
 
 _flick = rollout_of(
-    "a plate that turns by 0.3 rad within 0.1 s, without contacts",
+    "a plate that turns by 0.3 rad within 0.1 s about an axis that leans along x, without contacts",
     Scene(
         bodies=(driven_box("plate", (0.0, 0.0, 0.5), PLATE_M),),
-        drivers=(driver("plate", "rotate", (0.0, 0.0, 1.0), ramp(0.3, start_s=0.0, duration_s=0.1, ramp_s=0.05)),),
+        drivers=(driver("plate", "rotate", (0.6, 0.0, 0.8), ramp(0.3, start_s=0.0, duration_s=0.1, ramp_s=0.05)),),
         duration_s=0.2,
     ),
 )
@@ -98,7 +98,8 @@ _flick = rollout_of(
     source="contract (Simulation.drive)",
     unit="mm",
     tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1),
-    diagnosis="the backend ignores the angular acceleration that drive() gives: where driven-path passes, it is small",
+    diagnosis="the backend ignores the angular acceleration that drive() gives: where driven-path passes, it is small; "
+    "or it exchanges axes of the angular velocity",
 )
 def _driven_flick(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m

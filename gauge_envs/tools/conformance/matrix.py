@@ -339,3 +339,53 @@ def with_columns(columns: Sequence[MatrixColumn], files: Sequence[Path]) -> list
             found[key], places[key] = column, str(file)
     engines = list(dict.fromkeys(backend for backend, _ in found))
     return sorted(found.values(), key=lambda column: engines.index(column.backend))
+
+
+# --- an earlier version of an engine ---------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Change:
+    """What a check gives now, where an earlier version of the engine gave another result.
+
+    Attributes:
+        column: Engine and configuration.
+        before: The earlier result.
+        now: The present result.
+    """
+
+    column: str
+    before: CheckResult
+    now: CheckResult
+
+    @property
+    def kind(self) -> str:
+        """`worse` if it failed to keep a pass, `mended` if a failure ended, else `moved`."""
+        was, is_now = (one.is_bad or one.status is Status.DECLINED for one in (self.before, self.now))
+        return "moved" if was == is_now else "worse" if is_now else "mended"
+
+
+def changes(columns: Sequence[MatrixColumn], before: Sequence[MatrixColumn]) -> list[Change]:
+    """Return the checks whose outcome is another one, or whose value moved by more than the tolerance of the check.
+
+    Checks that are new, or had another definition, are left out.
+
+    Raises:
+        ParameterError: An engine or configuration has no earlier column.
+    """
+    known = {one.title: one for one in before}
+    found = []
+    for column in columns:
+        if column.title not in known:
+            raise ParameterError(f"the baseline has no column {column.title!r}; it has {', '.join(known) or 'none'}")
+        earlier = known[column.title].current()
+        pairs = [(earlier[name], now) for name, now in column.findings.items() if name in earlier]
+        found += [Change(column=column.title, before=old, now=now) for old, now in pairs if _differs(old, now)]
+    return found
+
+
+def _differs(old: CheckResult, now: CheckResult) -> bool:
+    if old.status is not now.status or old.measured is None or now.measured is None:
+        return old.status is not now.status
+    is_same = old.measured == now.measured or (math.isnan(old.measured) and math.isnan(now.measured))
+    return not is_same and not abs(now.measured - old.measured) <= (now.width or 0.0)

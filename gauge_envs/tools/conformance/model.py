@@ -26,6 +26,7 @@ FAMILIES = (
     "contract",
     "continuation",
     "rigid",
+    "start",
     "spin",
     "forces",
     "contacts",
@@ -36,7 +37,6 @@ FAMILIES = (
     "air",
     "soft",
     "benchmark",
-    "start",
 )
 """Modules of the checks, in the order of the table. They are imported at the first use of a check."""
 

@@ -24,7 +24,7 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, body, contact, ground
+from gauge_envs.tools.conformance.lab import Lab, body, contact, driver, ground, ramp
 from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, friction_of_slide
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
@@ -70,6 +70,7 @@ class _Resting:
         height_m: Height of its origin over its lowest point [m].
         centre_m: Horizontal place of its centre of mass in its rotated frame [m].
         hints: Heights [m] by which a shape of a known wrong size would sink, and the fault.
+        supports: Whether the supports are fixed, or driven bodies that stand still.
     """
 
     what: str
@@ -78,9 +79,15 @@ class _Resting:
     height_m: float
     centre_m: tuple[float, float] = (0.0, 0.0)
     hints: tuple[tuple[float, str], ...] = ()
+    supports: Motion = Motion.FIXED
+
+    @property
+    def kinds(self) -> list[str]:
+        """Kinds of support; planes are not driven."""
+        return [kind for kind in SUPPORTS if self.supports is Motion.FIXED or kind != "plane"]
 
     def scene(self, on: list[str]) -> Scene:
-        """Return a scene in which copies stand on fixed bodies of the given kinds, each above the centre."""
+        """Return a scene in which copies stand on bodies of the given kinds, each above the centre."""
         bodies: list[RigidBody] = []
         contacts: list[Contact] = []
         for index, kind in enumerate(on):
@@ -94,9 +101,12 @@ class _Resting:
                 under = (x - PRISM_CENTRE_M[0], -PRISM_CENTRE_M[1], z)
             mass_kg = 0.0 if isinstance(support, Plane) else 1.0
             pose = Pose.from_euler_deg(under, angles)
-            bodies.append(body(kind, support, pose, mass_kg=mass_kg, motion=Motion.FIXED))
+            bodies.append(body(kind, support, pose, mass_kg=mass_kg, motion=self.supports))
             contacts.append(contact(name, kind, friction=0.5))
-        return Scene(bodies=tuple(bodies), contacts=tuple(contacts), duration_s=REST_S)
+        driven = on if self.supports is Motion.KINEMATIC else []
+        stay = ramp(0.0, start_s=0.0, duration_s=0.1, ramp_s=0.03)
+        still = (driver(name, "translate", (1.0, 0.0, 0.0), stay) for name in driven)
+        return Scene(bodies=tuple(bodies), contacts=tuple(contacts), drivers=tuple(still), duration_s=REST_S)
 
     def hint(self, worst: str, heights: dict[str, float]) -> str:
         """Return what the heights [mm] say: a size of the shape, of one support, or a margin of all."""
@@ -116,12 +126,13 @@ class _Resting:
 
 def _rest_check(id: str, resting: _Resting) -> None:
     """Register the check of a shape that rests on every kind of support."""
-    what = resting.what
+    what, is_fixed = resting.what, resting.supports is Motion.FIXED
+    under, on = ("fixed plane, box", "") if is_fixed else ("driven, unmoving box", " on driven bodies")
 
     @Check(
         id,
-        title=f"{what} rests at its height",
-        scene=f"{what} of 0.2 kg placed on a fixed plane, box, sphere, cylinder, lying cylinder and convex solid "
+        title=f"{what} rests at its height" + on,
+        scene=f"{what} of 0.2 kg placed on a {under}, sphere, cylinder, lying cylinder and convex solid "
         "each; supports that the backend declines are left out",
         measures=f"height of the {what}'s lowest point over its support, the worst of all supports, 0.2 to 0.3 s after "
         "it was placed there",
@@ -135,7 +146,7 @@ def _rest_check(id: str, resting: _Resting) -> None:
         "collision margins, contact offsets and rounded edges",
     )
     def measure(lab: Lab) -> Measurement:
-        kinds = list(SUPPORTS)
+        kinds = resting.kinds
         if not lab.backend.supports(resting.scene(kinds)):
             kinds = [kind for kind in kinds if lab.backend.supports(resting.scene([kind]))] or kinds
         rollout = lab.rollout(resting.scene(kinds))
@@ -146,6 +157,10 @@ def _rest_check(id: str, resting: _Resting) -> None:
 
 
 _rest_check("rest-box", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02))
+_rest_check(
+    "rest-driven",
+    _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02, supports=Motion.KINEMATIC),
+)
 _rest_check(
     "rest-sphere",
     _Resting(

@@ -6,11 +6,16 @@ strains are small. The fit ignores nodes within one width of the clamp, which hi
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import j0, jn_zeros
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.conformance.lab import Lab, clamped, driven_box, driver, ramp
 from gauge_envs.tools.conformance.laws import (
     ATTACHED,
@@ -21,6 +26,7 @@ from gauge_envs.tools.conformance.laws import (
     cantilever_load_over_stiffness,
     coefficient,
     hann_mean,
+    largest_mm,
     passive_energy_gain,
     stiffness,
 )
@@ -153,6 +159,28 @@ def _along(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
+START: dict[str, Any] = {
+    "measures": "distance of the node at the free end from the end of the axis, at the start",
+    "law": "pose and length_m",
+    "source": "contract (scene.py)",
+    "unit": "mm",
+    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
+    "diagnosis": "it is built at another position, orientation or length: the axis is x for a rope and z for a rod",
+}
+
+
+def _start_error(rollout: Rollout) -> Measurement:
+    """Measure the distance of the last node of the only line of a scene from its end [mm]."""
+    (line,) = rollout.scene.deformables
+    assert isinstance(line, Rope | Rod)
+    along = [1.0, 0.0, 0.0] if isinstance(line, Rope) else [0.0, 0.0, 1.0]
+    end = line.pose.to_world(0.5 * line.length_m * np.array(along))
+    return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
+
+
+_falling_rope.check("rope-start", title="rope, start", **START)(_start_error)
+
+
 @_falling_rope.check(
     "rope-nodes",
     title="rope, order of nodes",
@@ -199,10 +227,43 @@ def _rope_length(rollout: Rollout) -> Measurement:
 )
 def _rope_energy(rollout: Rollout) -> Measurement:
     nodes = _along(rollout)
-    shares = np.gradient(nodes[0, :, 0])
+    return passive_energy_gain(nodes, rollout.times_s, _mass_shares(nodes[0, :, 0]), G)
+
+
+def _mass_shares(along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the share of the mass at each node of a uniform rope, from their places along it [m]."""
+    shares = np.gradient(along_m)
     shares[[0, -1]] *= 0.5
-    shares /= shares.sum()
-    return passive_energy_gain(nodes, rollout.times_s, shares, G)
+    return np.asarray(shares / shares.sum())
+
+
+LEAN_DEG = 4.0
+FIRST_ZERO = float(jn_zeros(0, 1)[0])
+
+
+@Check(
+    "rope-period",
+    title="rope, period of a hanging rope",
+    scene="a straight rope of 0.3 m that hangs from one end, released at 4 degrees",
+    measures="period of the first mode, twice the time between its first two zeros",
+    law="T = 4 pi sqrt(L / g) / j_0, j_0 = 2.405 (first zero of J_0)",
+    source="Daniel Bernoulli's hanging chain",
+    unit="s",
+    tolerance=Tolerance("a chain of ten segments is 0.3 % slow, an end of twice its mass 0.8 % or more", relative=5e-3),
+    diagnosis="check the mass at the ends, where a node has half a segment's, and damping and bending stiffness",
+)
+def _rope_period(lab: Lab) -> Measurement:
+    hanging = replace(ROPE, pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0 - LEAN_DEG, 0.0)))
+    rollout = lab.rollout(clamped(hanging, Region(axis="x", side="low"), duration_s=0.75))
+    nodes = rollout.nodes_m["rope"]
+    tip_first = nodes[:, np.argsort(nodes[0, :, 2])]
+    s = np.linalg.norm(tip_first[0] - tip_first[0, 0], axis=1)
+    mode = j0(FIRST_ZERO * np.sqrt(s / ROPE_M)) * _mass_shares(s)
+    swing = (tip_first[:, :, 0] - tip_first[:, -1:, 0]) @ mode
+    before = np.flatnonzero(swing[:-1] * swing[1:] < 0.0)
+    zeros_s = rollout.times_s[before] + swing[before] / (swing[before] - swing[before + 1]) * SAMPLE_INTERVAL_S
+    measured = 2.0 * float(zeros_s[1] - zeros_s[0]) if len(zeros_s) > 1 else float("nan")
+    return Measurement(measured=measured, expected=4.0 * np.pi * float(np.sqrt(ROPE_M / G)) / FIRST_ZERO)
 
 
 # --- rod -------------------------------------------------------------------------------------------------------------
@@ -227,6 +288,9 @@ def _drooping_rod(lab: Lab) -> Rollout:
     )
     clamp = Region(axis="z", side="low", depth_m=CLAMP_M)
     return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
+
+
+_drooping_rod.check("rod-start", title="rod, start", **START)(_start_error)
 
 
 @_drooping_rod.check(

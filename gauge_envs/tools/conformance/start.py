@@ -132,7 +132,8 @@ def _start_spin(rollout: Rollout) -> Measurement:
     source="Newton; RigidBody.linear_velocity_m_per_s (scene.py)",
     unit="mm",
     tolerance=Tolerance("the real trials' scatter is about 1 mm; a wrong point gives over 100 mm", absolute=0.5),
-    diagnosis="the scene's linear velocity is that of the body origin; engines often expect that of the centre of mass",
+    diagnosis="the scene's linear velocity is that of the body origin; engines often expect that of the centre of "
+    "mass; or the centre of mass does not follow from the shape",
 )
 def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)

@@ -16,7 +16,7 @@ from gauge_envs.pages.html import Html, below, code, element, folded, join, list
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import Markdown, markdown_text, pairs_text, with_unit
 from gauge_envs.runs.isolation import Worker
-from gauge_envs.tools.conformance.matrix import MatrixColumn
+from gauge_envs.tools.conformance.matrix import Change, MatrixColumn
 from gauge_envs.tools.conformance.model import Check, CheckResult, Status
 
 QUERY_LIMIT_S = 60.0
@@ -306,6 +306,26 @@ def matrix_table(columns: Sequence[MatrixColumn], checks: Sequence[Check], title
         ),
         rows=checks,
         look="matrix",
+    )
+
+
+def changes_table(changes: Sequence[Change]) -> Table:
+    """Return the checks that give another result than an earlier version of the engine."""
+
+    def text(one: CheckResult) -> str:
+        return f"{SIGNS[one.status]} {measured_text(one)}".rstrip()
+
+    return Table(
+        columns=(
+            Column("column", "engine"),
+            Column("now.check", "check"),
+            Column("kind", "change"),
+            Column("before", "before", text),
+            Column("now", "now", text),
+            Column("", "expected", lambda one: expected_text([one.now, one.before])),
+            Column("now.diagnosis", "", place=Place.BELOW),
+        ),
+        rows=changes,
     )
 
 

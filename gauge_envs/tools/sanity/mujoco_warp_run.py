@@ -6,7 +6,8 @@ flag of such a target is run here, on the CPU. The first run of a kernel compile
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -60,25 +61,23 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
     def __init__(self, scene: Scene, settings: Mapping[str, Any], *built: Any) -> None:
         super().__init__(scene, settings, *built)
         self._most_contacts = FEWEST_CONTACTS + CONTACTS_OF_BODY * len(scene.bodies)
-        self._put()
+        self._there: tuple[Callable[[], None], Any] | None = None
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start; the seed has no effect."""
         super().reset(seed)
-        self._put()
-
-    def _put(self) -> None:
-        most = self._most_contacts
-        self._on_warp, self._state = _put(self.model, self.data, njmax=ROWS_OF_CONTACT * most, naconmax=most)
+        self._there = None
 
     def _step(self, count: int) -> None:
-        state, (warp, device) = self._state, _started()
-        with device:
-            for name in ("qpos", "qvel", "xfrc_applied"):
-                values = getattr(self.data, name)
-                getattr(state, name).assign(values.reshape(1, *values.shape))
-            for _ in range(count):
-                warp.step(self._on_warp, state)
+        if self._there is None:
+            most = self._most_contacts
+            self._there = _captured(self.model, self.data, njmax=ROWS_OF_CONTACT * most, naconmax=most)
+        step, state = self._there
+        for name in ("qpos", "qvel", "xfrc_applied"):
+            values = getattr(self.data, name)
+            getattr(state, name).assign(values.reshape(1, *values.shape))
+        for _ in range(count):
+            step()
         self.data.qpos[:], self.data.qvel[:] = state.qpos.numpy()[0], state.qvel.numpy()[0]
         self.data.time += count * self._timestep_s
         # mujoco_warp does not count contacts beyond its memory, so full memory is too small.
@@ -86,14 +85,24 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
             raise BackendError(f"{TOO_LARGE}: {self._most_contacts} contacts")
 
 
-def _put(model: mujoco.MjModel, data: mujoco.MjData, *, njmax: int, naconmax: int) -> tuple[Any, Any]:
-    """Return a model and its data on mujoco_warp, with memory for so many constraint rows and contacts."""
-    warp, device = _started()
+def _captured(
+    model: mujoco.MjModel, data: mujoco.MjData, *, njmax: int, naconmax: int
+) -> tuple[Callable[[], None], Any]:
+    """Return a function that steps a model on mujoco_warp, and its data, with memory for so many rows and contacts.
+
+    The kernels of a step are captured once: their launch from Python takes ten times as long as they run.
+    """
+    import warp
+
+    mujoco_warp, device = _started()
     with device:
-        on_warp = warp.put_model(model)
+        on_warp = mujoco_warp.put_model(model)
         # It runs into its limit of iterations on purpose, with settings that allow one.
         on_warp.opt.warn_overflow = 0
-        return on_warp, warp.put_data(model, data, naconmax=naconmax, njmax=njmax)
+        state = mujoco_warp.put_data(model, data, naconmax=naconmax, njmax=njmax)
+        with warp.ScopedCapture() as capture:
+            mujoco_warp.step(on_warp, state)
+    return partial(warp.capture_launch, capture.graph), state
 
 
 def _started() -> tuple[Any, Any]:

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
+
+import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
+from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import (
@@ -249,3 +253,19 @@ def test_wrong_settings_are_named(settings: dict, error: type[Exception], messag
 
 def test_frames_hold_a_whole_number_of_samples() -> None:
     assert pytest.approx(1 / 30) == SAMPLES_PER_FRAME * SAMPLE_INTERVAL_S
+
+
+def test_steps_read_no_clock_but_that_of_the_user() -> None:
+    """The timers of MuJoCo are differences of readings, so they stay at zero with a clock that stands still."""
+    env = GaugeEnv("Pendulum-metal")
+    env.reset(seed=0)
+    env.step(0)
+    assert env.simulation.data.timer[mujoco.mjtTimer.mjTIMER_STEP].duration == 0.0
+    assert mujoco.get_mjcb_time() is None
+    readings = itertools.count()
+    mujoco.set_mjcb_time(lambda: float(next(readings)))
+    try:
+        env.step(0)
+        assert mujoco.get_mjcb_time() is not None and next(readings) > 1
+    finally:
+        mujoco.set_mjcb_time(None)

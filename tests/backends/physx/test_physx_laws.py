@@ -34,6 +34,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import prism
+from gauge_envs.tools.conformance import run_checks
 
 PHYSX = backend("physx")
 SLOPE = Rotation.from_euler("y", 30, degrees=True)
@@ -259,3 +260,15 @@ def test_persistent_contacts_turn_a_cube_that_slides_on_a_convex_mesh() -> None:
     assert turned_deg(slab, acceleration=4.2) < 1e-2
     assert turned_deg(disc, acceleration=4.2, persistent_manifolds=False) < 1e-2
     assert turned_deg(disc, acceleration=4.2) > 0.1
+
+
+def test_checks_see_a_driven_body_that_physx_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state of a driven body is PhysX's: one that gets no targets stands still, whatever its driver prescribes."""
+    from gauge_envs.backends.physx import simulation
+    from gauge_envs.backends.physx.model import physx
+
+    monkeypatch.setattr(physx.PhysxRigidDynamicComponent, "set_kinematic_target", lambda self, pose: None)
+    monkeypatch.setattr(simulation, "SAME_POSE", np.inf)
+    results = list(run_checks(PHYSX, only=["driven-*"]))
+    assert [one.check for one in results if one.is_bad] == ["driven-velocity", "driven-path", "driven-flick"]
+    assert results[0].measured == 0.0

@@ -479,3 +479,14 @@ def test_springs_of_contacts_need_damping_and_no_split_impulse() -> None:
         settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "split_impulse": "none"})
     with pytest.raises(ParameterError, match="split_impulse must be 'none'"):
         settings_for(scene, {"contact_stiffness_n_per_m": 1e4, "contact_damping_n_s_per_m": 1.0})
+
+
+def test_checks_see_a_driven_body_that_bullet_does_not_move(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The state of a driven body is Bullet's: one that gets no velocity falls, whatever its driver prescribes."""
+    from gauge_envs.backends.pybullet import simulation
+
+    for name in ("resetBasePositionAndOrientation", "resetBaseVelocity"):
+        monkeypatch.setattr(simulation.pybullet, name, lambda *args, **named: None)
+    results = list(run_checks("pybullet", only=["driven-*"]))
+    assert [one.check for one in results if one.is_bad] == ["driven-velocity", "driven-path", "driven-flick"]
+    assert results[0].measured == 0.0

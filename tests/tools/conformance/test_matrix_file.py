@@ -15,7 +15,14 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.conformance import Status, checks
-from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns, run_column, with_columns, write_columns
+from gauge_envs.tools.conformance.matrix import (
+    MatrixColumn,
+    changes,
+    read_columns,
+    run_column,
+    with_columns,
+    write_columns,
+)
 from gauge_envs.tools.conformance.words import matrix_document, tally
 
 ONLY = ["free-fall", "foam-start", "slide-plane"]
@@ -127,3 +134,38 @@ def test_pages_are_made_of_files_without_a_run(column: MatrixColumn, tmp_path: P
     assert "mine" in page.read_text(encoding="utf-8")
     assert [(one.title, tally(one)) for one in read_columns(both)] == [("mujoco PGS", "2 of 2"), ("mine", "2 of 2")]
     assert all(one.status is Status.PASS for one in other.findings.values())
+
+
+@pytest.mark.parametrize(
+    ("edits", "kind"),
+    [
+        ({}, None),
+        ({"measured": 9.811}, None),  # Within the tolerance of 9.8 mm/s^2.
+        ({"measured": 9.82}, "moved"),
+        ({"status": "fail"}, "mended"),
+        ({"status": "declined", "missing": ["it falls"]}, "mended"),
+        ({"fingerprint": "another check"}, None),
+    ],
+)
+def test_a_baseline_names_what_changed(
+    column: MatrixColumn,
+    edited: Callable[[Callable[[dict[str, Any]], object]], Path],
+    edits: dict[str, Any],
+    kind: str | None,
+) -> None:
+    before = read_columns(edited(lambda record: record["findings"]["free-fall"].update(edits)))
+    found = changes([column], before)
+    assert [(one.now.check, one.kind) for one in found] == ([("free-fall", kind)] if kind else [])
+    if kind == "mended":
+        assert [one.kind for one in changes(before, [column])] == ["worse"]
+
+
+def test_a_baseline_decides_the_exit_code(column: MatrixColumn, tmp_path: Path) -> None:
+    file = tmp_path / "before.json"
+    arguments = ["backend", "check", "mujoco:out_of_box", "--only", "rebound-0.5"]
+    assert CliRunner().invoke(app, [*arguments, "--out", str(file)]).exit_code == 1
+    assert CliRunner().invoke(app, [*arguments, "--baseline", str(file)]).exit_code == 0
+    file.write_text(file.read_text(encoding="utf-8").replace('"status": "fail"', '"status": "pass"'), encoding="utf-8")
+    worse = CliRunner().invoke(app, [*arguments, "--baseline", str(file)])
+    assert (worse.exit_code, "worse" in worse.stdout) == (1, True)
+    assert CliRunner().invoke(app, ["backend", "check", "mujoco", "--baseline", str(file)]).exit_code == 2

@@ -43,9 +43,20 @@ class CollisionCfg:
     solref: tuple | None = None
     disable_other_geoms: bool = True
 @dataclass
+class ActuatorCfg:
+    delay_max_lag: int = 0
+@dataclass
+class ArticulationCfg:
+    actuators: tuple = ()
+@dataclass
 class EntityCfg:
     spec_fn: object = None
     collisions: tuple = ()
+    articulation: object = None
+@dataclass
+class TermCfg:
+    func: object = None
+    delay_max_lag: int = 0
 @dataclass
 class SceneCfg:
     terrain: object = None
@@ -55,18 +66,20 @@ class EnvCfg:
     decimation: int
     scene: SceneCfg
     sim: SimulationCfg = field(default_factory=SimulationCfg)
+    observations: dict = field(default_factory=dict)
+    rewards: dict = field(default_factory=dict)
 """,
     "robots/__init__.py": "",
     "robots/dog.py": """
 import mujoco
 from mjlab import PATH
-from mjlab.cfg import CollisionCfg, EntityCfg
+from mjlab.cfg import ActuatorCfg, ArticulationCfg, CollisionCfg, EntityCfg
 def get_spec():
     return mujoco.MjSpec.from_file(str(PATH / "robots" / "dog.xml"))
 FULL = CollisionCfg(geom_names_expr=(r".*_collision",), contype=1, conaffinity=1,
     condim={r"^foot\\d_collision$": 6, ".*": 1}, priority={r"^foot\\d_collision$": 1, ".*": 0}, solref=(0.01, 1))
 def get_dog():
-    return EntityCfg(spec_fn=get_spec, collisions=(FULL,))
+    return EntityCfg(spec_fn=get_spec, collisions=(FULL,), articulation=ArticulationCfg((ActuatorCfg(3),)))
 """,
     "robots/dog.xml": """<mujoco><worldbody><body name="trunk" pos="0 0 .3"><freejoint/>
 <geom name="trunk_collision" type="box" size=".2 .1 .05"/><geom name="shell" size=".1" contype="1"/>
@@ -80,14 +93,18 @@ register_mjlab_task(task_id="Mjlab-Walk-Rough-Dog", env_cfg=rough(), play_env_cf
 register_mjlab_task(task_id="Mjlab-Walk-Flat-Dog", env_cfg=flat(), play_env_cfg=flat(play=True))
 """,
     "tasks/walk/cfgs.py": """
-from mjlab.cfg import EnvCfg, MujocoCfg, SceneCfg, SimulationCfg
+from mjlab.cfg import EnvCfg, MujocoCfg, SceneCfg, SimulationCfg, TermCfg
 from mjlab.robots.dog import get_dog
 class Terrain:
     terrain_type: str = "generator"
+class upright:
+    pass
 def rough(play=False):
     cfg = EnvCfg(decimation=4, scene=SceneCfg(terrain=Terrain()), sim=SimulationCfg(nconmax=35, njmax=1500,
         mujoco=MujocoCfg(timestep=0.005, iterations=10)))
     cfg.scene.entities = {"robot": get_dog()}
+    cfg.observations = {"actor": {"terms": {"gyro": TermCfg(delay_max_lag=2), "joints": TermCfg()}}}
+    cfg.rewards = {"upright": TermCfg(func=upright)}
     return cfg
 def flat(play=False):
     cfg = rough(play=play)
@@ -151,6 +168,8 @@ def test_a_task_is_read_from_its_source(package: Path) -> None:
     # The foot has priority; the trunk is mixed with the terrain. The shell does not collide.
     assert (foot["condim"], foot["solref"]) == (6, [0.01, 1.0])
     assert used["terrain with robot/trunk_collision"]["solref"] == [0.015, 1.0]
+    # Two steps of the environment, of 20 ms, and three of the engine.
+    assert read.robot.delay_s == pytest.approx(2 * 0.02 + 3 * 0.005)
     assert "mjlab" not in sys.modules
     assert "torch" not in sys.modules
 

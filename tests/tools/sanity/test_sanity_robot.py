@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -49,7 +51,7 @@ def test_the_rows_of_a_robot_are_listed() -> None:
 def test_a_good_robot_has_no_flag() -> None:
     found = rows_of(good_xml())
     assert [name for name, one in found.items() if one.is_flag] == []
-    assert set(ROBOT_IDS) - set(found) == {"robot-bound"}
+    assert set(ROBOT_IDS) - set(found) == {"robot-bound", "robot-action", "robot-delay"}
 
 
 @pytest.mark.parametrize("name", sorted(ON_ROBOT))
@@ -64,6 +66,22 @@ def test_a_mistake_is_found_and_named(name: str) -> None:
 def test_every_mistake_has_a_thread() -> None:
     assert len(FAULTS) >= 40
     assert all(name.count("#") == 1 and name.split("#")[1].isdigit() for name in (f.thread for f in FAULTS.values()))
+
+
+@pytest.mark.parametrize(("scale_rad", "is_flag"), [(0.3, False), (np.degrees(0.3), True), (0.001, True)])
+def test_a_full_action_asks_for_a_share_of_the_torque(scale_rad: float, is_flag: bool) -> None:
+    robot = replace(read(good_xml()).robot, action_rad=scale_rad)
+    found = robot_row("robot-action", robot)
+    assert found.configured == pytest.approx(scale_rad * 80.0 / 40.0)
+    assert found.is_flag == is_flag and bool(found.consequence) == is_flag
+    assert robot_row("robot-action", read(good_xml()).robot).verdict is Verdict.DECLINED
+
+
+@pytest.mark.parametrize(("delay_s", "is_flag"), [(0.0, False), (0.02, False), (0.11, True)])
+def test_a_long_delay_is_found(delay_s: float, is_flag: bool) -> None:
+    found = robot_row("robot-delay", replace(read(good_xml()).robot, delay_s=delay_s))
+    assert found.configured == pytest.approx(1e3 * delay_s)
+    assert found.is_flag == is_flag
 
 
 # --- closed forms ----------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.errors import MissingExtraError, ParameterError, TargetError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import record
+from gauge_envs.scene import Motion
 from gauge_envs.tools.sanity import check
 from gauge_envs.tools.sanity.cured import applied
 from gauge_envs.tools.sanity.measure import Measurements
@@ -53,6 +54,21 @@ def on_warp(model: mujoco.MjModel, **limits: int) -> tuple[Any, Any]:
         there.opt.warn_overflow = 0
         data = mujoco_warp.put_data(model, mujoco.MjData(model), **limits)
     return there, data
+
+
+def test_captured_steps_are_those_of_mujoco_warp() -> None:
+    scene = load_experiment("SlopeSlider-1-wood").scene
+    simulation = BackendMuJoCoWarp().build(scene, {**GO1, "drive_interval_s": 0.004})
+    simulation.reset(0)
+    there, state = on_warp(simulation.model, nconmax=200, njmax=1200)
+    cube = next(body.name for body in scene.bodies if body.motion is Motion.DYNAMIC)
+    for _ in range(20):
+        simulation.advance(0.004)
+        with wp.ScopedDevice("cpu"):
+            mujoco_warp.step(there, state)
+        where = simulation.body_states([cube])[0][:3]
+        np.testing.assert_array_equal(where, state.qpos.numpy()[0][:3].astype(float))
+    assert np.abs(where - scene.body(cube).pose.position_m).max() > 0.0, "it moved"
 
 
 def test_a_model_of_mujoco_warp_has_the_same_constants() -> None:

@@ -160,12 +160,14 @@ class Frame:
 def plain(value: Any, depth: int = 0) -> Any:
     """Return a value of a source, or of an object in this process, in plain containers.
 
-    Functions become their names. What is not known, or has no plain form, becomes None.
+    Functions and classes become their names. What is not known, or has no plain form, becomes None.
     """
     if depth > DEEPEST_VALUE or value is None or isinstance(value, bool | int | float | str):
         return None if depth > DEEPEST_VALUE else value
     if isinstance(value, Function):
         return value.name
+    if isinstance(value, PythonClass):
+        return f"{value.module.name}.{value.node.name}"
     if isinstance(value, Instance):
         value = value.attributes
     elif is_dataclass(value) and not isinstance(value, type):

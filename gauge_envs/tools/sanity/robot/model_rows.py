@@ -491,6 +491,36 @@ def _torque(robot: Robot) -> Finding:
     return found
 
 
+def _stiffness(model: mujoco.MjModel, dof: int) -> float:
+    """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
+    actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
+    return float(-model.actuator_biasprm[actuators, 1].sum())
+
+
+@row("robot-action")
+def _action(robot: Robot) -> Finding:
+    scale, model = robot.action_rad, robot.model
+    if scale is None:
+        return Finding(declined="the task states no scale of its actions")
+    shares = {dof: scale * _stiffness(model, dof) / limit for dof, limit in _driven_dofs(robot) if np.isfinite(limit)}
+    if not any(shares.values()):
+        return Finding(declined="no servo of a robot that stands states the limit of its torque")
+    # A scale in other units moves all joints; single ones, such as necks, have weak motors.
+    dof = sorted(shares, key=lambda one: shares[one])[len(shares) // 2]
+    return Finding(
+        value=shares[dof],
+        remark=f"{_joint_name(robot, dof)}: {scale:g} rad with {_stiffness(model, dof):.3g} Nm/rad",
+        advice=f"an action scale of about {0.5 * scale / shares[dof]:.2g} rad, which asks for half of the torque",
+    )
+
+
+@row("robot-delay")
+def _delay(robot: Robot) -> Finding:
+    if robot.delay_s is None:
+        return Finding(declined="the task states no delay")
+    return Finding(value=1e3 * robot.delay_s, advice="delays of at most 50 ms from the observation to the torque")
+
+
 def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
     if robot.standing is None:
@@ -499,9 +529,8 @@ def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: 
     limits = {}
     for dof, limit in _driven_dofs(robot):
         if not np.isfinite(limit):
-            actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
             # A servo without a limit: what an error of half a radian asks of it.
-            limit = float(-0.5 * model.actuator_biasprm[actuators, 1].sum())
+            limit = 0.5 * _stiffness(model, dof)
         if limit > 0.0:
             limits[dof] = limit
     if not limits:

@@ -52,6 +52,8 @@ class Robot:
         spec: The model before it was compiled; None when only the compiled one is known.
         unknown: Geoms whose shape is not known, since a substitute stands for a file.
         pair: Names of two geoms whose constants count; None for all on the ground.
+        action_rad: Angle by which an action of 1 moves the target of a servo [rad]; None when the task states none.
+        delay_s: Longest delay between an observation and the torque that answers it [s]; None when not stated.
     """
 
     model: mujoco.MjModel
@@ -61,6 +63,8 @@ class Robot:
     spec: mujoco.MjSpec | None = None
     unknown: tuple[int, ...] = ()
     pair: tuple[str, str] | None = None
+    action_rad: float | None = None
+    delay_s: float | None = None
 
     @cached_property
     def bodies(self) -> list[int]:

@@ -114,7 +114,25 @@ def mjlab_configuration(
     note = "trains on mujoco_warp, in single precision; the rows run MuJoCo's C engine"
     notes = (note, *built.notes, *read.notes)
     capacity = _capacity(table, built)
-    return replace(read, language=MJLAB.name, notes=notes, capacity=capacity, trains_on="mujoco_warp")
+    robot = replace(read.robot, delay_s=_delay_s(table, built.model.opt.timestep))
+    return replace(read, language=MJLAB.name, notes=notes, capacity=capacity, trains_on="mujoco_warp", robot=robot)
+
+
+def _delay_s(table: Table, step_s: float) -> float | None:
+    """Return the longest delay of what the policy observes and of the actuators [s]; None when none is stated.
+
+    Lags of actuators are steps of the engine, those of observations steps of the environment.
+    """
+    terms = [one for group in ("actor", "policy") for one in table.part(f"observations.{group}.terms").values.values()]
+    entities = [one for one in table.part("scene.entities").values.values() if isinstance(one, Mapping)]
+    actuators = [one for entity in entities for one in (entity.get("articulation") or {}).get("actuators") or ()]
+    seen, acted = (
+        [lag for one in several if isinstance(one, Mapping) and isinstance(lag := one.get("delay_max_lag"), int)]
+        for several in (terms, actuators)
+    )
+    if not seen and not acted:
+        return None
+    return step_s * (max(seen, default=0) * (table.whole("decimation") or 1) + max(acted, default=0))
 
 
 def _capacity(table: Table, built: _Built) -> ContactCapacity | None:

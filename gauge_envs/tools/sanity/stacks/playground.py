@@ -202,8 +202,10 @@ def _trained(
     elif isinstance(implementation, str):
         engine = f"MJX's implementation {implementation!r}"
     note = f"trains with {engine}, in single precision; the rows run MuJoCo's C engine"
+    scale = config.get("action_scale")
     return replace(
         read,
+        robot=replace(read.robot, action_rad=float(scale)) if isinstance(scale, int | float) else read.robot,
         capacity=capacity,
         notes=(note, *notes, *read.notes),
         language=PLAYGROUND.name,

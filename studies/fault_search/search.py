@@ -1,6 +1,6 @@
 """Change each number that an engine reads from a scene, or reports, and see which check notices.
 
-    python studies/planted_faults/search.py --backend mujoco --out studies/planted_faults/search_mujoco.csv
+    python studies/fault_search/search.py --backend mujoco --out studies/fault_search/mujoco.csv
 
 A mutant multiplies one quantity by 1.05, reverses its sign, drops it, swaps its first two axes, limits it, or takes the
 value of the object before. It is *caught* by the first check that fails on it and not on the engine, and *named* if the
@@ -13,7 +13,6 @@ import argparse
 import csv
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -21,10 +20,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends import Backend, Simulation, Support, backend
-from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.backends import Backend, Simulation, backend
 from gauge_envs.scene import Motion, Pose, RigidBody, Scene
-from gauge_envs.tools.conformance import Lab, checks, run_checks
+from gauge_envs.tools.conformance import checks, run_checks
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "tests"))
 from mutations import Fault, Mutant, Passed
@@ -35,7 +33,6 @@ Key = tuple[str, str]
 
 FACTOR, LIMIT_SHARE = 1.05, 0.7
 MUTATORS = ("x 1.05", "reversed", "dropped", "swapped", "limited", "of another")
-DEFORMABLE = ("Cloth", "SoftBody", "Rope", "Rod", "Attachment", "Air", "Region", "nodes")
 SKIPPED = ("duration_s", "drivers", "markers")
 """Fields of a scene that the environment reads, and not the engine."""
 WORDS: Mapping[str, Sequence[str]] = {
@@ -107,37 +104,28 @@ def is_number(value: Any) -> bool:
     return isinstance(value, float | int) and not isinstance(value, bool)
 
 
-class Recorder(Backend):
-    """Declines every scene, and keeps it."""
-
-    name = "recorder"
+class Recorder(Mutant):
+    """A healthy engine that keeps the scenes which it is asked to build."""
 
     def __init__(self, engine: Backend) -> None:
+        super().__init__(engine, Fault(what="", caught_by="", says=""))
         self.scenes: list[Scene] = []
-        self.features = engine.features  # type: ignore[misc]  # a class variable of engines
-
-    def versions(self) -> dict[str, str]:
-        """Return nothing."""
-        return {}
-
-    def supports(self, scene: Scene) -> Support:
-        """Keep the scene."""
-        self.scenes.append(scene)
-        return Support(("it is only recorded",))
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> Simulation:
-        """Refuse, as `supports` does."""
-        raise UnsupportedSceneError("it is only recorded")
+        """Keep and build a scene."""
+        self.scenes.append(scene)
+        return super().build(scene, settings)
 
 
-def scenes_of_checks(engine: Backend) -> list[Scene]:
-    """Return the scenes of all checks that an engine builds."""
-    recorder = Recorder(engine)
-    lab = Lab(recorder)
+def scenes_of_checks(engine: Backend) -> tuple[dict[str, list[Scene]], set[str]]:
+    """Return the scenes that each check builds, by its id, and the checks that the engine itself fails."""
+    scenes, own = {}, set()
     for one in checks():
-        with suppress(Exception):  # Nothing is built.
-            one.measure(lab)
-    return [scene for scene in recorder.scenes if engine.supports(scene)]
+        recorder = Recorder(engine)
+        (result,) = run_checks(recorder, only=[one.id])
+        scenes[one.id] = recorder.scenes
+        own |= {one.id} if result.is_bad else set()
+    return scenes, own
 
 
 def known_numbers(scenes: Iterable[Scene]) -> dict[Key, float]:
@@ -265,15 +253,28 @@ def calling(part: str, how: str) -> type[Passed]:
 
 
 def mutants(scenes: Sequence[Scene]) -> Iterator[tuple[str, str, Fault]]:
-    """Yield quantity, change and fault of each mutant."""
+    """Yield quantity, change and fault of each mutant that is no equivalent."""
     for key, largest in known_numbers(scenes).items():
         for how in MUTATORS:
-            change = mutation(key, how, largest)
-            yield " ".join(key), how, Fault(what="", caught_by="", says="", scene=change)
+            if not is_equivalent(key, how):
+                change = mutation(key, how, largest)
+                yield " ".join(key), how, Fault(what="", caught_by="", says="", scene=change)
     for part in PARTS:
         for how in MUTATORS:
             if how != "limited":
                 yield part, how, Fault(what="", caught_by="", says="", simulation=calling(part, how))
+
+
+def is_equivalent(key: Key, how: str) -> bool:
+    """Return whether a mutant is the engine itself, by the definition of a scene.
+
+    Fixed and driven bodies have no use for a mass, and a multiple of a quaternion is the same rotation.
+    """
+    kind, name = key
+    is_placed = kind.startswith(("RigidBody fixed", "RigidBody kinematic"))
+    return (is_placed and name in ("mass_kg", "inertia_kg_m2")) or (
+        name == "quaternion" and how in ("x 1.05", "reversed")
+    )
 
 
 def is_named(quantity: str, text: str) -> bool:
@@ -282,14 +283,11 @@ def is_named(quantity: str, text: str) -> bool:
     return any(word in text.lower() for word in words)
 
 
-def ordered(quantity: str) -> list[str]:
-    """Return the checks in the order in which a mutant runs them: those of its kind of body first."""
-    soft = any(kind in quantity for kind in DEFORMABLE)
-
-    def is_soft(one: Any) -> bool:
-        return one.measure.__module__.rpartition(".")[2] in ("cloth", "soft", "air") or "cloth" in one.id
-
-    return [one.id for one in sorted(checks(), key=lambda one: is_soft(one) != soft)]
+def seen_by(fault: Fault, scenes: Mapping[str, Sequence[Scene]]) -> list[str]:
+    """Return the checks whose scenes a mutant changes, in their order; the others do what the engine does."""
+    if fault.simulation is not Passed:
+        return list(scenes)
+    return [name for name, built in scenes.items() if any(differs(fault, scene) for scene in built)]
 
 
 def first(mutant: Mutant, ids: Iterable[str], own: set[str]) -> tuple[str, str]:
@@ -307,23 +305,20 @@ def main() -> int:
     parser.add_argument("--out", type=Path, required=True)
     arguments = parser.parse_args()
     engine = backend(arguments.backend)
-    own = {one.check for one in run_checks(engine) if one.is_bad}
-    print(f"{engine.name} itself fails {', '.join(sorted(own)) or 'none'}", flush=True)
     known: set[tuple[str, str]] = set()
     if arguments.out.exists():
         with arguments.out.open(encoding="utf-8", newline="") as stream:
             known = {(row["quantity"], row["change"]) for row in csv.DictReader(stream)}
-    scenes = scenes_of_checks(engine)
+    scenes, own = scenes_of_checks(engine)
+    print(f"{engine.name} itself fails {', '.join(sorted(own)) or 'none'}", flush=True)
     with arguments.out.open("a", encoding="utf-8", newline="") as stream:
         writer = csv.writer(stream, lineterminator="\n")
         if not known:
             writer.writerow(("quantity", "change", "caught by", "named", "words"))
-        for quantity, how, fault in mutants(scenes):
-            if (quantity, how) in known:
+        for quantity, how, fault in mutants([scene for built in scenes.values() for scene in built]):
+            if (quantity, how) in known or not (ids := seen_by(fault, scenes)):
                 continue
-            if fault.simulation is Passed and not any(differs(fault, scene) for scene in scenes):
-                continue
-            check, text = first(Mutant(engine, fault), ordered(quantity), own)
+            check, text = first(Mutant(engine, fault), ids, own)
             writer.writerow((quantity, how, check, "yes" if check and is_named(quantity, text) else "no", text[:160]))
             stream.flush()
             print(f"{quantity}, {how}: {check or 'SURVIVES'}", flush=True)
