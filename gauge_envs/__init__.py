@@ -7,7 +7,7 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
 
-and 14 control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`. `beyond_variants` lists
+and 15 control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`. `beyond_variants` lists
 experiments of other sources, which are registered too.
 
 The registration needs only names. Engines, SciPy and pydantic are imported at first use.

@@ -285,7 +285,7 @@ def control() -> list[str]:
     """Limits, ranges and tolerances of the control tasks."""
     family = {
         name: of(f"envs.control.{name.lower()}.{name}Limit")
-        for name in ("Turntable", "Carry", "Push", "Throw", "Pendulum")
+        for name in ("Turntable", "Carry", "Push", "Throw", "Fling", "Pendulum")
     }
     slope = of("envs.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
@@ -296,6 +296,10 @@ def control() -> list[str]:
     braking = (
         of("envs.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
     )
+    fling = family["Fling"]()
+    (cloth,) = fling.experiment.scene.deformables
+    # A hanging strip of length L sinks by rho g L^2 / (3 K) on average, and gravity stretches it with half of its work.
+    stretch = 9.80665 * cloth.size_m[0] * (cloth.areal_density_kg_per_m2 / cloth.stretch_stiffness_n_per_m / 3) ** 0.5
     assert "`ratio` is at most 1.03; without an impact it is 0.88" in push.__doc__
     return [
         f"up to {family['Turntable'].ACCELERATION_RAD_PER_S2:g} rad/s^2",
@@ -308,6 +312,9 @@ def control() -> list[str]:
         f"| {limits('Turntable')} |",
         f"| {limits('SlopeSlider')} |",
         f"| {limit('Throw-Limit-rubber')} |",
+        f"up to {fling._most_m_per_s2:.2f} m/s^2 | g h <= U^2 / 2",
+        f"| {limit('Fling-Limit-satin')} |",
+        f"| Fling | {1.0 + 2.0 * stretch / fling._speed_m_per_s:.2f} |",
         f"lasts at most {min(durations):g} to {max(durations):g} s",
         f"over {of('envs.control.friction.HOLD_S'):g} s without a slip",
         f"moves at {1e3 * slip:g} mm/s on it",

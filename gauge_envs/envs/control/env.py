@@ -15,7 +15,7 @@ from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport, pair_friction
-from gauge_envs.envs.divergence import speed_fault
+from gauge_envs.envs.divergence import DeformableBounds, speed_fault
 from gauge_envs.envs.lockstep import run_frames
 from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
@@ -67,6 +67,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
         world: The simulation, or the world of it.
+        rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
     """
 
     REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
@@ -211,6 +212,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Start a new episode of a world that is at its start; `reset` brings it there."""
         super().reset(seed=seed)
         self._frame, self._ending = 0, None
+        self.rest_nodes_m = self.nodes_m()
         self._begin()
         observation = self._observation()
         self._observations = [observation]
@@ -271,8 +273,13 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         engine_fault = self.world.fault()
         if engine_fault is not None:
             return engine_fault
+        scene = self.experiment.scene
+        for name, nodes_m in self.nodes_m().items():
+            fault = DeformableBounds(name, scene, self.rest_nodes_m[name]).fault(nodes_m)
+            if fault is not None:
+                return fault
         velocities = self.world.body_states(self._dynamic)[:, 7:10]
-        return speed_fault(self._dynamic, velocities, self.experiment.scene.speed_limit_m_per_s)
+        return speed_fault(self._dynamic, velocities, scene.speed_limit_m_per_s)
 
     # --- pictures ---
 
@@ -281,7 +288,17 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._frame is not None)
-        return self._pictures.draw(self.experiment, {}, reach=self.reach(), poses=self.moving_poses(), nodes_m={})
+        return self.picture(self._pictures)
+
+    def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
+        """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
+        return pictures.draw(
+            self.experiment,
+            self.rest_nodes_m,
+            reach=self.reach(),
+            poses=self.moving_poses(),
+            nodes_m=self.nodes_m(),
+        )
 
     def reach(self) -> ReferencePath | None:
         """Return the places that actions bring bodies to, for the camera; None where the scene says enough."""
@@ -291,3 +308,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""
         moving = (*self._dynamic, *(driver.body for driver in self.experiment.scene.drivers))
         return dict(zip(moving, self.world.body_states(moving)[:, :7], strict=True))
+
+    def nodes_m(self) -> dict[str, FloatArray]:
+        """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
+        return {body.name: self.world.nodes(body.name) for body in self.experiment.scene.deformables}

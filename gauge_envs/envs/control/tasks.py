@@ -16,7 +16,7 @@ class ControlTask:
     Attributes:
         name: Name, as `Turntable-Limit-wood`.
         entry_point: Module and class of the environment, with a colon between.
-        material: Material of the cube or the ball.
+        material: Material of the cube, the ball or the cloth.
     """
 
     name: str
@@ -36,6 +36,7 @@ _TASKS = {
     "Carry": ("gauge_envs.envs.control.carry:CarryLimit", ("wood", "plastic", "metal")),
     "Push": ("gauge_envs.envs.control.push:PushLimit", ("wood", "plastic", "metal")),
     "Throw": ("gauge_envs.envs.control.throw:ThrowLimit", ("rubber",)),
+    "Fling": ("gauge_envs.envs.control.fling:FlingLimit", ("satin",)),
 }
 
 

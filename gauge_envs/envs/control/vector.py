@@ -138,10 +138,7 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         if self.render_mode is None:
             return None
         self._check_started("render", started=self._is_reset)
-        return tuple(
-            self._pictures.draw(self.experiment, {}, reach=env.reach(), poses=env.moving_poses(), nodes_m={})
-            for env in self.worlds.envs
-        )
+        return tuple(env.picture(self._pictures) for env in self.worlds.envs)
 
     def _free(self) -> None:
         super()._free()
@@ -274,6 +271,10 @@ class _ReadWorld(World):
     def fault(self) -> str | None:
         """Return why the engine gave up the state, or None; see `World.fault`."""
         return self._world.fault()
+
+    def nodes(self, name: str) -> FloatArray:
+        """Return the nodes of a deformable body of the world itself; see `World.nodes`."""
+        return self._world.nodes(name)
 
     def body_states(self, names: Sequence[str]) -> FloatArray:
         """Return the states of the bodies from the reading of all worlds; see `World.body_states`."""

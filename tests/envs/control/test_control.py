@@ -74,7 +74,7 @@ def rewards(env: gymnasium.Env, policy) -> tuple[list[float], dict]:
 
 
 def test_ids_are_extra_to_the_experiments() -> None:
-    assert len(NAMES) == 14
+    assert len(NAMES) == 15
     assert {f"GAUGE/{name}" for name in NAMES} <= set(gymnasium.registry)
     assert not {variant.name for variant in variants()} & set(NAMES)
 
@@ -160,7 +160,7 @@ def test_command_line_tells_them_apart() -> None:
     run = CliRunner().invoke
     listed = run(app, ["list"]).stdout.splitlines()
     assert listed[-1].startswith("75 ids")
-    assert "14 control tasks" in " ".join(listed[-8:])
+    assert "15 control tasks" in " ".join(listed[-8:])
     shown = run(app, ["show", "Turntable-Limit-wood"])
     assert shown.exit_code == 0
     assert "omega^2 r = mu g" in shown.stdout

@@ -69,10 +69,11 @@ def test_each_world_is_the_single_environment_bit_for_bit(engine: str) -> None:
         ("Throw-Limit-rubber", [{"ball.restitution": 0.6}, {}]),
         ("Push-Limit-plastic", CONSTANTS[:2]),
         ("SlopeSlider-Limit-metal", CONSTANTS[:2]),
+        ("Fling-Limit-satin", [{"textile.mass_kg": 0.02}, {}]),
     ],
 )
 def test_all_tasks_run_as_worlds(task: str, constants: list[dict[str, Any]]) -> None:
-    check(task, constants, steps=30, settings=FAST)
+    check(task, constants, steps=30, settings={"preset": "training"} if task.startswith("Fling") else FAST)
 
 
 @pytest.mark.slow
