@@ -272,7 +272,7 @@ def carried(**settings) -> float:
         simulation.drive("plate", pose, np.array([2.0 * start_s, 0, 0, 0, 0, 0]), np.array([2.0, 0, 0, 0, 0, 0]))
         simulation.advance(1 / 180)
     state = simulation.body_states(["plate", "cube"])
-    assert state[0, 0] == pytest.approx(0.0625, abs=1e-7)
+    assert state[0, 0] == pytest.approx(0.0625, abs=1e-9)
     return float(state[1, 0] - state[0, 0])
 
 
