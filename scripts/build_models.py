@@ -70,12 +70,12 @@ PICTURED = (
     "TextileBending-oxford",
     "TextileStretching-satin",
     "TextileStretching-nylon",
-    "FoamStretching-soft",
     "FoamTwisting-soft",
+    "FoamBending-soft",
     "FoamShearing-hard",
-    "FoamCompressing-soft",
-    "CantileverBeam-soft",
+    "FoamShearing-soft",
     "StickStack-soft",
+    "Turntable-3-wood",
 )
 """Variants of the picture."""
 
