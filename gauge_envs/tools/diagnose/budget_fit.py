@@ -179,10 +179,13 @@ class NestedFits:
                 full[free] = chosen
                 return self._solved(stages, *full).mean_square
 
-            corners = np.tile(point[free], (int(free.sum()) + 1, 1))
+            # On a bound, where it is clipped on each reflection, the simplex would collapse after one step.
+            low, high = bounds[free].T
+            margin = 0.5 * np.minimum(steps[free], high - low)
+            inside = np.clip(point[free], low + margin, high - margin)
+            corners = np.tile(inside, (int(free.sum()) + 1, 1))
             for axis, step in enumerate(steps[free]):
-                inward = step if point[free][axis] + step <= bounds[free][axis, 1] else -step
-                corners[axis + 1, axis] += inward
+                corners[axis + 1, axis] += step if inside[axis] + step <= high[axis] else -step
             options = {"initial_simplex": corners, "xatol": 1e-7, "fatol": math.inf, "maxfev": 400}
             fitted = minimize(error, point[free], method="Nelder-Mead", bounds=bounds[free], options=options)
             full = point.copy()

@@ -185,6 +185,7 @@ def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40
     real=st.floats(0.5, 0.95), simulated=st.floats(0.5, 0.95), late_s=st.floats(0.0, 0.1), raised_mm=st.floats(-9, 9)
 )
 @example(real=0.737, simulated=0.577, late_s=0.06, raised_mm=-7.0)
+@example(real=0.5, simulated=0.5625, late_s=0.001953125, raised_mm=0.0)
 def test_a_ball_gives_back_its_restitution(real, simulated, late_s, raised_mm):
     experiment = load_experiment(BALL)
     count = experiment.frame_count
