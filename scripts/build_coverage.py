@@ -40,7 +40,7 @@ HEAD = """
 
 `known` and `sigma` are those of the band in use, or of the withheld band if none is in use. A law of a carried, held or
 strained body covers every frame. Other laws end at an event, as the first contact of a free flight. Scores against
-these are not normalized, because the published baseline covers the whole motion. `end`: engines part, and the mean
+these are not normalized, because the published baseline covers the whole motion. `end`: engines disagree, and the mean
 height at the last frame is rewarded, but nothing is scored. `statistics` are those of the
 deformation of foam, which are not scored.
 """

@@ -267,7 +267,7 @@ def warn_without_reward(experiment: Experiment, band: Band | None) -> None:
         )
         if band.grade is BandGrade.END:
             message = (
-                f"{experiment.id}: engines part on its scene. The last frame alone is rewarded; nothing is scored."
+                f"{experiment.id}: engines disagree on its motion. Only the last frame is rewarded, nothing is scored."
             )
         elif last >= experiment.frame_count - 1:
             return

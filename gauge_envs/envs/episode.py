@@ -568,8 +568,8 @@ def reward_text(band: Band | None) -> str:
     if band.grade is BandGrade.END:
         height_mm, left_mm = terms[1][known[0], 0], 1.0 / terms[2][known[0], 0]
         return (
-            f"minus |{names[0]} of what is recorded - {height_mm:.3g} mm| / {left_mm:.2g} mm at {span}{elsewhere}; "
-            "engines part, and that is what is known of the end"
+            f"at {span} minus |{names[0]} of the recorded points - {height_mm:.3g} mm| / {left_mm:.2g} mm, the "
+            f"uncertainty of that height{elsewhere}; engines disagree on the motion"
         )
     if band.points is not None:
         names = (f"x, y, z of {len(compared.coordinates) // 3} markers",)

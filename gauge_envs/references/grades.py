@@ -17,7 +17,7 @@ class BandGrade(StrEnum):
     MODEL = "model"
     """Solution of the calibrated scene by several engines, with its uncertainty. It says nothing of reality."""
     END = "end"
-    """Mean height at the last frame, of engines whose solutions part. It is rewarded and not scored."""
+    """Mean height at the last frame, of engines that disagree on the motion. It is rewarded and not scored."""
     NONE = "none"
     """No reference: no score."""
 

@@ -153,7 +153,7 @@ def unsolved_scenes() -> Mapping[str, UnsolvedScene]:
 
 @cache
 def end_band(variant: str, *, frame_count: int, body_count: int, marker_count: int) -> Band | None:
-    """Return the mean height of all recorded points at the last frame where the engines part; other frames are unknown.
+    """Return the mean height of all recorded points at the last frame, where engines disagree; others are unknown.
 
     It is the mean over engines. Its uncertainty is of their distance, and of the scatter of each over step and cell.
 
@@ -184,7 +184,7 @@ def end_band(variant: str, *, frame_count: int, body_count: int, marker_count: i
         sigma=np.zeros_like(mean),
         measured=np.isfinite(mean[:, 0]),
         trial_count=None,
-        source=f"the calibrated scene as {' and '.join(found)} solve it, which part; it says nothing of reality",
+        source=f"the calibrated scene as {' and '.join(found)} solve it without agreeing; it says nothing of reality",
         sigma_source=SigmaSource.MODEL,
         uncertainty=np.where(np.isfinite(mean), uncertainty, np.nan),
         normalized_by_baseline=False,
