@@ -4,8 +4,9 @@
     python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
     python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
     python pushes.py bounds                     what is unknown, in MuJoCo: bounds.csv
+    python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
     python pushes.py point                      push through one point against the limit surface: point.csv
-    python pushes.py picture                    pushes.png
+    python pushes.py picture                    pushes.png and travels.csv
 
 Even trials are for fits, odd trials judge.
 """
@@ -329,6 +330,21 @@ def bounds(options: argparse.Namespace) -> None:
     write("bounds.csv", rows)
 
 
+def start(options: argparse.Namespace) -> None:
+    """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
+    scene = load_experiment(NAME).scene
+    times_s, cube = sample_times_s(scene), scene.body("cube")
+    rows = []
+    for seed in range(20):
+        shift_m = np.append(np.random.default_rng(seed).normal(0.0, 1e-4, 2), 0.0)
+        moved = replace(cube, pose=replace(cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))))
+        bodies = tuple(moved if body.name == "cube" else body for body in scene.bodies)
+        rows.append({"seed": seed, **simulated("mujoco", replace(scene, bodies=bodies)).measures(times_s)})
+    write("starts.csv", rows)
+    travels_mm = column(rows, "travel_mm")
+    print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
+
+
 def turned(pose: Pose, angle_deg: float) -> Pose:
     """Return a pose that is turned about the vertical."""
     return Pose.from_rotation(pose.position_m, Rotation.from_euler("z", angle_deg, degrees=True) * pose.rotation)
@@ -385,7 +401,7 @@ def point(options: argparse.Namespace) -> None:
 
 
 def picture(options: argparse.Namespace) -> None:
-    """Draw the front of the hand, the speed of the cube, and its travel."""
+    """Draw the front of the hand and the speed of the cube, and write and draw the travel of each trial."""
     import matplotlib.pyplot as plt
 
     pushes = read_pushes()
@@ -408,6 +424,13 @@ def picture(options: argparse.Namespace) -> None:
     speed.set(xlabel="time [s]", ylabel="speed of the cube [mm/s]", title="Mean and 68 % of 20 trials")
     speed.legend()
     pairs = [[track.measures(times_s)["travel_mm"] for track in tracks] for tracks in (real, found)]
+    write(
+        "travels.csv",
+        [{"trial": trial, "real_mm": a, "mujoco_mm": b} for trial, (a, b) in enumerate(zip(*pairs, strict=True))],
+    )
+    draws = np.random.default_rng(0).integers(0, len(real), (10_000, len(real)))
+    correlations = [np.corrcoef(np.array(pairs)[:, one])[0, 1] for one in draws]
+    print("correlation", np.corrcoef(pairs)[0, 1], np.percentile(correlations, [2.5, 97.5]))
     travel.plot(*pairs, "o", color="0.2", markersize=4)
     travel.axline((97.0, 97.0), slope=1.0, color="0.7", zorder=0)
     travel.set(xlabel="real travel [mm]", ylabel="travel in MuJoCo [mm]", title="Each trial on its own path")
@@ -419,7 +442,7 @@ def main() -> None:
     """Run one command."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     commands = parser.add_subparsers(required=True)
-    for function in (slide, fit, run, bounds, point, picture):
+    for function in (slide, fit, run, bounds, start, point, picture):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
         if function in (run, point):

@@ -169,7 +169,7 @@ def test_a_rod_pushed_at_its_end_turns_about_the_known_point() -> None:
 def test_a_rod_on_its_ends_turns_about_the_far_one() -> None:
     supports_m = np.array([[0.0, 0.0], [0.0, 0.3]])
     rate = turn_rate(np.array([0.0, 0.1]), np.array([1.0, 0.0]), supports_m, np.array([0.5, 0.5]))
-    assert rate == pytest.approx(-1.0 / 0.1, rel=1e-6)
+    assert rate == pytest.approx(1.0 / 0.2, rel=1e-6)
 
 
 def test_the_ellipsoid_is_the_motion_of_least_power() -> None:
