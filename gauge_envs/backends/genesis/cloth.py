@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import DeformablePart, contiguous, coupled_geoms
-from gauge_envs.backends.genesis.pbd_settings import (
+from gauge_envs.backends.genesis.settings import (
     CLOTH_CELL_M,
     SettingsPBD,
     cloth_cell_m,

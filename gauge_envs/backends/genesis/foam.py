@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.foam_settings import (
+from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
+from gauge_envs.backends.genesis.settings import (
     COURANT_LIMIT,
     SOFT_CELL_M,
     VOXEL_M,
@@ -29,7 +30,6 @@ from gauge_envs.backends.genesis.foam_settings import (
     SettingsMPM,
     sound_time_s,
 )
-from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (

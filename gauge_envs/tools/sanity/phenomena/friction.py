@@ -16,8 +16,16 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
-from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, position_scatter_mm, recorded, rigid_law
+from gauge_envs.tools.sanity.phenomena.base import (
+    RECORDINGS,
+    FloatArray,
+    Phenomenon,
+    Trace,
+    facts,
+    position_scatter_mm,
+    recorded,
+    rigid_law,
+)
 from gauge_envs.tools.sanity.scenario import Scenario
 
 HOLD_S, SETTLED_S = 1.0, 0.5

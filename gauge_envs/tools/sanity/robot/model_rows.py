@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
-from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
