@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.scene import Scene
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 
 def speed_fault(names: Sequence[str], velocities: FloatArray, limit_m_per_s: float) -> str | None:

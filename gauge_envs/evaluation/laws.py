@@ -1,4 +1,4 @@
-"""Closed forms: rigid motions until an event (free flight to a contact, a slide, a ride on a cloth), and a bar of foam."""
+"""Closed forms: rigid motions until an event (a flight to a contact, a slide, a ride on a cloth), and a bar of foam."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
 
@@ -26,9 +26,8 @@ from gauge_envs.references.published import (
 )
 from gauge_envs.scene import Box, Cloth, Plane, RigidBody, Scene, SoftBody
 from gauge_envs.scene.contact_faces import TOUCHING_M
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

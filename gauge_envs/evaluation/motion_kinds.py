@@ -27,8 +27,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode
+from gauge_envs.scene.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
 Continuation = Callable[[FloatArray], FloatArray]
 
 RATE_BOUNDS = (0.5, 2.0)

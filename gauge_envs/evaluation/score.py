@@ -7,7 +7,6 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from gauge_envs.evaluation.deviation import (
@@ -39,6 +38,7 @@ from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import InputUncertainty, Sensitivities
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 LEAST_SHARE = 0.01
@@ -147,9 +147,6 @@ def _at(table: FloatArray, times_s: FloatArray) -> FloatArray:
     last = table[-1] + (table[-1] - table[-2]) * FRAME_RATE_HZ * np.maximum(times_s - frames_s[-1], 0.0)[:, None]
     inside = np.column_stack([np.interp(times_s, frames_s, column) for column in table.T])
     return np.where(times_s[:, None] > frames_s[-1], last, inside)
-
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -44,8 +44,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 DRAW_COUNT = 4000
 """Number of random draws; it gives the ends of an interval to about 2 % of its width."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend
@@ -26,10 +25,8 @@ from gauge_envs.references.sensitivities import (
 )
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene import Contact, Motion, Scene, Sphere
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.jitter import tilted
-
-FloatArray = NDArray[np.float64]
 
 DISCRETIZATION_FACTOR = 2.0 / math.sqrt(3.0)
 """Standard uncertainty of a discretization over the change by half its size.

@@ -9,16 +9,14 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.envs.control.env import ControlEnv, Frame
 from gauge_envs.envs.control.limit import Ending, Limit
 from gauge_envs.envs.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver, with_stage
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.scene import Box, Cylinder, Motion, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-FloatArray = NDArray[np.float64]
 
 CUBE = "cube"
 
@@ -284,12 +282,12 @@ class CarryLimit(LeastTimeLimit):
         twice = 4.0 * distance_m - 2.0 * time_s * speed_m_per_s
         return (twice + math.hypot(twice, 2.0 * time_s * speed_m_per_s)) / (2.0 * time_s**2)
 
-    def _is_lost(self, cube_m: NDArray[np.float64]) -> bool:
+    def _is_lost(self, cube_m: FloatArray) -> bool:
         plate = self.experiment.scene.body(self.DRIVEN).shape
         assert isinstance(plate, Cylinder)
         return math.hypot(*self._from_cube_m.tolist()) > plate.radius_m or cube_m[2] < self._cube_start_m[2] - 0.01
 
-    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+    def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that accelerates and brakes towards the goal with fraction mu g."""
         most = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
         along = self.goal_m / self.DISTANCE_M
@@ -381,13 +379,13 @@ class PushLimit(LeastTimeLimit):
         """Return the least deceleration a [m/s^2], with D = v T + a T^2 / 2."""
         return max(2.0 * (distance_m - speed_m_per_s * time_s) / time_s**2, 0.0)
 
-    def _is_lost(self, cube_m: NDArray[np.float64]) -> bool:
+    def _is_lost(self, cube_m: FloatArray) -> bool:
         cube = self.experiment.scene.body(CUBE).shape
         assert isinstance(cube, Box)
         past_m = float(self._from_cube_m[0]) + 0.5 * (PUSHER_SIZE_M[0] + cube.size_m[0])
         return past_m > PAST_M or abs(cube_m[2] - self._cube_start_m[2]) > LIFTED_M
 
-    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+    def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that pushes until the cube coasts to the goal, if its friction is fraction mu."""
         braking = fraction * self.limit.value * self.experiment.scene.gravity_m_per_s2
         to_goal = self.goal_m - self._moved_m

@@ -6,15 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import Vector
+from gauge_envs.scene.geometry import FloatArray, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""

@@ -23,15 +23,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
 from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 TAILS: Interval = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))

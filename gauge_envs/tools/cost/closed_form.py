@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.evaluation.laws import distance_to_contact_m, slide
@@ -19,9 +18,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Hinge, Motion, Plane, RigidBody, Scene, Sphere
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 LEAST_APEX_M = 1e-9
 """Height of a rebound below which the ball rests [m]."""

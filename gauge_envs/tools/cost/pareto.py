@@ -13,7 +13,6 @@ from itertools import takewhile
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError, ShapeError
 from gauge_envs.evaluation.deviation import experiment_sensitivities, sampled_frames
@@ -27,6 +26,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.cost.closed_form import closed_form
 from gauge_envs.tools.cost.model import EFFORT, ERRORS, STEP, Family, Phenomenon, Point, Tradeoff
 
@@ -212,8 +212,6 @@ def _with_fronts(families: Sequence[Family]) -> list[Family]:
 
 
 # --- runs ------------------------------------------------------------------------------------------------------------
-
-FloatArray = NDArray[np.float64]
 
 EVENTS = ("pd", "mte", "lsd")
 """Event metrics that measure an experiment without a band, in this order."""

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gauge_envs.evaluation.metrics.trajectory import release_offset
 from gauge_envs.evaluation.motion_kinds import RecognizedMotion
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.model import BudgetStage
-
-FloatArray = NDArray[np.float64]
 
 MAX_SHIFT_S = 10.0 / 30.0
 """Largest time shift in either direction [s]; the same as for the score's release offset."""

@@ -20,8 +20,9 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.isolation import CrashError, Worker
 from gauge_envs.runs.rollout import DeclinedError, DivergedError, Rollout
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import INSIDE_WITHIN, VISIBLE_WITHIN, Curve, PhenomenonResult, Reality, Verdict
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, PhenomenonValue
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, PhenomenonValue
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 SIMULATION_LIMIT_S = 600.0

@@ -25,13 +25,14 @@ from gauge_envs.errors import TargetError, TrajectoryFileError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
 from gauge_envs.runs.rollout import DivergedError, Rollout
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Sphere
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity.exchange.export import MOST_MANIFEST_BYTES
 from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, FORMAT, MANIFEST, MOTION, VERSION, ExportedScene, scenes
 from gauge_envs.tools.sanity.measure import Measured, curve_of, judged, result_of
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import GRAVITY_ID, selection
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.impact import CLEAR_MM
 from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stated import gravity_row

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

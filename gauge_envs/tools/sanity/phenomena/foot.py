@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SLIDE_S, creeping, real_friction, real_slides, sliding
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
