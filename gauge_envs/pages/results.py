@@ -12,8 +12,7 @@ from gauge_envs.pages.text import number_text, quantity_text, short_id, value_te
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
-from gauge_envs.runs.configuration import RunConfiguration
-from gauge_envs.runs.result import Result
+from gauge_envs.runs.result import Result, RunConfiguration
 
 # --- labels ---
 

@@ -17,10 +17,13 @@ from gauge_envs.tools.sanity.measure import (
     Engine,
     Measured,
     Measurements,
+    Subject,
     TimeLimitError,
     curve_of,
     result_of,
     simulation_limit_s,
+    subject_of,
+    worst_of,
 )
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
@@ -36,7 +39,6 @@ from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, RIGID, RO
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
-from gauge_envs.tools.sanity.subject import Subject, subject_of, worst_of
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.robot import Robot

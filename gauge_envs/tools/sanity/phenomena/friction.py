@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
-    FloatArray,
     Phenomenon,
     Trace,
     facts,
