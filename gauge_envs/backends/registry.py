@@ -69,8 +69,7 @@ def uninstalled_backend(name: str) -> Backend:
     It cannot build; the answers are the same whether or not the engine is installed.
     """
     (point,) = (point for point in _points() if point.name == name and is_bundled(name))
-    engine: Backend = object.__new__(point.load())
-    return engine
+    return object.__new__(point.load())
 
 
 @contextmanager

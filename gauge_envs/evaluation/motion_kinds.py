@@ -399,5 +399,4 @@ def _coasting(times_s: FloatArray, values: FloatArray) -> Continuation:
 
 def _interpolated(times_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
     """Return all coordinates by linear interpolation, shape [*shape of at_s, C]."""
-    found: FloatArray = make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))
-    return found
+    return make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))

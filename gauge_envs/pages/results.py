@@ -99,8 +99,7 @@ PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
 
 def raw_score(score: Score, metric: str) -> float | None:
     """Return a metric in its unit."""
-    value: float | None = getattr(score, SCORE_METRICS[metric].score_field)
-    return value
+    return getattr(score, SCORE_METRICS[metric].score_field)
 
 
 def normalized_score(score: Score, metric: str) -> float | None:

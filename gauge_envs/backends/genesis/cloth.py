@@ -140,12 +140,7 @@ class _Sheet:
 
 
 class ClothPart(DeformablePart):
-    """All cloths of a scene.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All cloths of a scene."""
 
     def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]

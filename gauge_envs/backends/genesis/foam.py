@@ -91,11 +91,6 @@ class SoftPart(DeformablePart):
     """All soft bodies of a scene.
 
     Material in a grip moves rigidly and is not simulated.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-        rows: The soft rows.
     """
 
     def __init__(self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]) -> None:
@@ -173,12 +168,7 @@ class _FEMRow(_Row):
 
 
 class FEMPart(SoftPart):
-    """All soft bodies of a scene as tetrahedra, which span the free material and have its mass.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All soft bodies of a scene as tetrahedra, which span the free material and have its mass."""
 
     def __init__(self, scene: Scene, settings: SettingsFEM) -> None:
         self._settings = settings
@@ -346,12 +336,7 @@ def _affine(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class MPMPart(SoftPart):
-    """All soft bodies of a scene as material points.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All soft bodies of a scene as material points."""
 
     def __init__(self, scene: Scene, settings: SettingsMPM) -> None:
         self._settings = settings

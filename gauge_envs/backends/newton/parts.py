@@ -140,8 +140,7 @@ class ParticlePart(Part):
 
     def positions(self, state: newton.State) -> NDArray[np.float64]:
         """Return the positions of its particles in a state [m], shape [particle_count, 3], in single precision."""
-        positions: NDArray[np.float64] = state.particle_q.numpy()[self.particles].astype(np.float64)
-        return positions
+        return state.particle_q.numpy()[self.particles].astype(np.float64)
 
     def nodes(self, state: newton.State) -> NDArray[np.float64]:
         """Return the positions of the particles, which are the nodes; see `Part.nodes`."""
@@ -182,9 +181,6 @@ class ClothPartNewton(ParticlePart):
         grid: Its mesh.
         start: Its first particle.
         pins: Vertices that kinematic bodies hold.
-
-    Attributes:
-        grid: Its mesh.
     """
 
     def __init__(self, grid: ClothGrid, start: int, pins: Sequence[Pin]) -> None:
@@ -269,8 +265,7 @@ class _Solid:
     def moved(self, state: newton.State, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions in a state of points given at the start [m], both of shape [point_count, 3]."""
         pose = state.body_q.numpy()[self.body].astype(np.float64)
-        moved: NDArray[np.float64] = Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m) + pose[:3]
-        return moved
+        return Rotation.from_quat(pose[3:]).apply(points_m - self.block.centre_m) + pose[:3]
 
 
 class SoftPartNewton(SoftRowPart):

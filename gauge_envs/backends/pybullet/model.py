@@ -28,10 +28,6 @@ STRING_MASS = 1e-6
 class WorldPyBullet(BulletWorld):
     """A PyBullet world at the start of a scene.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-
     Attributes:
         ropes: The ropes in PyBullet, by name.
         soft: PyBullet's numbers of the soft bodies, by name.

@@ -269,8 +269,7 @@ def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
     # A drawing has a camera for each eye; a picture is taken from between them.
     left, right = drawing.camera
     way = -left.forward.astype(np.float64) if left.orthographic else 0.5 * (left.pos + right.pos) - point_m
-    unit: FloatArray = way / np.linalg.norm(way)
-    return unit
+    return way / np.linalg.norm(way)
 
 
 def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray, color: Color) -> None:

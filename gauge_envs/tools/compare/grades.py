@@ -395,16 +395,12 @@ def _experiment_ranks(
     return ExperimentRanks(
         id=experiment.id,
         ranks={
-            index: Mean(value=value[index], interval_95=_holding(value[index], low[index], high[index]))
-            for index in members
+            index: Mean(value=one, interval_95=(min(low[index], one), max(high[index], one)))
+            for index, one in value.items()
         },
         pair_count=len(known),
         distinguishable_count=sum(one.distinguishable for _, one in known),
     )
-
-
-def _holding(value: float, low: float, high: float) -> Interval:
-    return min(low, value), max(high, value)
 
 
 def _mean_rank(ranks: Sequence[Mean]) -> Mean:

@@ -85,8 +85,6 @@ class NestedFits:
     Attributes:
         known: Frames with a value to compare, shape [frame_count].
         frame_count: Number of those frames.
-        motion: The recognized motion.
-        missing: Stages that do not apply, with the reason.
     """
 
     def __init__(
@@ -119,8 +117,7 @@ class NestedFits:
     def deviations(self) -> FloatArray:
         """Return the squared deviation of the unchanged simulation at each known frame, shape [frame_count]."""
         played, _ = self.motion.at(self._frames_s, np.zeros(1), np.ones(1))
-        squares: FloatArray = np.nansum(np.square(self._reference - played[0]), axis=1)
-        return squares
+        return np.nansum(np.square(self._reference - played[0]), axis=1)
 
     def continued_frames(self, fit: StageFit) -> int:
         """Return the number of frames at which a fit needs the motion past the end of the simulation."""

@@ -267,8 +267,7 @@ def _between(points: NDArray[np.floating], at: float) -> FloatArray:
     here = points[first].astype(np.float64)
     if share == 0.0:
         return here
-    mixed: FloatArray = (1.0 - share) * here + share * points[later]
-    return mixed
+    return (1.0 - share) * here + share * points[later]
 
 
 def _poses_at(poses: NDArray[np.floating], at: float) -> FloatArray:

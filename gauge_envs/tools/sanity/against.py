@@ -111,10 +111,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(
-            asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed)))
-        )
-        return values
+        return json_ready(asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed))))
 
 
 def _bare(configuration: TrainingConfiguration) -> TrainingConfiguration:

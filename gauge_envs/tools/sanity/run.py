@@ -306,8 +306,7 @@ class _Run:
             candidates.append(Candidate(changes=changes, texts=texts))
         counted = {row.phenomenon: row.is_flag for row in rows if row.is_flag or row.verdict is Verdict.INSIDE}
         cure = partial(find_cure, self._configuration, self._dialect, self._measurements, candidates, counted)
-        mended: Cure | None = self._in_time(cure) if candidates else None
-        return mended
+        return self._in_time(cure) if candidates else None
 
     def _in_time(self, work: Callable[[], Any]) -> Any:
         """Return the result of work; None when the time limit is reached."""

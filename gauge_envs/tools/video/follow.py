@@ -253,8 +253,7 @@ def _mean_colour(picture: Picture, labels: NDArray[np.int32], box: NDArray[np.in
     """Return the mean colour of a component, from its bounding box: left, top, width, height, area."""
     left, top, width, height = (int(value) for value in box[:4])
     part = np.s_[top : top + height, left : left + width]
-    colour: FloatArray = picture[part][labels[part] == label].mean(axis=0)
-    return colour
+    return picture[part][labels[part] == label].mean(axis=0)
 
 
 class DiskFollower:
@@ -444,8 +443,7 @@ def _centred_correlation(
         total = cv2.matchTemplate(part, mask, cv2.TM_CCORR)
         square += cv2.matchTemplate(part * part, mask, cv2.TM_CCORR) - total**2 / count
         energy += float((centred**2).sum())
-    correlation: FloatArray = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
-    return correlation
+    return product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
 
 
 def _refined(response: NDArray[np.floating], row: int, column: int) -> FloatArray:

@@ -312,8 +312,7 @@ def displacement_px(track: Track, task: VideoTask) -> FloatArray:
     assert task.direction is not None
     points = track.points_px
     first = points[track.is_found][0]
-    along: FloatArray = (points - first) @ np.array(task.direction)
-    return along
+    return (points - first) @ np.array(task.direction)
 
 
 def swing_angles_rad(track: Track, task: VideoTask) -> FloatArray:
@@ -323,8 +322,7 @@ def swing_angles_rad(track: Track, task: VideoTask) -> FloatArray:
     """
     assert task.pivot_px is not None
     offset = track.points_px - np.array(task.pivot_px)
-    angles: FloatArray = np.arctan2(offset[:, 0], offset[:, 1])
-    return angles
+    return np.arctan2(offset[:, 0], offset[:, 1])
 
 
 def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:

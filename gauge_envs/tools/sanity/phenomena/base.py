@@ -119,8 +119,7 @@ def facts(name: str) -> dict[str, Any]:
 
 def recorded(recording: str, fact: str) -> dict[str, Any]:
     """Return a measurement in a published recording: `value` and `sigma`, or `low` and `high`."""
-    table: dict[str, Any] = facts("recordings/recordings")[recording]["facts"][fact]
-    return table
+    return facts("recordings/recordings")[recording]["facts"][fact]
 
 
 def recorded_reality(recording: str, fact: str, *, trial: str = "one recorded trial", more: str = "") -> Reality:

@@ -160,13 +160,11 @@ def _used_constants(model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str,
         rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
         if not len(rows):
             raise TargetError(f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can")
-        row: NDArray[np.float64] = pairs.constants[rows[0]]
-        return row
+        return pairs.constants[rows[0]]
     rows = np.flatnonzero(pairs.kinds == pairs.kinds.min())
     effective = effective_constants(model, pairs.constants[rows])
     _, first, counts = np.unique(effective, axis=0, return_index=True, return_counts=True)
-    most: NDArray[np.float64] = pairs.constants[rows[first[counts.argmax()]]]
-    return most
+    return pairs.constants[rows[first[counts.argmax()]]]
 
 
 def _groups(
