@@ -41,11 +41,12 @@ from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Outcome, Result, RunConfiguration
+from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
-from gauge_envs.tools.compare.draws import NEGLIGIBLE
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 from gauge_envs.tools.conformance import checks, run_checks
 from gauge_envs.tools.conformance.matrix import read_columns
 from gauge_envs.tools.leaderboard.trajectory import rescored

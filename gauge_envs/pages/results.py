@@ -12,7 +12,8 @@ from gauge_envs.pages.text import number_text, quantity_text, short_id, value_te
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
-from gauge_envs.runs.result import Result, RunConfiguration
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Result
 
 # --- labels ---
 
@@ -99,7 +100,8 @@ PERCENTILES = {"rmse": "percentile", "rmse_aligned": "percentile_aligned"}
 
 def raw_score(score: Score, metric: str) -> float | None:
     """Return a metric in its unit."""
-    return getattr(score, SCORE_METRICS[metric].score_field)
+    value: float | None = getattr(score, SCORE_METRICS[metric].score_field)
+    return value
 
 
 def normalized_score(score: Score, metric: str) -> float | None:

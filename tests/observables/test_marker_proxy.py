@@ -11,9 +11,10 @@ import pytest
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.results import result_label
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result import Result, RunConfiguration
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 
 

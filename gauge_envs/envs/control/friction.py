@@ -1,4 +1,4 @@
-"""The slope and the turntable task: a cube that only friction holds on a body that turns."""
+"""Base of the turntable and the slope task: a cube that only friction holds on a body that turns."""
 
 from __future__ import annotations
 
@@ -209,73 +209,3 @@ class FrictionLimit(ControlEnv):
         """Distance of the cube from the axis [m]."""
         arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
         return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))
-
-
-class SlopeSliderLimit(FrictionLimit):
-    """Tilt as far as possible without a slip of the cube, in the scene of SlopeSlider-3.
-
-    At rest at the tilt theta the cube uses the friction tan theta. So the law is tan theta = mu: 14.7 to 15.4 degrees
-    here. The axle is 38 mm below the board's centre and 0.24 m from the cube. An acceleration of the tilt therefore
-    changes the friction used, by up to 3 % of the limit; `FrictionLimit` includes that. See there for reward and proof.
-    """
-
-    FAMILY = "SlopeSlider"
-    SUBTASK = "3"
-    LAW = "tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu"
-    SIGMA_SOURCE = (
-        "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "
-        "from the calibrated coefficient"
-    )
-
-    DURATION_S = 5.0
-    """Time of an episode: 1.0 s to the limit at full acceleration and braking, and 4 s to hold it."""
-
-    ACCELERATION_RAD_PER_S2 = 1.0
-    """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
-
-    _RAMP_S = 3.0
-    """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""
-
-    def _law_command(self, fraction: float) -> float:
-        """Return the action that tilts to tan theta = fraction mu along two parabolas, and stays there."""
-        half_s = 0.5 * self._RAMP_S
-        command = math.atan(fraction * self.limit.value) / half_s**2 / self.ACCELERATION_RAD_PER_S2
-        if self.time_s < half_s:
-            return command
-        return -command if self.time_s < self._RAMP_S else 0.0
-
-
-class TurntableLimit(FrictionLimit):
-    """Turn as fast as possible without a slip of the cube, in the scene of Turntable-1.
-
-    On a level plate with angular velocity omega and angular acceleration alpha, a cube at the radius r uses the
-    friction sqrt((omega^2 r)^2 + (alpha r)^2) / g. So the law at a steady speed is omega^2 r = mu g: 6.5 to 7.0 rad/s
-    here. The cube slips before it tips, because it is as wide as it is high and mu is below 1. See `FrictionLimit` for
-    reward and proof.
-
-    A simulated cube creeps outward, so a constant speed uses more and more friction. The observation holds the friction
-    used at the current place of the cube.
-    """
-
-    FAMILY = "Turntable"
-    SUBTASK = "1"
-    LAW = "sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g"
-    SIGMA_SOURCE = (
-        "no trial shows where cubes slip on the turntable: the relative uncertainty of the same cube's friction on the "
-        "slope, where calibrated coefficients and 19 or 20 trials are known, measured by the same method"
-    )
-
-    DURATION_S = 5.0
-    """Time of an episode: 1.2 s to the limit at full acceleration, and three times as long to hold it."""
-
-    ACCELERATION_RAD_PER_S2 = 6.0
-    """This acceleration reaches the limit in 1.2 s. Its own friction used, 0.046, adds less than 1 % to the limit's."""
-
-    _APPROACH_S = 2.0 / FRAME_RATE_HZ
-    """Time constant with which the law's policy approaches its speed; two steps is the shortest that is smooth."""
-
-    def _law_command(self, fraction: float) -> float:
-        """Return the action that approaches omega = sqrt(fraction mu g / r), with r the current radius of the cube."""
-        gravity = self.experiment.scene.gravity_m_per_s2
-        wanted = math.sqrt(fraction * self.limit.value * gravity / self._cube_radius_m)
-        return (wanted - self._rate) / self._APPROACH_S / self.ACCELERATION_RAD_PER_S2

@@ -30,8 +30,8 @@ class ControlTask:
 
 
 _TASKS = {
-    "Turntable": ("gauge_envs.envs.control.friction:TurntableLimit", ("wood", "plastic", "metal")),
-    "SlopeSlider": ("gauge_envs.envs.control.friction:SlopeSliderLimit", ("wood", "plastic", "metal")),
+    "Turntable": ("gauge_envs.envs.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
+    "SlopeSlider": ("gauge_envs.envs.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
     "Pendulum": ("gauge_envs.envs.control.pendulum:PendulumLimit", ("metal",)),
     "Carry": ("gauge_envs.envs.control.least_time:CarryLimit", ("wood", "plastic", "metal")),
     "Push": ("gauge_envs.envs.control.least_time:PushLimit", ("wood", "plastic", "metal")),

@@ -25,7 +25,8 @@ from gauge_envs.pages.results import (
 from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline, published_baselines
-from gauge_envs.runs.result import Outcome, Result, RunConfiguration, group_by_configuration
+from gauge_envs.runs.configuration import RunConfiguration, group_by_configuration
+from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.tools.compare.distance import Distance, trajectory_distance
 from gauge_envs.tools.compare.draws import ScoreDraws, ScoreSpread, repeats_interval, score_draws

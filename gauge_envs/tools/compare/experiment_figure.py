@@ -21,7 +21,8 @@ from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, sco
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import published_baselines
-from gauge_envs.runs.result import RecordedTrajectory, Result, group_by_configuration
+from gauge_envs.runs.configuration import group_by_configuration
+from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare.comparison import Cell

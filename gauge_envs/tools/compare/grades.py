@@ -28,7 +28,8 @@ from scipy.stats import norm
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.compare.draws import NEGLIGIBLE, ScoreDraws, holm, majority_p_value, p_value, paired_scores
+from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
+from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
 Interval = tuple[float, float]
 

@@ -28,11 +28,12 @@ from gauge_envs.pages.text import (
     with_unit,
 )
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.runs.result import Outcome, RunConfiguration
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
 from gauge_envs.tools.compare.distance import MOTION_SHARE, Distance
-from gauge_envs.tools.compare.draws import NEGLIGIBLE
 from gauge_envs.tools.compare.grades import ExperimentDifference, GradeComparison, Mean, PairComparison, grade_name
+from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
 

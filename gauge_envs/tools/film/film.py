@@ -15,8 +15,9 @@ from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_text
 from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
 from gauge_envs.pages.text import BACKEND_TITLES, short_id
+from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
-from gauge_envs.runs.result import Result, RunConfiguration
+from gauge_envs.runs.result import Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.layout import Caption, FilmLayout, strip_picture
 from gauge_envs.tools.film.panel import Panel, RecordedPanel, SimulatedPanel, Take, take_of

@@ -15,7 +15,8 @@ from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.imported import BUNDLED_DATA
-from gauge_envs.runs.result import Outcome, Result, RunConfiguration
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.tools.leaderboard.reruns import Rerun, rerun, rerun_sample
 from gauge_envs.tools.leaderboard.submission import (

@@ -8,7 +8,8 @@ from typing import Any
 from gauge_envs.experiments.variants import variants
 from gauge_envs.pages.document import Document, Heading, as_rows
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.runs.result import Outcome, RunConfiguration
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.leaderboard import LeaderboardCheck, SubmissionCheck
 

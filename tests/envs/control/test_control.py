@@ -29,11 +29,13 @@ from gauge_envs.backends.base import World
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S, SlopeSliderLimit, TurntableLimit
+from gauge_envs.envs.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
 from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.envs.control.pendulum import PendulumLimit
 from gauge_envs.envs.control.play import engine_limit, play
+from gauge_envs.envs.control.slope_slider import SlopeSliderLimit
 from gauge_envs.envs.control.tasks import control_tasks, find_control_task
+from gauge_envs.envs.control.turntable import TurntableLimit
 from gauge_envs.errors import ActionError, BackendError, EpisodeError, ParameterError, UnknownNameError
 from gauge_envs.files import data_folder
 from gauge_envs.references.sensitivities import input_uncertainties

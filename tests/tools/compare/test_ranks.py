@@ -11,8 +11,9 @@ from scipy.stats import t as student, ttest_1samp
 from trial_worlds import band_of
 
 from gauge_envs.evaluation.uncertainty import band_errors
-from gauge_envs.tools.compare.draws import NEGLIGIBLE, ScoreDraws, holm, majority_p_value, p_value
+from gauge_envs.tools.compare.draws import ScoreDraws
 from gauge_envs.tools.compare.grades import DIFFERENT, GradedExperiment, compare_grade, compare_pairs
+from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
 FloatArray = NDArray[np.float64]
 
