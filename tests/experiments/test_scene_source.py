@@ -21,7 +21,6 @@ from gauge_envs.envs.episode import Trajectory
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.experiments.scene_source import scene_changes
 from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode, run_episodes
@@ -30,6 +29,7 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Motion
+from gauge_envs.scene.diff import scene_changes
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.words import comparison_rows

@@ -14,8 +14,8 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import Backend, Simulation, Support, backend_names, support_of
 from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import AssetError, MissingExtraError, ParameterError, UnsupportedSceneError
-from gauge_envs.experiments.scene_source import scene_changes
 from gauge_envs.scene import Air, Scene
+from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.assets.export import mjcf_text

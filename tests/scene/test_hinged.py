@@ -9,8 +9,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.scene_source import scene_changes
 from gauge_envs.scene import BodyHinge, Box, Contact, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, hinge_trees, parent_hinges
 from gauge_envs.scene.jitter import Jitter, jittered, tilted

@@ -13,7 +13,6 @@ from gauge_envs import Jitter, load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.divergence import RigidBounds
 from gauge_envs.errors import ParameterError
-from gauge_envs.experiments.scene_source import scene_changes
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Attachment,
@@ -33,6 +32,7 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.contact_faces import face_normal
+from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.jitter import jittered, tilted
 from gauge_envs.scene.meshes import mass_properties
 

@@ -31,7 +31,8 @@ from gauge_envs.pages.results import raw_score
 from gauge_envs.pages.text import short_id
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.runs.result import Result, RunConfiguration
+from gauge_envs.runs.configuration import RunConfiguration
+from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene import Hinge, Motion, Plane, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
