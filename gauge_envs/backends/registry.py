@@ -110,9 +110,7 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
         model_file: File that replaces the scene, or None.
 
     Raises:
-        UnknownNameError: No installed package provides it.
-        MissingExtraError: Its engine is not installed.
-        BackendError: It cannot be imported, or `supports` does not work.
+        GaugeError: As `backend`; or a `BackendError`, `supports` does not work.
     """
     engine = backend_for(name, model_file)
     with engine_call(name, "supports"):
@@ -126,9 +124,7 @@ def versions_of(name: str) -> dict[str, str]:
     """Return the versions of a backend's packages.
 
     Raises:
-        UnknownNameError: No installed package provides it.
-        MissingExtraError: Its engine is not installed.
-        BackendError: It cannot be imported, or `versions` does not work.
+        GaugeError: As `backend`; or a `BackendError`, `versions` does not work.
     """
     engine = backend(name)
     with engine_call(name, "versions"):
