@@ -102,11 +102,6 @@ def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.transform(picture, np.full((1, 3), 1.0 / 3.0, dtype=np.float32)), dtype=np.float32)
 
 
-def noise_level(difference: NDArray[np.float32]) -> float:
-    """Return the standard deviation of the noise of a difference, from its median: most pixels do not move."""
-    return float(np.median(difference)) / 0.6745
-
-
 # --- followers --------------------------------------------------------------------------------------------------------
 
 
@@ -191,7 +186,8 @@ class PatchFollower:
     def see(self, picture: Picture) -> Sight:
         """Return where the object is in the next frame."""
         difference = self._background.difference(picture)
-        threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * noise_level(difference))
+        # Most pixels do not move, so the median gives the standard deviation of the noise.
+        threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * float(np.median(difference)) / 0.6745)
         mask = (difference > threshold).astype(np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
         count, labels, stats, centroids = cv2.connectedComponentsWithStats(mask, connectivity=8)
