@@ -34,7 +34,7 @@ class BackendPhysX(BundledBackend):
     packages = ("sapien",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
+        {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
     corrections = ("a cylinder is a capsule or a ball in a prism",)
     features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
