@@ -203,7 +203,8 @@ def engine_versions(results: Iterable[Result]) -> dict[str, str]:
 def law_ratio(one: Mapping[str, Any], check: str) -> float | None:
     """Return the measured over the expected value of a check that ran."""
     found = columns()[one["engine"], one["preset"]].findings[check]
-    return None if found.measured is None or not found.expected else found.measured / found.expected
+    ratio = np.nan if found.measured is None else found.measured / (found.expected or np.nan)
+    return float(ratio) if np.isfinite(ratio) else None
 
 
 def energy_loss(one: Mapping[str, Any]) -> str:
@@ -212,9 +213,10 @@ def energy_loss(one: Mapping[str, Any]) -> str:
 
 
 def checks_with(one: Mapping[str, Any], *statuses: Status) -> list[str]:
-    """Return the conformance checks of a configuration with some statuses."""
-    findings = columns()[one["engine"], one["preset"]].findings
-    return [name for name, found in findings.items() if found.status in statuses]
+    """Return the conformance checks of a configuration with some statuses; refused ones count as declined."""
+    column = columns()[one["engine"], one["preset"]]
+    refused = column.refused if Status.DECLINED in statuses else ()
+    return [*(name for name, found in column.findings.items() if found.status in statuses), *refused]
 
 
 def episode_record(result: Result) -> dict[str, Any]:
@@ -459,7 +461,7 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     short = [*(name.rsplit("-", 1)[1] for name in SLIDES), "ball"]
     head = ("configuration", "", *short, *(f"{name}, trials' constants" for name in short))
     apart = (
-        (name, f"fails {failed_checks(one)} checks; not ranked", *apart_cells(one))
+        (name, f"fails {failed_checks(one)} such checks; not ranked", *apart_cells(one))
         for name, one in rows
         if failed_checks(one)
     )
