@@ -50,8 +50,8 @@ class BackendPhysX(BundledBackend):
         """Yield one sentence for each kind of unsupported feature of a scene."""
         if scene.deformables:
             yield (
-                f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and soft bodies need a "
-                "GPU, and SAPIEN's chains have no spherical joint for ropes"
+                f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
+                "a GPU, and SAPIEN's chains have no spherical joint for ropes"
             )
         hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
         yield from declined_hinges(hinges)
