@@ -172,6 +172,7 @@ class ControlWorlds:
     ) -> None:
         found = find_control_task(task)
         make = load_env_creator(found.entry_point)
+        settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
             env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
