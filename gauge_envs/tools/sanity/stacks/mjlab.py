@@ -254,8 +254,8 @@ def _set_options(model: mujoco.MjModel, table: Table) -> None:
         value = one.kind.read(table, one.key) if one.place == "MujocoCfg" and one.key not in FLAGS else None
         if value is not None:
             setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
-    gravity = table.value("gravity")
-    if isinstance(gravity, list | tuple) and len(gravity) == 3:
+    gravity = table.numbers("gravity", 3)
+    if gravity is not None:
         options.gravity[:] = gravity
     for name, (start, kind) in FLAGS.items():
         for flag in table.texts(name):
