@@ -15,15 +15,46 @@ Damage = Callable[[bytes, random.Random], bytes]
 
 NUMBERS = (
     *(b"nan", b"-inf", b".inf", b"1e999", b"-1e308", b"1e-320", b"0", b"-0.0", b"-1", b"0.1", b"1e9", b"1000000000"),
-    *(b"9223372036854775808", b"-9223372036854775809", b"9" * 400, b"9" * 10_000, b"0x" + b"f" * 9000, b"0." + b"1" * 5000),
+    *(
+        b"9223372036854775808",
+        b"-9223372036854775809",
+        b"9" * 400,
+        b"9" * 10_000,
+        b"0x" + b"f" * 9000,
+        b"0." + b"1" * 5000,
+    ),
     *(b"1:30:59.5", b"1_000", b"true", b"null", b'"1"', b"[]", b"{}", b"1" * 64 + b".5", b"\xd9\xa3"),
 )
 """What takes the place of a number; the last is a digit of another script."""
 
 TOKENS = (
     *NUMBERS,
-    *(b"!!python/object/apply:os.abort []", b"!!python/tuple ", b"&a [*a]", b"*p", b"<<: *p", b"${sim.dt}", b"\t", b": "),
-    *(b'"', b"'", b"{", b"}", b"[", b"]", b"[" * 5000, b'{"a":' * 3000, b"a." * 3000, b"\x00", b"\xff\xfe", b",", b"=", b"\r"),
+    *(
+        b"!!python/object/apply:os.abort []",
+        b"!!python/tuple ",
+        b"&a [*a]",
+        b"*p",
+        b"<<: *p",
+        b"${sim.dt}",
+        b"\t",
+        b": ",
+    ),
+    *(
+        b'"',
+        b"'",
+        b"{",
+        b"}",
+        b"[",
+        b"]",
+        b"[" * 5000,
+        b'{"a":' * 3000,
+        b"a." * 3000,
+        b"\x00",
+        b"\xff\xfe",
+        b",",
+        b"=",
+        b"\r",
+    ),
     *(b"\x1b[2J", b"\n# heading\n", b"$\\frac{$", b":smile:", b"~nosuchuser/x", b"../../../etc/passwd"),
 )
 

@@ -37,8 +37,8 @@ from gauge_envs.files import data_folder
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import BandSidecar, read_band
 from gauge_envs.references.imported import load_imported
-from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.references.tables import read_toml, scoring_folder
+from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.replay import load_or_replay, replay_path
 from gauge_envs.runs.request import RunRequest
@@ -172,8 +172,15 @@ GENESIS = json.dumps(
     {
         "sim": {"dt": 0.01, "substeps": 2, "gravity": [0.0, 0.0, -9.81], "floor_height": 0.0, "requires_grad": False},
         "rigid": {
-            **{"dt": None, "integrator": 3, "constraint_solver": 1, "iterations": 50, "tolerance": 1e-6},
-            **{"ls_iterations": 50, "constraint_timeconst": 0.01, "enable_collision": True, "use_gjk_collision": False},
+            "dt": None,
+            "integrator": 3,
+            "constraint_solver": 1,
+            "iterations": 50,
+            "tolerance": 1e-6,
+            "ls_iterations": 50,
+            "constraint_timeconst": 0.01,
+            "enable_collision": True,
+            "use_gjk_collision": False,
         },
     }
 )
@@ -398,7 +405,9 @@ def _of_trajectories(folder: Path) -> dict[str, Parser]:
         "trial": Parser(".json", [trial], trial_read, damage.in_json),
         "csv": Parser(".csv", [table.encode()], trajectory_read),
         "npz": Parser(".npz", arrays, trajectory_read, damage.in_archive),
-        "json": Parser(".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, damage.in_json),
+        "json": Parser(
+            ".json", [json.dumps({"id": NAME, "g": path.tolist()}).encode()], trajectory_read, damage.in_json
+        ),
     }
 
 
@@ -481,7 +490,11 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     results, documents = [result_file.read_bytes()], damage.in_json
     return {
         "result": Parser(
-            ".json", results, lambda file: as_markdown(comparison_document(compare([load_result(file)]))), documents, 0.2
+            ".json",
+            results,
+            lambda file: as_markdown(comparison_document(compare([load_result(file)]))),
+            documents,
+            0.2,
         ),
         "rerun": Parser(".json", results if find_spec("rerun") else [], rerun_read, documents, 0.02),
         "replay": Parser(".npz", [replayed], replay_read, damage.in_archive, 0.02),
@@ -518,7 +531,9 @@ def _of_training(folder: Path) -> dict[str, Parser]:
         (folder / "packages" / "mjlab" / name).write_text(text)
     sys.path.append(str(folder / "packages"))
     probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
-    rows = [{"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}]
+    rows = [
+        {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
+    ]
     exported = folder / "exported"
     export(exported, only=["rebound"])
     manifest = (exported / MANIFEST).read_bytes()
@@ -554,7 +569,9 @@ def _of_training(folder: Path) -> dict[str, Parser]:
         "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
         "manifest": Parser(".json", [manifest], manifest_read, damage.in_json, 0.3),
         "motion": Parser(".csv", [motion], motion_read, share=0.1),
-        "baseline": Parser(".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json),
+        "baseline": Parser(
+            ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
+        ),
     }
 
 
@@ -564,10 +581,17 @@ def _of_policies() -> dict[str, Parser]:
     (size,) = env.observation_space.shape or (0,)
     return {
         "statistics": Parser(
-            ".pkl", [statistics(size)], lambda file: read_normalization(file, observation_size=size), damage.in_bytes, 2.0
+            ".pkl",
+            [statistics(size)],
+            lambda file: read_normalization(file, observation_size=size),
+            damage.in_bytes,
+            2.0,
         ),
         "sb3": Parser(
-            ".zip", sb3_policies(size), lambda file: load_sb3(file, observation_size=size, action_size=1), damage.in_archive
+            ".zip",
+            sb3_policies(size),
+            lambda file: load_sb3(file, observation_size=size, action_size=1),
+            damage.in_archive,
         ),
         "onnx": Parser(".onnx", onnx_policies(size), lambda file: load_policy(str(file), env), damage.in_bytes, 0.01),
     }

@@ -125,7 +125,7 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
 
 
 def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, Any]:
-    """Return settings with the drive interval for their step; unchanged when they state no step that an engine takes."""
+    """Return settings with the drive interval for their step; unchanged without a step that an engine takes."""
     step = settings.get("timestep_s")
     if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
         return dict(settings)
