@@ -1,9 +1,8 @@
 """Attack every parser with damaged files: each must end in an error for people, in little time and memory.
 
-File number n of a parser follows from the seed alone. Files are read in workers that this program forks: an error that
-is none of gauge-envs, the death of a worker, more than 10 s of processor time or 120 s, or a growth of memory above 1 GB
-is
-a failure, and its file is kept. A run goes on where the last one with the same folder ended. Examples:
+File number n of a parser follows from the seed alone. Files are read in workers that this program forks. An error that is
+none of gauge-envs, the death of a worker, more than 10 s of processor time or 120 s, and a growth of memory above 1 GB are
+failures, whose files are kept. A run goes on where the last one with the same folder ended. Examples:
 
     python studies/robustness/attack.py --state /tmp/attack --minutes 20
     python studies/robustness/attack.py --state /tmp/attack --count 100000 --only usda --seed 3
@@ -105,6 +104,7 @@ def work(name: str, parser: Parser, seed: int, last: int, shared: Any, kept: Pat
         except BaseException:
             (kept / f"{name}-{seed}-{number}.txt").write_text(traceback.format_exc(limit=-6), errors="replace")
         taken_s = time.perf_counter() - start
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
         if taken_s > shared[SLOWEST_S]:
             shared[SLOWEST_S], shared[SLOWEST] = taken_s, number
         file.unlink(missing_ok=True)

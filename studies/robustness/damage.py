@@ -67,7 +67,7 @@ VALUES: tuple[Any, ...] = (
 DEEP = "a value that is nested deeply"
 
 NUMBER = re.compile(rb"(?<![\w.])-?\d+\.?\d*(?:[eE][-+]?\d+)?")
-KEY = re.compile(rb'"?[A-Za-z_][\w.]*"?(?=\s*[=:])')
+KEY = re.compile(rb'"?(?<![\w.])[A-Za-z_][\w.]{0,64}"?(?=\s{0,8}[=:])')
 
 
 def in_bytes(content: bytes, chance: random.Random) -> bytes:
@@ -102,7 +102,7 @@ def in_text(content: bytes, chance: random.Random) -> bytes:
         if kind in (0, 1):
             content = _replaced(content, NUMBER, chance, lambda found: chance.choice(NUMBERS))
         elif kind == 2:
-            keys = KEY.findall(content[:10_000])
+            keys = KEY.findall(content[:10_000]) or [b"a"]
             content = _replaced(content, KEY, chance, lambda found, keys=keys: chance.choice(keys))
         elif kind == 3:
             depth = chance.choice((1, 2, 60, 70, 900, 3000))

@@ -438,9 +438,9 @@ all = "nominal: a seed"
             [(folder / "scene.usdc").read_bytes()],
             lambda file: from_usd(file, duration_s=1.0),
             damage.in_bytes,
-            0.01,
+            0.004,
         ),
-        "mjcf": Parser(".xml", [model], lambda file: load_experiment_from_asset(NAME, file), share=0.01),
+        "mjcf": Parser(".xml", [model], lambda file: load_experiment_from_asset(NAME, file), share=0.004),
     }
 
 
@@ -562,13 +562,13 @@ def _of_training(folder: Path) -> dict[str, Parser]:
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
         "g1": Parser(".yaml", large, configuration, share=0.02),
         "isaac_gym": Parser(".yaml", [GYM.encode()], configuration, share=0.3),
-        "mjlab": Parser(".yaml", [MJLAB.encode()], configuration, share=0.1),
+        "mjlab": Parser(".yaml", [MJLAB.encode()], configuration, share=0.05),
         "genesis": Parser(".json", [GENESIS.encode()], configuration, damage.in_json, 0.3),
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
-        "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.01),
+        "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
         "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
         "manifest": Parser(".json", [manifest], manifest_read, damage.in_json, 0.3),
-        "motion": Parser(".csv", [motion], motion_read, share=0.1),
+        "motion": Parser(".csv", [motion], motion_read, share=0.05),
         "baseline": Parser(
             ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
         ),
@@ -593,7 +593,7 @@ def _of_policies() -> dict[str, Parser]:
             lambda file: load_sb3(file, observation_size=size, action_size=1),
             damage.in_archive,
         ),
-        "onnx": Parser(".onnx", onnx_policies(size), lambda file: load_policy(str(file), env), damage.in_bytes, 0.01),
+        "onnx": Parser(".onnx", onnx_policies(size), lambda file: load_policy(str(file), env), damage.in_bytes, 0.004),
     }
 
 
