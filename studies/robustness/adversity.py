@@ -1,8 +1,8 @@
-"""Run commands on a full disk, in folders that cannot be written, at a wrong time, with an edited plan and under signals.
+"""Run commands on full disks, where nobody may write, at wrong times, with edited plans and under signals.
 
-No command may print a traceback, leave a half-written file or a process behind, or lose an episode. `--episodes` plays as
-many episodes of cheap ids in one process and prints how memory, file descriptors and temporary files grow. Linux, as
-root for the small disk. Example:
+No command may print a traceback, leave a half-written file or a process behind, or lose an episode. The last part plays
+`--episodes` episodes of cheap ids in one process and prints how memory, file descriptors and temporary files grow. It
+needs Linux, and root to mount a small disk. Example:
 
     python studies/robustness/adversity.py --episodes 2000
 """
@@ -29,7 +29,7 @@ import gauge_envs  # noqa: F401  (registers the ids)
 START = "from gauge_command import main; main()"
 LATE = f"import time; real = time.time; time.time = lambda: real() + 1e9; {START}"
 EARLY = f"import time; real = time.time; time.time = lambda: real() - 1e9; {START}"
-FAST = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "SlopeSlider-2-plastic", "BouncingBall-rubber", "Pendulum-metal")
+FAST = (*(f"SlopeSlider-{task}-{material}" for task in "12" for material in ("wood", "plastic")), "BouncingBall-rubber")
 SWEEP = ("sweep", "backends=mujoco", "variants=SlopeSlider-2-*", "--workers", "1")
 VECTOR = """
 import sys, gymnasium, gauge_envs
@@ -101,15 +101,15 @@ def disks(folder: Path) -> None:
 
 def clocks(folder: Path) -> None:
     """Go on with a sweep whose clock went 32 years back or forth: nothing runs twice."""
-    checked("sweep", gauge(*SWEEP, "repeats=1", "--out", folder), (0,), folder)
+    checked("sweep", gauge(*SWEEP, "repeats=2", "--out", folder), (0,), folder)
     before = {file.name: file.read_bytes() for file in folder.glob("*.json")}
     for what, start in (("late", LATE), ("early", EARLY)):
-        checked(f"sweep at a {what} time", gauge(*SWEEP, "repeats=2", "--out", folder, start=start), (0,), folder)
+        checked(f"sweep at a time too {what}", gauge(*SWEEP, "repeats=3", "--out", folder, start=start), (0,), folder)
         assert before.items() <= {file.name: file.read_bytes() for file in folder.glob("*.json")}.items()
     for file in folder.glob("*.json"):
         os.utime(file, (4e9, 4e9))
-    checked("sweep of files from the future", gauge(*SWEEP, "repeats=2", "--out", folder), (0,), folder)
-    assert len(list(folder.glob("*.json"))) == 6
+    checked("sweep of files from the future", gauge(*SWEEP, "repeats=3", "--out", folder), (0,), folder)
+    assert len(list(folder.glob("*.json"))) == 9
 
 
 def edited_plan(folder: Path) -> None:
@@ -134,7 +134,7 @@ def edited_plan(folder: Path) -> None:
 
 def signals() -> None:
     """Interrupt, end and kill vector environments: no process is left."""
-    for mode in ("sync", "async"):
+    for mode in ("sync", "async", "vector_entry_point"):
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             process = subprocess.Popen(
                 [sys.executable, "-c", VECTOR, mode], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
@@ -160,12 +160,12 @@ def _descendants(pid: int) -> list[int]:
 
 
 def episodes(count: int, seed: int) -> None:
-    """Play episodes of mixed ids with random actions, each in an environment of its own, and print what grows."""
+    """Play episodes of mixed ids and engines, each in an environment of its own, and print what grows."""
     chance = random.Random(seed)
     marks = {round(count * share) for share in (0.1, 0.25, 0.5, 0.75, 1.0)}
     start_s = time.process_time()
     for number in range(1, count + 1):
-        env = gymnasium.make(f"GAUGE/{chance.choice(FAST)}", backend="mujoco")
+        env = gymnasium.make(f"GAUGE/{chance.choice(FAST)}", backend=chance.choice(("mujoco", "rapier")))
         env.reset(seed=number)
         over = False
         while not over:
