@@ -159,8 +159,9 @@ def _descendants(pid: int) -> list[int]:
     return [*children, *(inner for child in children for inner in _descendants(child))]
 
 
-def episodes(count: int, seed: int) -> None:
+def episodes(count: int, seed: int, folder: Path) -> None:
     """Play episodes of mixed ids and engines, each in an environment of its own, and print what grows."""
+    os.environ["TMPDIR"] = tempfile.tempdir = str(folder)
     chance = random.Random(seed)
     marks = {round(count * share) for share in (0.1, 0.25, 0.5, 0.75, 1.0)}
     start_s = time.process_time()
@@ -175,7 +176,7 @@ def episodes(count: int, seed: int) -> None:
         if number in marks:
             status = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
             files = len(list(Path("/proc/self/fd").iterdir()))
-            temporary = len(list(Path(tempfile.gettempdir()).iterdir()))
+            temporary = len(list(folder.iterdir()))
             memory = int(status["VmRSS"].split()[0]) / 1e3
             used_s = time.process_time() - start_s
             print(
@@ -192,11 +193,11 @@ def main() -> None:
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         parts = {
-            "disks": lambda folder: disks(folder),
-            "clocks": lambda folder: clocks(folder),
-            "plan": lambda folder: edited_plan(folder),
+            "disks": disks,
+            "clocks": clocks,
+            "plan": edited_plan,
             "signals": lambda _: signals(),
-            "episodes": lambda _: episodes(given.episodes, given.seed),
+            "episodes": lambda folder: episodes(given.episodes, given.seed, folder),
         }
         for part in given.parts:
             folder = Path(place) / part

@@ -102,7 +102,7 @@ def work(name: str, parser: Parser, seed: int, last: int, shared: Any, kept: Pat
         except EXPECTED:
             shared[REFUSED] += 1
         except BaseException:
-            (kept / f"{name}-{seed}-{number}.txt").write_text(traceback.format_exc(limit=-6), errors="replace")
+            (kept / f"{name}-{seed}-{number}.reason").write_text(traceback.format_exc(limit=-6), errors="replace")
         taken_s = time.perf_counter() - start
         signal.setitimer(signal.ITIMER_PROF, 0.0)
         if taken_s > shared[SLOWEST_S]:
@@ -146,10 +146,10 @@ def attack(name: str, parser: Parser, seed: int, last: int, one: Standing, state
     if status:
         code = os.waitstatus_to_exitcode(status)
         reason = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        (kept / f"{name}-{seed}-{end}.txt").write_text(f"the worker ended: {reason}\n")
+        (kept / f"{name}-{seed}-{end}.reason").write_text(f"the worker ended: {reason}\n")
         end += 1
     for number in range(one.tried, end):
-        reason_file = kept / f"{name}-{seed}-{number}.txt"
+        reason_file = kept / f"{name}-{seed}-{number}.reason"
         if reason_file.exists():
             one.failures[str(number)] = reason_file.read_text().strip().rpartition("\n")[2][:200]
             (kept / f"{name}-{seed}-{number}{parser.suffix}").write_bytes(damaged(name, parser, seed, number))

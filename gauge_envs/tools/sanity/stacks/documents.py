@@ -248,12 +248,15 @@ class Table:
                 value = float(value)
             except ValueError:
                 raise self._wrong(key, value, "a number") from None
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(key, value, "a number")
         try:
-            return float(value)
+            number = float(value)
         except OverflowError:
             raise self._wrong(key, "a number of many digits", "a number") from None
+        if math.isnan(number):
+            raise self._wrong(key, value, "a number")
+        return number
 
     def _resolved(self, value: Any, name: str) -> Any:
         """Return the value that a reference stands for; other values unchanged."""
