@@ -134,6 +134,8 @@ def edited_plan(folder: Path) -> None:
 
 def signals() -> None:
     """Interrupt, end and kill vector environments: no process is left."""
+    # A shell ignores Ctrl-C for what it starts in the background, and so would the children.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     for mode in ("sync", "async", "vector_entry_point"):
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             process = subprocess.Popen(

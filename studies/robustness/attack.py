@@ -152,6 +152,7 @@ def attack(name: str, parser: Parser, seed: int, last: int, one: Standing, state
         reason_file = kept / f"{name}-{seed}-{number}.reason"
         if reason_file.exists():
             one.failures[str(number)] = reason_file.read_text().strip().rpartition("\n")[2][:200]
+            reason_file.rename(reason_file.with_suffix(".txt"))
             (kept / f"{name}-{seed}-{number}{parser.suffix}").write_bytes(damaged(name, parser, seed, number))
     one.tried = end
     one.refused += int(shared[REFUSED])
@@ -187,9 +188,17 @@ def main() -> None:
 def run(
     known: Mapping[str, Parser], standings: Mapping[str, Standing], given: argparse.Namespace, folder: Path, save: Any
 ) -> None:
-    """Read chunks of the parser that is farthest behind, until all are done or the time is over."""
+    """Read failures again, then chunks of the parser that is farthest behind, as long as there are files and time."""
     shares = {name: one.share for name, one in known.items() if one.seeds}
     goals = {name: max(1, round(given.count * share / sum(shares.values()))) for name, share in shares.items()}
+    for name, one in standings.items():
+        for number in [int(key) for key in one.failures]:
+            again = Standing(tried=number)
+            attack(name, known[name], given.seed, number + 1, again, given.state, folder)
+            if not again.failures:
+                del one.failures[str(number)]
+                one.refused += again.refused
+        save()
     start_s = sum(one.cpu_s for one in standings.values())
     while sum(one.cpu_s for one in standings.values()) - start_s < 60.0 * given.minutes:
         name = min(goals, key=lambda name: standings[name].tried / goals[name])

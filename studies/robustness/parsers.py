@@ -344,7 +344,7 @@ def parsers(folder: Path) -> Mapping[str, Parser]:
         **_of_training(folder),
         **_of_policies(),
         **_of_videos(folder),
-        "numbers": Parser(".txt", [text.encode() for text in NUMBER_TEXTS], read_numbers),
+        "numbers": Parser(".words", [text.encode() for text in NUMBER_TEXTS], read_numbers),
     }
 
 
