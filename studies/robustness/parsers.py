@@ -32,7 +32,7 @@ from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_files import load_task
 from gauge_envs.experiments.user_file import load_experiment_file
-from gauge_envs.experiments.variants import task_path
+from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.files import data_folder
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.references.bands import BandSidecar, read_band
@@ -42,7 +42,7 @@ from gauge_envs.references.user_data import user_data_folder
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.replay import load_or_replay, replay_path
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.runs.result_file import load_result, write_result
+from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.tools.compare import compare, comparison_document
@@ -54,7 +54,9 @@ from gauge_envs.tools.dataset.layout import find_trials
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
 from gauge_envs.tools.dataset.trial import TrialError, parse_trial
 from gauge_envs.tools.film.rerun_file import write_rerun
+from gauge_envs.tools.leaderboard import check_leaderboard
 from gauge_envs.tools.leaderboard.submission import Fault, read_statement
+from gauge_envs.tools.leaderboard.words import leaderboard_document
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings
 from gauge_envs.tools.recipes.command import NUMBERS
 from gauge_envs.tools.recipes.explain import parsed_contact
@@ -481,6 +483,22 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     def rerun_read(file: Path) -> None:
         write_rerun(load_result(file), folder / "a.rrd")
 
+    board = folder / "board"
+    place = board / "mujoco" / result.versions["mujoco"] / "default"
+    (place / "results").mkdir(parents=True)
+    left_out = "".join(f'"{one.name}" = "not run"\n' for one in variants() if one.id != result.id)
+    stated = STATEMENT.replace("rapier3d", "mujoco").replace("rapier", "mujoco").partition("settings =")[0]
+    stated = stated.replace("0.36.1", result.versions["mujoco"])
+    (place / "submission.toml").write_text(f"{stated}[left_out]\n{left_out}")
+
+    def submission_read(file: Path) -> None:
+        """Read a damaged result of a submission: the check lists what is wrong."""
+        (place / "results" / result_file_name(result)).write_bytes(file.read_bytes())
+        found = check_leaderboard(board)
+        as_markdown(leaderboard_document(found))
+        if found.all_faults:
+            raise RefusedError(str(found.all_faults[0]))
+
     def statement_read(file: Path) -> None:
         found = read_statement(file, file.name)
         if isinstance(found, Fault):
@@ -498,6 +516,7 @@ def _of_results(folder: Path) -> dict[str, Parser]:
         ),
         "rerun": Parser(".json", results if find_spec("rerun") else [], rerun_read, documents, 0.02),
         "replay": Parser(".npz", [replayed], replay_read, damage.in_archive, 0.02),
+        "submission": Parser(".json", results, submission_read, documents, 0.01),
         "statement": Parser(".toml", [STATEMENT.encode()], statement_read),
         "sweep": Parser(".toml", [SWEEP.encode()], sweep_read),
         "store": Parser(".sqlite", [swept.store_path.read_bytes()], store_read, damage.in_bytes, 0.05),
