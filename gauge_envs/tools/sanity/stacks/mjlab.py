@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -225,14 +226,21 @@ def _apply_collisions(spec: mujoco.MjSpec, policy: Table) -> None:
             continue
         for name in (*GEOM_NUMBERS, *GEOM_CONSTANTS):
             value = _for_geom(policy.value(name), geom.name)
-            try:
+            with _taken(f"{policy.source}: {name}", value):
                 if name in GEOM_NUMBERS and isinstance(value, int | float):
                     setattr(geom, name, value)
                 elif name in GEOM_CONSTANTS and isinstance(value, list | tuple):
                     constants = getattr(geom, name)
                     constants[: len(value)] = value[: len(constants)]
-            except (TypeError, ValueError):
-                raise TargetError(f"{policy.source}: {name} is {value!r}, which MuJoCo does not take") from None
+
+
+@contextmanager
+def _taken(place: str, value: Any) -> Iterator[None]:
+    """Raise an error for people where MuJoCo does not take a value."""
+    try:
+        yield
+    except (TypeError, ValueError):
+        raise TargetError(f"{place} is {value!r}, which MuJoCo does not take") from None
 
 
 def _for_geom(value: Any, geom: str) -> Any:
@@ -255,7 +263,8 @@ def _set_options(model: mujoco.MjModel, table: Table) -> None:
     for one in MJLAB.settings:
         value = one.kind.read(table, one.key) if one.place == "MujocoCfg" and one.key not in FLAGS else None
         if value is not None:
-            setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
+            with _taken(f"{table.source}: {table.name(one.key)}", value):
+                setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
     gravity = table.numbers("gravity", 3)
     if gravity is not None:
         options.gravity[:] = gravity
