@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, check_air_step
+from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, FoldWatch, check_air_step
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
@@ -39,14 +39,11 @@ class SimulationMuJoCo(Simulation):
     Args:
         scene: The scene.
         settings: Numerical settings in force, including `timestep_s`.
-        spec: The editable model.
+        spec: The editable model, for export and inspection.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
 
     Attributes:
-        settings: Numerical settings in force.
-        spec: The editable model, for export and inspection.
-        model: The compiled model.
         data: MuJoCo's state of the model.
         grips: Nodes of soft bodies that move with driven bodies.
     """
@@ -74,6 +71,10 @@ class SimulationMuJoCo(Simulation):
             cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
+        self._folds: FoldWatch | None = None
+        if len(scene.contacts) == 1 and len(names := {*scene.contacts[0].first, *scene.contacts[0].second}) == 1:
+            cloth = self._parts.get(*names)
+            self._folds = FoldWatch(cloth, model, self.data) if isinstance(cloth, ClothPartMuJoCo) else None
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
@@ -121,6 +122,17 @@ class SimulationMuJoCo(Simulation):
         self._step(round(seconds / self._timestep_s))
 
     def _step(self, count: int) -> None:
+        if self._folds is None or not self._folds.stays_apart(count * self._timestep_s):
+            self._steps(count)
+            return
+        flags = self.model.opt.disableflags
+        self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
+        try:
+            self._steps(count)
+        finally:
+            self.model.opt.disableflags = flags
+
+    def _steps(self, count: int) -> None:
         if not self._air:
             has_clock = mujoco.get_mjcb_time() is not None  # of the user, or of another thread that is in this method
             if not has_clock:
