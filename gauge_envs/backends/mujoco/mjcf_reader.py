@@ -188,7 +188,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     _check_bodies(path, model, scene)
     _check_nodes(path, model, built, scene)
     bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
-    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges).items()}
+    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()}
     placed = replace(
         scene,
         bodies=bodies,

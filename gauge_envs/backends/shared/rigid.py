@@ -72,7 +72,7 @@ def world_hinges(scene: Scene) -> dict[str, Hinge]:
 
 def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
     """Return the hinge of each body that hangs on the world or on another body, by its name."""
-    return world_hinges(scene) | parent_hinges(scene.body_hinges)
+    return world_hinges(scene) | parent_hinges(scene.body_hinges, scene.hung)
 
 
 def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:

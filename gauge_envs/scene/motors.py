@@ -1,0 +1,70 @@
+"""Motors of joints: a torque over time, or a position servo that follows a command."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from gauge_envs.scene.drivers import Profile
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+if TYPE_CHECKING:
+    from gauge_envs.scene.scene import Scene
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueMotor:
+    """Motor that exerts a torque on a joint, whatever the joint does.
+
+    Attributes:
+        kind: Name of the motor in files.
+        command: Torque over time [N m].
+        delay_s: Time from a command to its torque [s].
+    """
+
+    kind: Literal["torque"] = field(default="torque", repr=False)
+    command: Profile
+    delay_s: NonNegative = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servo:
+    """Position servo: its torque is kp (command - angle) - kv rate, and at most its limit.
+
+    Attributes:
+        kind: Name of the motor in files.
+        command: Angle of the joint over time, from its angle at the start [rad].
+        kp_n_m_per_rad: Torque per error of the angle [N m/rad].
+        kv_n_m_s_per_rad: Torque per rate of the joint [N m s/rad].
+        torque_limit_n_m: Largest torque [N m]; None is no limit.
+        delay_s: Time from a command to the servo's response [s].
+    """
+
+    kind: Literal["servo"] = field(default="servo", repr=False)
+    command: Profile
+    kp_n_m_per_rad: Positive
+    kv_n_m_s_per_rad: NonNegative = 0.0
+    torque_limit_n_m: Positive | None = None
+    delay_s: NonNegative = 0.0
+
+
+Motor = TorqueMotor | Servo
+
+
+def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S) -> FloatArray:
+    """Return the commands of a scene's motors [rad or N m], those in the middle of each interval.
+
+    Args:
+        scene: The scene.
+        count: Number of intervals from the start.
+        interval_s: Length of an interval [s].
+
+    Returns:
+        Shape [count, motor_count], in the order of `Scene.motors`.
+    """
+    times_s = (np.arange(count) + 0.5) * interval_s
+    columns = [[motor.command.value(time - motor.delay_s) for time in times_s.tolist()] for _, motor in scene.motors]
+    return np.array(columns).reshape(len(columns), count).T.copy()
