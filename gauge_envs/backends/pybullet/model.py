@@ -14,7 +14,7 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushin
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
-from gauge_envs.backends.shared.rigid import centre_velocity
+from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
 from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 
@@ -63,12 +63,13 @@ class WorldPyBullet(BulletWorld):
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
-        joints = {joint.body: joint for joint in self.scene.joints}
+        hinges, joints = world_hinges(self.scene), {joint.body: joint for joint in self.scene.joints}
         for tree in hinge_trees(self.scene.body_hinges):
             below = parent_hinges(tree, self.scene.hung)
             name, hinge = next(iter(below.items()))
             root = other_end(hinge, name)
-            self._joined(({root: joints[root]} if root in self.scene.hung else {}) | below)
+            hung = {root: hinges[root]} if root in hinges else {}
+            self._joined({**hung, **below})
         for body in self.scene.bodies:
             joint = joints.get(body.name)
             if body.name in self.handles:

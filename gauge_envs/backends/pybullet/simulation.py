@@ -156,9 +156,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
             torque = value
             if isinstance(motor, Servo):
                 angle, rate = self.world.call("getJointState", number, link)[:2]
-                torque = motor.kp_n_m_per_rad * (value - sign * angle) - motor.kv_n_m_s_per_rad * sign * rate
-                limit = motor.torque_limit_n_m
-                torque = torque if limit is None else min(max(torque, -limit), limit)
+                torque = motor.torque_n_m(value, sign * angle, sign * rate)
             torque *= sign * self._scale**2
             self.world.call("setJointMotorControl2", number, link, pybullet.TORQUE_CONTROL, force=torque)
 
