@@ -42,7 +42,9 @@ def recipe_joint(
     names, details = arguments.split_details(words, **numbers, scene=str, fit=str, test=str)
     if not names:
         raise ParameterError("no log: name one or more CSV or NPZ files")
-    logs, tests = ([read_log(Path(name)) for name in some if name] for some in (names, details.pop("test", "").split(",")))
+    logs, tests = (
+        [read_log(Path(name)) for name in some if name] for some in (names, details.pop("test", "").split(","))
+    )
     wanted = details.pop("fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)).split(",")
     part_s = details.pop("part_s", None)
     with Progress("simulations", None) as bar:

@@ -137,7 +137,11 @@ def _profile(log: Log, joint: int, values: FloatArray, zero: float) -> SampledPr
 
 
 def simulated(
-    engine: Backend, scene: Scene, log: Log, terms: Sequence[Terms], start: tuple[FloatArray, FloatArray],
+    engine: Backend,
+    scene: Scene,
+    log: Log,
+    terms: Sequence[Terms],
+    start: tuple[FloatArray, FloatArray],
     settings: Mapping[str, object] | None = None,
 ) -> FloatArray:
     """Return the angles of a scene's hinges on an engine at the times of a log [rad], shape [N, J].
@@ -169,7 +173,9 @@ def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
     still = Rotation.identity(len(rollout.times_s))
     if isinstance(hinge, Hinge):
         joined = BodyHinge(first="", second=name, anchor_m=hinge.anchor_m, axis=hinge.axis)
-        return np.unwrap(hinge_angle_rad(hinge_frames(joined, world, scene.body(name).pose), still, rollout.rotation(name)))
+        return np.unwrap(
+            hinge_angle_rad(hinge_frames(joined, world, scene.body(name).pose), still, rollout.rotation(name))
+        )
     frames = hinge_frames(hinge, scene.body(hinge.first).pose, scene.body(name).pose)
     return np.unwrap(hinge_angle_rad(frames, rollout.rotation(hinge.first), rollout.rotation(name)))
 

@@ -76,7 +76,12 @@ def identified_document(found: Identified) -> Document:
         for joint, error in enumerate(values)
     ]
     errors = Table(
-        columns=(Column("log", "log"), Column("used", ""), Column("joint", "joint"), number("error", "rms error [mrad]")),
+        columns=(
+            Column("log", "log"),
+            Column("used", ""),
+            Column("joint", "joint"),
+            number("error", "rms error [mrad]"),
+        ),
         rows=rows,
     )
     return Document(parts=(numbers, errors), rows=[{"engine": found.engine, "settings": numbers.rows, "errors": rows}])
