@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
+from gauge_envs.experiments.tables import MotorSpec, hinge_constants, hinge_terms
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -80,6 +81,7 @@ class SceneBuilder:
         self.contacts = spec.contacts if subtask is None or subtask.contacts is None else subtask.contacts
         self.drivers = spec.drivers if subtask is None or subtask.drivers is None else subtask.drivers
         self.placements = self._placements()
+        self.motors = self._motors()
         self.constants = {
             name: spec.constants_of(name, spec.owner(name).material or variant.material, variant.subtask)
             for name in self.present
@@ -104,6 +106,14 @@ class SceneBuilder:
                 raise TaskFileError(self.path, "initial", f"no start of {name!r} for {self.variant.name}")
         return merged
 
+    def _motors(self) -> dict[str, MotorSpec | None]:
+        """Return the motor, or None, of the hinge whose constants a body states, by the name of the body."""
+        found: dict[str, MotorSpec | None] = {}
+        stated = [(joint.body, joint.motor) for joint in self.spec.joints if joint.kind == "hinge"]
+        for body, motor in (*stated, *((hinge.bodies[1], hinge.motor) for hinge in self.spec.body_hinges)):
+            found[self.spec_name(body)] = found.get(self.spec_name(body)) or motor
+        return found
+
     def _override(self, key: str, value: Any) -> None:
         name, _, constant = key.rpartition(".")
         if name == AIR:
@@ -117,15 +127,16 @@ class SceneBuilder:
             raise ParameterError(
                 f"{self.variant.name}: override {key!r} names no body of the scene ({AIR!r} for cloth); {hint}"
             )
+        known = [*self.constants.get(name, {}), *(hinge_constants(self.motors[name]) if name in self.motors else ())]
         try:
             if constant in Placement.model_fields:
                 placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}
                 self.placements[name] = Placement.model_validate(placed)
-            elif constant in self.constants.get(name, {}):
-                self.constants[name] = self.constants[name] | {constant: value}
+            elif constant in known:
+                self.constants[name] = self.constants.get(name, {}) | {constant: value}
                 self.spec.constants_model(name).model_validate(self.constants[name])
             else:
-                hint = nearest(constant, [*self.constants.get(name, {}), *Placement.model_fields])
+                hint = nearest(constant, [*known, *Placement.model_fields])
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
@@ -173,7 +184,13 @@ class SceneBuilder:
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
             body_hinges=tuple(
-                BodyHinge(first=one.bodies[0], second=one.bodies[1], anchor_m=one.anchor_m, axis=one.axis)
+                BodyHinge(
+                    first=one.bodies[0],
+                    second=one.bodies[1],
+                    anchor_m=one.anchor_m,
+                    axis=one.axis,
+                    **self._terms(one.bodies[1], one.motor),
+                )
                 for one in self.spec.body_hinges
                 if all(self._is_present(name) for name in one.bodies)
             ),
@@ -218,9 +235,9 @@ class SceneBuilder:
         if placement.angular_velocity_deg_per_s is None:
             return linear or rest, rest
         angular = np.radians(placement.angular_velocity_deg_per_s)
-        is_hinged = any(joint.body == name and joint.kind == "hinge" for joint in self.spec.joints)
-        if linear is None and is_hinged and placement.hangs_from_m is not None:
-            linear = vector(np.cross(angular, np.subtract(pose.position_m, placement.hangs_from_m)))
+        hinge = next((joint for joint in self.spec.joints if joint.body == name and joint.kind == "hinge"), None)
+        if linear is None and hinge is not None:
+            linear = vector(np.cross(angular, np.subtract(pose.position_m, self._joint(hinge).anchor_m)))
         return linear or rest, vector(angular)
 
     def _deformable(self, name: str) -> Deformable:
@@ -238,11 +255,22 @@ class SceneBuilder:
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
-        if placement.hangs_from_m is None or placement.length_m is None:
-            raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} lacks hangs_from_m")
+        anchor_m = placement.hangs_from_m or joint.anchor_m
+        if anchor_m is None or (placement.hangs_from_m and joint.anchor_m):
+            needed = "hangs_from_m, or its hinge an anchor_m, and not both"
+            raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} needs {needed}")
         if joint.axis is not None:
-            return Hinge(body=joint.body, anchor_m=placement.hangs_from_m, axis=joint.axis)
-        return Tether(body=joint.body, anchor_m=placement.hangs_from_m, length_m=placement.length_m)
+            terms = self._terms(joint.body, joint.motor)
+            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, **terms)
+        assert placement.length_m is not None
+        return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
+
+    def _terms(self, body: str, motor: MotorSpec | None) -> dict[str, Any]:
+        """Return `dynamics` and `motor` of the hinge whose constants a body states."""
+        try:
+            return hinge_terms(self.constants.get(self.spec_name(body), {}), motor)
+        except ValueError as error:
+            raise TaskFileError(self.path, f"constants.{body}", str(error)) from None
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
         for contact in self.contacts:

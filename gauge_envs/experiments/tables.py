@@ -1,20 +1,22 @@
-"""Tables that task files and experiment files share: shapes and drivers.
+"""Tables that task files and experiment files share: shapes, drivers and terms of joints.
 
-A shape is read as the scene's own class. A profile has a class here, as files state angles in degrees.
+A shape is read as the scene's own class. A profile of a driver has a class here, as files state angles in degrees.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
 
 from gauge_envs.references.tables import FileModel, UnitVector
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, JointDynamics, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, Profile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.motors import Servo, TorqueMotor
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -207,3 +209,49 @@ class DriverSpec(FileModel):
     def build(self, body: str, start: Pose, provenance: str) -> Driver:
         """Return the driver of a body that starts at a pose."""
         return Driver(body=body, motions=tuple(one.build(start) for one in self.motions), provenance=provenance)
+
+
+class JointConstants(FileModel):
+    """Constants of a hinge and its motor, as in `scene.JointDynamics`, `scene.motors.Servo` and `TorqueMotor`."""
+
+    dry_friction_n_m: NonNegative | None = None
+    viscous_friction_n_m_s_per_rad: NonNegative | None = None
+    armature_kg_m2: NonNegative | None = None
+    kp_n_m_per_rad: Positive | None = None
+    kv_n_m_s_per_rad: NonNegative | None = None
+    torque_limit_n_m: Positive | None = None
+    delay_s: NonNegative | None = None
+
+
+class MotorSpec(FileModel):
+    """Motor of a hinge, which states its gains, limit and delay beside it.
+
+    Attributes:
+        kind: Position servo or torque motor.
+        command: Angle from the start [rad] or torque [N m] over time; without it 0.
+    """
+
+    kind: Literal["servo", "torque"]
+    command: Profile = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
+
+
+def hinge_constants(motor: MotorSpec | None) -> list[str]:
+    """Return the names of the constants that a hinge with a motor, or without one, may have."""
+    own = {} if motor is None else (Servo if motor.kind == "servo" else TorqueMotor).__dataclass_fields__
+    return [name for name in (*JointDynamics.__dataclass_fields__, *own) if name in JointConstants.model_fields]
+
+
+def hinge_terms(constants: Mapping[str, float | None], motor: MotorSpec | None) -> dict[str, Any]:
+    """Return the fields `dynamics` and `motor` of a hinge, from its constants and others, which do not count."""
+    stated: dict[str, Any] = {
+        name: value for name in JointConstants.model_fields if (value := constants.get(name)) is not None
+    }
+    unknown = [name for name in stated if name not in hinge_constants(motor)]
+    if unknown:
+        raise ValueError(f"{unknown[0]}: the hinge has no motor with that constant; state its motor, or remove it")
+    terms = {"dynamics": JointDynamics(**{name: stated.pop(name) for name in hinge_constants(None) if name in stated})}
+    if motor is None:
+        return terms
+    if motor.kind == "servo" and "kp_n_m_per_rad" not in stated:
+        raise ValueError("a servo needs the constant kp_n_m_per_rad")
+    return terms | {"motor": (Servo if motor.kind == "servo" else TorqueMotor)(command=motor.command, **stated)}
