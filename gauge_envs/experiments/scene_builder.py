@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.tables import MotorSpec, hinge_constants, hinge_terms
+from gauge_envs.experiments.tables import MotorSpec, hinge_terms
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -81,7 +81,6 @@ class SceneBuilder:
         self.contacts = spec.contacts if subtask is None or subtask.contacts is None else subtask.contacts
         self.drivers = spec.drivers if subtask is None or subtask.drivers is None else subtask.drivers
         self.placements = self._placements()
-        self.motors = self._motors()
         self.constants = {
             name: spec.constants_of(name, spec.owner(name).material or variant.material, variant.subtask)
             for name in self.present
@@ -106,14 +105,6 @@ class SceneBuilder:
                 raise TaskFileError(self.path, "initial", f"no start of {name!r} for {self.variant.name}")
         return merged
 
-    def _motors(self) -> dict[str, MotorSpec | None]:
-        """Return the motor, or None, of the hinge whose constants a body states, by the name of the body."""
-        found: dict[str, MotorSpec | None] = {}
-        stated = [(joint.body, joint.motor) for joint in self.spec.joints if joint.kind == "hinge"]
-        for body, motor in (*stated, *((hinge.bodies[1], hinge.motor) for hinge in self.spec.body_hinges)):
-            found[self.spec_name(body)] = found.get(self.spec_name(body)) or motor
-        return found
-
     def _override(self, key: str, value: Any) -> None:
         name, _, constant = key.rpartition(".")
         if name == AIR:
@@ -127,16 +118,15 @@ class SceneBuilder:
             raise ParameterError(
                 f"{self.variant.name}: override {key!r} names no body of the scene ({AIR!r} for cloth); {hint}"
             )
-        known = [*self.constants.get(name, {}), *(hinge_constants(self.motors[name]) if name in self.motors else ())]
         try:
             if constant in Placement.model_fields:
                 placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}
                 self.placements[name] = Placement.model_validate(placed)
-            elif constant in known:
-                self.constants[name] = self.constants.get(name, {}) | {constant: value}
+            elif constant in self.constants.get(name, {}):
+                self.constants[name] = self.constants[name] | {constant: value}
                 self.spec.constants_model(name).model_validate(self.constants[name])
             else:
-                hint = nearest(constant, [*known, *Placement.model_fields])
+                hint = nearest(constant, [*self.constants.get(name, {}), *Placement.model_fields])
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error

@@ -211,6 +211,9 @@ class DriverSpec(FileModel):
         return Driver(body=body, motions=tuple(one.build(start) for one in self.motions), provenance=provenance)
 
 
+JOINT_DYNAMICS = JointDynamics.__dataclass_fields__.keys()
+
+
 class JointConstants(FileModel):
     """Constants of a hinge and its motor, as in `scene.JointDynamics`, `scene.motors.Servo` and `TorqueMotor`."""
 
@@ -235,23 +238,20 @@ class MotorSpec(FileModel):
     command: Profile = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
 
 
-def hinge_constants(motor: MotorSpec | None) -> list[str]:
-    """Return the names of the constants that a hinge with a motor, or without one, may have."""
-    own = {} if motor is None else (Servo if motor.kind == "servo" else TorqueMotor).__dataclass_fields__
-    return [name for name in (*JointDynamics.__dataclass_fields__, *own) if name in JointConstants.model_fields]
-
-
 def hinge_terms(constants: Mapping[str, float | None], motor: MotorSpec | None) -> dict[str, Any]:
     """Return the fields `dynamics` and `motor` of a hinge, from its constants and others, which do not count."""
     stated: dict[str, Any] = {
         name: value for name in JointConstants.model_fields if (value := constants.get(name)) is not None
     }
-    unknown = [name for name in stated if name not in hinge_constants(motor)]
-    if unknown:
-        raise ValueError(f"{unknown[0]}: the hinge has no motor with that constant; state its motor, or remove it")
-    terms = {"dynamics": JointDynamics(**{name: stated.pop(name) for name in hinge_constants(None) if name in stated})}
-    if motor is None:
-        return terms
-    if motor.kind == "servo" and "kp_n_m_per_rad" not in stated:
-        raise ValueError("a servo needs the constant kp_n_m_per_rad")
-    return terms | {"motor": (Servo if motor.kind == "servo" else TorqueMotor)(command=motor.command, **stated)}
+    terms: dict[str, Any] = {
+        "dynamics": JointDynamics(**{name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()})
+    }
+    if motor is not None:
+        kind = Servo if motor.kind == "servo" else TorqueMotor
+        if kind is Servo and "kp_n_m_per_rad" not in stated:
+            raise ValueError("a servo needs the constant kp_n_m_per_rad")
+        own = {name: stated.pop(name) for name in kind.__dataclass_fields__.keys() & stated.keys()}
+        terms["motor"] = kind(command=motor.command, **own)
+    if stated:
+        raise ValueError(f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it")
+    return terms

@@ -120,11 +120,9 @@ def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
     assert scene.hinges[1].motor == expected
 
 
-def test_overrides_state_terms_that_the_file_does_not(tmp_path: Path) -> None:
-    upper, lower = built(tmp_path, upper__viscous_friction_n_m_s_per_rad=0.5, lower__delay_s=0.0).hinges
-    assert upper.dynamics == JointDynamics(
-        dry_friction_n_m=0.01, viscous_friction_n_m_s_per_rad=0.5, armature_kg_m2=0.002
-    )
+def test_overrides_state_terms(tmp_path: Path) -> None:
+    upper, lower = built(tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0).hinges
+    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.5, armature_kg_m2=0.002)
     assert lower.motor is not None
     assert lower.motor.delay_s == 0.0
     with pytest.raises(ParameterError, match=r"dry_friction_n_m'.*greater than or equal to 0"):

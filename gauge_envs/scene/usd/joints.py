@@ -26,6 +26,7 @@ from gauge_envs.scene.usd.layer import (
     samples_digest,
     wxyz,
 )
+from gauge_envs.scene.usd.motors import read_terms
 from gauge_envs.scene.usd.source import Source, StoredValue
 
 GAP_M = 1e-4
@@ -140,7 +141,8 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
             "the start: they must meet",
         )
     first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
-    return BodyHinge(first=first, second=second, anchor_m=vector(anchor), axis=vector(_normalized(axis)))
+    place, terms = vector(anchor), read_terms(source, prim)
+    return BodyHinge(first=first, second=second, anchor_m=place, axis=vector(_normalized(axis)), **terms)
 
 
 def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
@@ -207,8 +209,9 @@ def _is_edited(attribute: Usd.Attribute) -> bool:
 
 
 def _check_plain(source: Source, prim: Usd.Prim) -> None:
-    """Check that a joint has no limit, drive or breaking strength."""
+    """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
     applied = [name for name in prim.GetAppliedSchemas() if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))]
+    applied = [name for name in applied if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)]
     if applied:
         raise source.fault(prim, f"unsupported joint: it has {applied[0]}, and joints of a scene move freely")
     for name in ("physics:lowerLimit", "physics:upperLimit", "physics:breakForce", "physics:breakTorque"):
@@ -253,7 +256,8 @@ def _hinge(
                 prim,
                 f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
             )
-    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis))
+    terms = read_terms(source, prim, 1.0 if _ends(source, prim)[1].body else -1.0)
+    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------

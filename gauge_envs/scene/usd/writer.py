@@ -61,6 +61,7 @@ from gauge_envs.scene.usd.layer import (
     samples_digest,
     wxyz,
 )
+from gauge_envs.scene.usd.motors import write_terms
 from gauge_envs.scene.usd.velocities import write_velocities
 
 SUFFIXES = (".usda", ".usdc", ".usd")
@@ -446,6 +447,7 @@ class _Writer:
             local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
             record_written(local, local.Get())
             _custom(joint, "axis", stated.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
+            write_terms(joint.GetPrim(), stated)
         else:
             joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
             longest = joint.CreateMaxDistanceAttr(stated.length_m)
@@ -474,6 +476,7 @@ class _Writer:
                 record_written(one, one.Get())
         _custom(joint, "anchor_m", hinge.anchor_m, "double3")
         _custom(joint, "axis", hinge.axis, "double3")
+        write_terms(joint.GetPrim(), hinge)
 
     # --- attachments and markers ---
 
