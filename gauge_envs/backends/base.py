@@ -463,6 +463,19 @@ class Feature(StrEnum):
     """`TorqueMotor` on a joint."""
 
 
+JOINT_FEATURES = frozenset(
+    {
+        Feature.CHAINS,
+        Feature.DRY_FRICTION,
+        Feature.VISCOUS_FRICTION,
+        Feature.ARMATURE,
+        Feature.SERVO,
+        Feature.TORQUE_MOTOR,
+    }
+)
+"""Features of joints."""
+
+
 class Backend(ABC):
     """A physics engine.
 
