@@ -271,10 +271,11 @@ def _add_body(
             damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
             armature=hinge.dynamics.armature_kg_m2,
         )
-        # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second. With its own
-        # time constant of 20 ms a joint that stops is 0.2 degrees off after three swings.
-        joint.solimp_friction = STIFF_IMPEDANCE
-        joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+        if hinge.dynamics.dry_friction_n_m:
+            # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second, and
+            # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
+            joint.solimp_friction = STIFF_IMPEDANCE
+            joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
     else:
         frame.add_freejoint(name=body.name)
     if body.motion is Motion.KINEMATIC:
