@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.tables import MotorSpec, hinge_terms
+from gauge_envs.experiments.tables import JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -154,7 +154,19 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
             raise TaskFileError(self.path, "(file)", str(error)) from None
 
+    def _check_hinges(self) -> None:
+        """Check that each body with constants of a joint has one hinge that they belong to."""
+        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [h.bodies[1] for h in self.spec.body_hinges]
+        owners = {self.spec_name(name) for name in hinged}
+        for name, constants in self.constants.items():
+            stated = constants.keys() & JointConstants.model_fields.keys()
+            if stated and (name not in owners or hinged.count(name) > 1):
+                reason = f"{min(stated)} is a constant of one hinge, and {name!r} has {hinged.count(name)}"
+                which = "a hinge to the world is of its body, one between bodies of its second body"
+                raise TaskFileError(self.path, f"constants.{name}", f"{reason}: {which}")
+
     def _scene(self) -> Scene:
+        self._check_hinges()
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
         names = [*(body.name for body in bodies), *(n for n in self.present if n not in self.spec.bodies)]
         drivers = []
@@ -175,14 +187,11 @@ class SceneBuilder:
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
             body_hinges=tuple(
                 BodyHinge(
-                    first=one.bodies[0],
-                    second=one.bodies[1],
-                    anchor_m=one.anchor_m,
-                    axis=one.axis,
-                    **self._terms(one.bodies[1], one.motor),
+                    first=first, second=second, anchor_m=one.anchor_m, axis=one.axis, **self._terms(second, one.motor)
                 )
                 for one in self.spec.body_hinges
-                if all(self._is_present(name) for name in one.bodies)
+                for first, second in [one.bodies]
+                if self._is_present(first) and self._is_present(second)
             ),
             attachments=tuple(
                 one for one in self.spec.attachments if self._is_present(one.deformable) and self._is_present(one.to)

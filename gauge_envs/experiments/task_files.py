@@ -16,7 +16,7 @@ from pydantic import ValidationError
 
 from gauge_envs.errors import TaskFileError, UnknownNameError, first_fault
 from gauge_envs.experiments.scene_builder import SceneBuilder
-from gauge_envs.experiments.tables import PROVENANCES, JointConstants
+from gauge_envs.experiments.tables import PROVENANCES
 from gauge_envs.experiments.task_format import ClothConstants, SubtaskSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant, beyond_variants, task_path, unreadable_task_files, variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, read_regular, toml_document
@@ -43,7 +43,6 @@ def load_task(path: Path) -> TaskSpec:
         raise task_file_error(path, error) from error
     _check_names(path, spec)
     _check_constants(path, spec)
-    _check_hinges(path, spec)
     _check_provenance(path, spec, raw)
     _check_scenes(path, spec)
     return spec
@@ -153,19 +152,6 @@ def _check_constants(path: Path, spec: TaskSpec) -> None:
                 raise TaskFileError(path, f"constants.{name}.{material}", f"missing material {material!r}")
         for material in tables:
             _check_constants_of(path, spec, name, material)
-
-
-def _check_hinges(path: Path, spec: TaskSpec) -> None:
-    """Check that each body with constants of a joint has one hinge that they belong to."""
-    stated = [joint.body for joint in spec.joints if joint.kind == "hinge"]
-    stated += [hinge.bodies[1] for hinge in spec.body_hinges]
-    for name, materials in spec.constants.items():
-        own = {key for constants in materials.values() for key in constants} & JointConstants.model_fields.keys()
-        hinged = [one for one in stated if name in ((one,) if one in spec.bodies else one.rpartition("-"))]
-        if own and (not hinged or len(hinged) > len(set(hinged))):
-            reason = f"{min(own)} is a constant of one hinge, and {name!r} has {len(hinged)}"
-            which = "a hinge to the world is of its body, one between bodies of its second body"
-            raise TaskFileError(path, f"constants.{name}", f"{reason}: {which}")
 
 
 def _check_constants_of(path: Path, spec: TaskSpec, name: str, material: str) -> None:
