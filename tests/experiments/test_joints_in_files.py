@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import gymnasium
+import numpy as np
 import pytest
 
-from gauge_envs.errors import ParameterError, TaskFileError
+from gauge_envs import load_experiment_file
+from gauge_envs.errors import AssetError, ParameterError, TaskFileError
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.task_files import load_task
 from gauge_envs.experiments.variants import Variant
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
 from gauge_envs.scene import JointDynamics, Scene
 from gauge_envs.scene.drivers import CosineProfile, SampledProfile
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.usd.writer import to_usd
+from gauge_envs.tools.catalog.description import description
 
 ARM = """
 family = "Arm"
@@ -168,3 +176,87 @@ def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(tmp_
     )
     upper = SceneBuilder(path, load_task(path), Variant("Arm", None, "steel"), {}).build().body("upper")
     assert upper.linear_velocity_m_per_s == pytest.approx((-0.15 * 1.5707963267948966, 0.0, 0.0))
+
+
+# --- experiment files ------------------------------------------------------------------------------------------------
+
+SWING = """
+name = "swing"
+title = "Swing"
+usd = "arm.usda"
+frames = 10
+recorded = ["upper", "lower"]
+
+[score]
+observable = "position"
+
+[[joints]]
+body = "upper"
+dry_friction_n_m = 0.02
+
+[[joints]]
+body = "/World/lower"
+kp_n_m_per_rad = 5.0
+motor = { kind = "servo", command = { kind = "sampled", times_s = [0.0, 0.2], values = [0.0, 0.5] } }
+
+[provenance]
+joints = "nominal: a test"
+"""
+
+
+@pytest.fixture
+def swing(tmp_path: Path) -> Path:
+    """Experiment file whose layer has the arm of the task file."""
+    to_usd(built(tmp_path), tmp_path / "arm.usda")
+    (tmp_path / "swing.toml").write_text(SWING, encoding="utf-8")
+    return tmp_path / "swing.toml"
+
+
+def test_an_experiment_file_replaces_the_terms_of_its_layer(swing: Path) -> None:
+    upper, lower = load_experiment_file(swing).scene.hinges
+    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.02)
+    assert lower.dynamics == JointDynamics()
+    assert lower.motor == Servo(command=SampledProfile(times_s=(0.0, 0.2), values=(0.0, 0.5)), kp_n_m_per_rad=5.0)
+
+
+def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing: Path, tmp_path: Path) -> None:
+    result = run_episode(RunRequest(str(swing), backend="mujoco"))
+    moved = np.ptp(np.array(result.trajectory.samples), axis=0)
+    assert moved.max() > 10.0
+    write_result(result, tmp_path / "swing.json")
+    experiment = recorded_experiment(load_result(tmp_path / "swing.json"))
+    assert experiment.scene == load_experiment_file(swing).scene
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "error", "reason"),
+    [
+        ("dry_friction_n_m = 0.02", "dry_friction_n_m = -0.02", TaskFileError, r"joints.0.dry_friction_n_m: .*-0.02"),
+        ('body = "upper"', 'body = "uper"', AssetError, r"joints.0.body: 'uper' is no body of arm.usda"),
+        ("kp_n_m_per_rad = 5.0\n", "", TaskFileError, "joints.1: a servo needs the constant kp_n_m_per_rad"),
+        ("dry_friction_n_m = 0.02", "delay_s = 0.02", TaskFileError, "joints.0: delay_s: the hinge has no motor"),
+        ("[0.0, 0.2]", "[0.2, 0.2]", TaskFileError, "joints.1.motor.command.*times_s"),
+    ],
+)
+def test_wrong_terms_in_an_experiment_file(
+    old: str, new: str, error: type[Exception], reason: str, swing: Path
+) -> None:
+    assert old in SWING
+    swing.write_text(SWING.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(error, match=reason):
+        load_experiment_file(swing)
+
+
+def test_a_chain_is_shown(swing: Path) -> None:
+    values = description(load_experiment_file(swing))
+    world, between = values["joints"]
+    assert (world["kind"], between["kind"]) == ("hinge", "hinge of two bodies")
+    assert world["dynamics"]["dry_friction_n_m"] == 0.02
+    assert "motor" not in world
+    assert between["motor"]["kp_n_m_per_rad"] == 5.0
+    env = gymnasium.make("GAUGE/Asset", asset=swing, render_mode="rgb_array")
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(0)
+    assert np.ptp(np.asarray(env.render())) > 0
+    env.close()
