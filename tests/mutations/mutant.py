@@ -43,6 +43,10 @@ class Passed(Simulation):
         """Pass on."""
         self.inner.apply_wrench(body, wrench)
 
+    def command(self, values: Array) -> None:
+        """Pass on."""
+        self.inner.command(values)
+
     def advance(self, seconds: float) -> None:
         """Pass on."""
         self.inner.advance(seconds)
