@@ -7,12 +7,16 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
-from gauge_envs.scene.drivers import Profile
+from gauge_envs.scene.drivers import Profile, SampledProfile
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 if TYPE_CHECKING:
     from gauge_envs.scene.scene import Scene
+
+
+REST = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
+"""Command of a motor that exerts no torque, or of a servo that holds its start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +30,7 @@ class TorqueMotor:
     """
 
     kind: Literal["torque"] = field(default="torque", repr=False)
-    command: Profile
+    command: Profile = REST
     delay_s: NonNegative = 0.0
 
 
@@ -44,7 +48,7 @@ class Servo:
     """
 
     kind: Literal["servo"] = field(default="servo", repr=False)
-    command: Profile
+    command: Profile = REST
     kp_n_m_per_rad: Positive
     kv_n_m_s_per_rad: NonNegative = 0.0
     torque_limit_n_m: Positive | None = None
