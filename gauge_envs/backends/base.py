@@ -636,14 +636,14 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     joined_bodies = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
     for name in joined_bodies & {*scene.hung}:
         missing[Feature.CHAINS] = f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
-    for hinge in scene.hinges:
-        name = hinge.body if isinstance(hinge, Hinge) else hinge.second
+    for moved in scene.hinges:
+        name = moved.body if isinstance(moved, Hinge) else moved.second
         for feature, value, what in (
-            (Feature.DRY_FRICTION, hinge.dynamics.dry_friction_n_m, "dry friction"),
-            (Feature.VISCOUS_FRICTION, hinge.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
-            (Feature.ARMATURE, hinge.dynamics.armature_kg_m2, "armature"),
-            (Feature.SERVO, isinstance(hinge.motor, Servo), "a position servo"),
-            (Feature.TORQUE_MOTOR, isinstance(hinge.motor, TorqueMotor), "a torque motor"),
+            (Feature.DRY_FRICTION, moved.dynamics.dry_friction_n_m, "dry friction"),
+            (Feature.VISCOUS_FRICTION, moved.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
+            (Feature.ARMATURE, moved.dynamics.armature_kg_m2, "armature"),
+            (Feature.SERVO, isinstance(moved.motor, Servo), "a position servo"),
+            (Feature.TORQUE_MOTOR, isinstance(moved.motor, TorqueMotor), "a torque motor"),
         ):
             if value:
                 missing[feature] = f"the joint of {name!r} has {what}, which this backend does not build"
