@@ -13,8 +13,9 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSch
 
 from gauge_envs.references.tables import FileModel, UnitVector
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
-from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.profiles import CosineProfile, Profile, SampledProfile, TrapezoidProfile
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 

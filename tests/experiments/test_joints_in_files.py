@@ -18,8 +18,8 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, write_result
 from gauge_envs.scene import JointDynamics, Scene
-from gauge_envs.scene.drivers import CosineProfile, SampledProfile
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import CosineProfile, SampledProfile
 from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.catalog.description import description
 

@@ -30,8 +30,8 @@ from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
 from gauge_envs.references.user_data import has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scene.drivers import Profile, SampledProfile
 from gauge_envs.scene.hinged import joint_fields
+from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 

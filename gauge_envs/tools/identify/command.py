@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 PASSIVE = ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2")
 SERVO = ("dry_friction_n_m", "armature_kg_m2", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
-"""What is identified unless `fit` says otherwise. The rate of a servo's joint does not tell its viscous friction from kv."""
+"""What is identified unless `fit` says otherwise; kv holds the viscous friction of a servo's joint."""
 
 
 def recipe_joint(
@@ -30,7 +30,7 @@ def recipe_joint(
 
     Details: mass_kg= and length_m= of the load, from the axis to its centre, angle 0 hanging; inertia_kg_m2= about the
     centre; or scene=FILE or ID, whose hinges are the joints. fit=NAME,NAME: what is identified. test=LOG,LOG: logs to
-    predict. part_s=: longest part that is simulated at once.
+    predict. part_s=: longest part that is simulated at once. timestep_s= of the engine.
 
     Exit code 1 when the logs leave a setting open.
     """
@@ -38,7 +38,7 @@ def recipe_joint(
     from gauge_envs.tools.identify import identify, read_log
     from gauge_envs.tools.identify.words import identified_document, snippet
 
-    numbers = dict.fromkeys(("mass_kg", "length_m", "inertia_kg_m2", "part_s"), float)
+    numbers = dict.fromkeys(("mass_kg", "length_m", "inertia_kg_m2", "part_s", "timestep_s"), float)
     names, details = arguments.split_details(words, **numbers, scene=str, fit=str, test=str)
     if not names:
         raise ParameterError("no log: name one or more CSV or NPZ files")
@@ -47,9 +47,17 @@ def recipe_joint(
     )
     wanted = details.pop("fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)).split(",")
     part_s = details.pop("part_s", None)
+    settings = {name: details.pop(name) for name in ("timestep_s",) if name in details}
     with Progress("simulations", None) as bar:
         found = identify(
-            backend(engine), _scene(**details), logs, wanted, held_out=tests, part_s=part_s, progress=bar.show
+            backend(engine),
+            _scene(**details),
+            logs,
+            wanted,
+            held_out=tests,
+            part_s=part_s,
+            settings=settings,
+            progress=bar.show,
         )
     print_document(identified_document(found), form)
     if form is not Format.JSON:

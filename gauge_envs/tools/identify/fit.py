@@ -15,6 +15,7 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
@@ -115,7 +116,7 @@ class _Problem:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
         own = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
         values = own[: len(self.names)] * self.sizes[:, None]
-        terms = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
+        terms: list[Terms] = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
         moved = scaled[own.size :].reshape(-1, 2, self.joints) if self.free_starts else None
         still = np.zeros((len(self.parts), 2, self.joints))
         return terms, own[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
@@ -138,7 +139,7 @@ class _Problem:
         return np.concatenate([(angles - part.position_rad).T.ravel() for angles, part in pairs])
 
     def jacobian(self, scaled: FloatArray) -> FloatArray:
-        """Return forward differences. A number of one joint moves others little: the same ones of all change at once."""
+        """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
         before = self.residuals(scaled)
         jacobian = np.zeros((before.size, scaled.size))
         rows, own = self._rows(), self.kinds * self.joints
@@ -156,7 +157,7 @@ class _Problem:
                 jacobian[inside, places[number, joint]] = change[inside]
         return jacobian
 
-    def _changed(self, scaled: FloatArray, columns: FloatArray, before: FloatArray) -> FloatArray:
+    def _changed(self, scaled: FloatArray, columns: NDArray[np.intp], before: FloatArray) -> FloatArray:
         moved = scaled.copy()
         moved[columns] += STEP
         return (self.residuals(moved) - before) / STEP
@@ -171,12 +172,17 @@ class _Problem:
             ]
         )
 
-    def solved(self, first: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def solved(self, first: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
         """Return the unknowns of the least squares, and their covariance."""
         low = np.full(first.size, -np.inf)
         low[: len(self.names) * self.joints] = 0.0
         found = least_squares(
-            self.residuals, np.maximum(first, low + 1e-6), self.jacobian, bounds=(low, np.inf), xtol=1e-6, ftol=1e-6
+            self.residuals,
+            np.maximum(first, low + 1e-6),
+            self.jacobian,
+            bounds=(low, np.inf),
+            xtol=tolerance,
+            ftol=tolerance,
         )
         return found.x, self._covariance(found.jac, found.fun)
 
@@ -204,7 +210,6 @@ def identify(
     names: Sequence[str],
     *,
     held_out: Sequence[Log] = (),
-    first: Mapping[str, float] | None = None,
     part_s: float | None = None,
     settings: Mapping[str, Any] | None = None,
     progress: Callable[[str], None] = lambda text: None,
@@ -217,7 +222,6 @@ def identify(
         logs: Logs to fit.
         names: Numbers to identify, fields of `JointDynamics` and `Servo`.
         held_out: Logs that are only predicted, with the identified numbers.
-        first: First guesses of the numbers.
         part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
         settings: Numerical settings of the engine.
         progress: Called with what is being done.
@@ -235,7 +239,7 @@ def identify(
         if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
             known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
             raise ParameterError(f"{name}: no number of such a joint; known: {known}")
-    guesses = guessed(scene, names) | (first or {})
+    guesses = guessed(scene, names)
     terms = [{name: guesses[name] for name in names}] * len(scene.hinges)
     built = with_terms(scene, terms, logs[0], np.zeros(len(scene.hinges)))
     support = scene_support(engine, built)
@@ -252,11 +256,11 @@ def identify(
     short, long = stages
     unknowns = np.concatenate([np.ones(len(names) * len(scene.hinges)), np.zeros(len(scene.hinges) * short.zero)])
     progress(f"{len(short.parts)} short parts of {len(logs)} logs")
-    unknowns, _ = short.solved(unknowns)
+    unknowns, _ = short.solved(unknowns, 1e-2)
     progress(f"{len(long.parts)} long parts")
     if long.free_starts:
         unknowns = np.concatenate([unknowns, np.zeros(2 * len(long.parts) * len(scene.hinges))])
-    unknowns, covariance = long.solved(unknowns)
+    unknowns, covariance = long.solved(unknowns, 1e-4)
     found = _settings(long, unknowns, covariance)
     return Identified(
         engine=engine.name,
@@ -319,7 +323,7 @@ def _held_out(
     """Return the errors of other logs [rad], each from its own start, which is fitted where the joint has no servo."""
     longest_s = max(part.duration_s for part in fitted.parts) + 1e-6
     own = unknowns[: fitted.kinds * fitted.joints]
-    errors = {}
+    errors: dict[str, FloatArray] = {}
     for log in logs:
         parts = list(log.pieces(longest_s))
         other = problem(parts, [part.start() for part in parts], free_starts=fitted.free_starts)

@@ -45,9 +45,9 @@ class Log:
         edges = np.searchsorted(self.times_s, np.linspace(self.times_s[0], self.times_s[-1], count + 1))
         edges[-1] = len(self.times_s)
         for number, (first, last) in enumerate(pairwise(edges.tolist())):
-            columns = (self.position_rad, self.command_rad, self.torque_n_m)
             name = self.name if count == 1 else f"{self.name}, part {number + 1}"
-            yield Log(name, self.times_s[first:last], *(None if one is None else one[first:last] for one in columns))
+            command, torque = (None if one is None else one[first:last] for one in (self.command_rad, self.torque_n_m))
+            yield Log(name, self.times_s[first:last], self.position_rad[first:last], command, torque)
 
     def start(self) -> tuple[FloatArray, FloatArray]:
         """Return angles [rad] and rates [rad/s] at the first sample, shape [J] each, of parabolas through 0.05 s."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -14,11 +14,11 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import Backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import Rollout, record
-from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene, Sphere
-from gauge_envs.scene.drivers import SampledProfile
+from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray, vector
-from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, joint_sign, parent_hinges
+from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, joint_sign, other_end, parent_hinges
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify.logs import Log
 
 DYNAMICS = tuple(one.name for one in fields(JointDynamics))
@@ -28,6 +28,10 @@ AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
 Terms = Mapping[str, float]
 """Numbers of one joint, by name of the field of `JointDynamics` or `Servo`."""
+
+
+WORLD = RigidBody(name="world", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0)
+"""What a hinge to the world hangs on."""
 
 
 def one_joint(mass_kg: float, length_m: float, inertia_kg_m2: float | None = None) -> Scene:
@@ -63,35 +67,28 @@ def posed(scene: Scene, angles_rad: Sequence[float] | FloatArray, rates: Sequenc
     parents = parent_hinges(scene.body_hinges, scene.hung)
     bodies = {body.name: body for body in scene.bodies}
     placed: dict[str, BodyHinge] = {}
-    order = [*((joint.body, joint) for joint in scene.joints if isinstance(joint, Hinge)), *parents.items()]
-    for name, hinge in order:
-        angle, rate = moving[id(hinge)]
-        sign = joint_sign(hinge, name)
-        carrier = None
-        if isinstance(hinge, BodyHinge):
-            carrier = hinge.second if name == hinge.first else hinge.first
-        before = scene.body(carrier).pose if carrier else Pose(position_m=(0.0, 0.0, 0.0))
-        after = bodies[carrier].pose if carrier else before
-        anchor_m = after.to_world(before.to_body(np.asarray(hinge.anchor_m)))
-        axis = after.rotation.apply(before.rotation.apply(hinge.axis, inverse=True))
-        turn = Rotation.from_rotvec(sign * angle * axis) * after.rotation * before.rotation.inv()
+    order: list[tuple[str, Hinge | BodyHinge]] = [(one.body, one) for one in scene.joints if isinstance(one, Hinge)]
+    for name, hinge in [*order, *parents.items()]:
+        angle, rate = (joint_sign(hinge, name) * one for one in moving[id(hinge)])
+        carrier = bodies[other_end(hinge, name)] if isinstance(hinge, BodyHinge) else WORLD
+        before = scene.body(carrier.name).pose if carrier is not WORLD else WORLD.pose
+        anchor_m = carrier.pose.to_world(before.to_body(np.asarray(hinge.anchor_m)))
+        carried = carrier.pose.rotation * before.rotation.inv()
+        axis = carried.apply(hinge.axis)
+        turn = Rotation.from_rotvec(angle * axis) * carried
         old = scene.body(name)
         arm_m = turn.apply(np.subtract(old.pose.position_m, hinge.anchor_m))
-        spin, speed = sign * rate * axis, np.zeros(3)
-        if carrier:
-            spin = spin + bodies[carrier].angular_velocity_rad_per_s
-            reach_m = anchor_m - np.asarray(bodies[carrier].pose.position_m)
-            speed = bodies[carrier].linear_velocity_m_per_s + np.cross(
-                bodies[carrier].angular_velocity_rad_per_s, reach_m
-            )
-            assert isinstance(hinge, BodyHinge)
-            placed[name] = replace(hinge, anchor_m=vector(anchor_m), axis=vector(axis / np.linalg.norm(axis)))
+        spin = rate * axis + carrier.angular_velocity_rad_per_s
+        reach_m = anchor_m - np.asarray(carrier.pose.position_m)
+        speed = carrier.linear_velocity_m_per_s + np.cross(carrier.angular_velocity_rad_per_s, reach_m)
         bodies[name] = replace(
             old,
             pose=Pose.from_rotation(vector(anchor_m + arm_m), turn * old.pose.rotation),
             linear_velocity_m_per_s=vector(speed + np.cross(spin, arm_m)),
             angular_velocity_rad_per_s=vector(spin),
         )
+        if isinstance(hinge, BodyHinge):
+            placed[name] = replace(hinge, anchor_m=vector(anchor_m), axis=vector(axis / np.linalg.norm(axis)))
     by_hinge = {id(parents[name]): hinge for name, hinge in placed.items()}
     return replace(
         scene, bodies=tuple(bodies.values()), body_hinges=tuple(by_hinge[id(hinge)] for hinge in scene.body_hinges)
@@ -112,13 +109,13 @@ def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatA
         own = terms[place]
         dynamics = replace(hinge.dynamics, **{name: own[name] for name in DYNAMICS if name in own})
         motor, profile = hinge.motor, partial(_profile, log, place)
-        gains = {name: own[name] for name in SERVO if name in own}
+        gains: dict[str, Any] = {name: own[name] for name in SERVO if name in own}
         if log.command_rad is not None:
             command = profile(log.command_rad, float(start_rad[place]))
             if isinstance(motor, Servo):
                 motor = replace(motor, command=command, **gains)
             else:
-                motor = Servo(**({"kp_n_m_per_rad": 1.0} | gains), command=command)  # type: ignore[arg-type]
+                motor = replace(Servo(command=command, kp_n_m_per_rad=1.0), **gains)
         elif log.torque_n_m is not None:
             motor = TorqueMotor(command=profile(log.torque_n_m, 0.0), delay_s=own.get("delay_s", 0.0))
         return replace(hinge, dynamics=dynamics, motor=motor)

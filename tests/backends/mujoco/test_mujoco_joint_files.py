@@ -17,8 +17,8 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import AssetError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, JointDynamics, Scene
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scene.drivers import CosineProfile
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.tools.assets.urdf import body_files
 
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)

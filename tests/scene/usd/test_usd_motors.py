@@ -14,8 +14,8 @@ from pxr import Sdf, Usd, UsdGeom, UsdPhysics
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import BodyHinge, Hinge, JointDynamics
-from gauge_envs.scene.drivers import CosineProfile, SampledProfile
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
+from gauge_envs.scene.profiles import CosineProfile, SampledProfile
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.usd.reader import read_usd
 from gauge_envs.scene.usd.writer import scene_stage, to_usd
