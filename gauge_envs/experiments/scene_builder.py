@@ -12,7 +12,8 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.task_format import HingeSpec, JointSpec, Placement, TaskSpec
+from gauge_envs.experiments.tables import JointConstants, MotorSpec, hinge_terms
+from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
@@ -22,7 +23,6 @@ from gauge_envs.scene import (
     Contact,
     Deformable,
     Hinge,
-    JointDynamics,
     Markers,
     Motion,
     Pose,
@@ -67,8 +67,8 @@ class SceneBuilder:
         path: Task file, for messages.
         spec: Content of the task file.
         variant: The variant.
-        overrides: Values that replace calibrated ones, keyed `body.constant`; terms of a hinge are those of its body or
-            of its second one; `air.<field>` adds air to a scene with cloth, by the fields of `scene.Air`.
+        overrides: Values that replace calibrated ones, keyed `body.constant`; `air.<field>` adds air to a scene with
+            cloth, by the fields of `scene.Air`.
     """
 
     def __init__(self, path: Path, spec: TaskSpec, variant: Variant, overrides: Mapping[str, Any]) -> None:
@@ -86,9 +86,6 @@ class SceneBuilder:
             for name in self.present
             if name in spec.constants
         }
-        self.hinges: dict[str, HingeSpec] = {one.body: one for one in spec.joints if one.axis}
-        self.hinges |= {one.bodies[1]: one for one in spec.body_hinges}
-        self.terms: dict[str, dict[str, Any]] = {}
         self.air: dict[str, Any] = {}
         for key, value in overrides.items():
             self._override(key, value)
@@ -121,8 +118,6 @@ class SceneBuilder:
             raise ParameterError(
                 f"{self.variant.name}: override {key!r} names no body of the scene ({AIR!r} for cloth); {hint}"
             )
-        hinge = self.hinges.get(name)
-        of_hinge = vars(JointDynamics()) | (vars(hinge.motor) if hinge and hinge.motor else {}) if hinge else {}
         try:
             if constant in Placement.model_fields:
                 placed = self.placements[name].model_dump(exclude_none=True) | {constant: value}
@@ -130,11 +125,8 @@ class SceneBuilder:
             elif constant in self.constants.get(name, {}):
                 self.constants[name] = self.constants[name] | {constant: value}
                 self.spec.constants_model(name).model_validate(self.constants[name])
-            elif hinge and constant in of_hinge:
-                self.terms[name] = self.terms.get(name, {}) | {constant: value}
-                self._terms(hinge, name)
             else:
-                hint = nearest(constant, [*self.constants.get(name, {}), *Placement.model_fields, *of_hinge])
+                hint = nearest(constant, [*self.constants.get(name, {}), *Placement.model_fields])
                 raise ParameterError(f"{self.variant.name}: {name!r} has no constant {constant!r}; {hint}")
         except ValidationError as error:
             raise ParameterError(f"{self.variant.name}: override {key!r}: {first_fault(error)[1]}") from error
@@ -162,7 +154,19 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
             raise TaskFileError(self.path, "(file)", str(error)) from None
 
+    def _check_hinges(self) -> None:
+        """Check that each body with constants of a joint has one hinge that they belong to."""
+        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [h.bodies[1] for h in self.spec.body_hinges]
+        owners = {self.spec_name(name) for name in hinged}
+        for name, constants in self.constants.items():
+            stated = constants.keys() & JointConstants.model_fields.keys()
+            if stated and (name not in owners or hinged.count(name) > 1):
+                reason = f"{min(stated)} is a constant of one hinge, and {name!r} has {hinged.count(name)}"
+                which = "a hinge to the world is of its body, one between bodies of its second body"
+                raise TaskFileError(self.path, f"constants.{name}", f"{reason}: {which}")
+
     def _scene(self) -> Scene:
+        self._check_hinges()
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
         names = [*(body.name for body in bodies), *(n for n in self.present if n not in self.spec.bodies)]
         drivers = []
@@ -182,7 +186,9 @@ class SceneBuilder:
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
             body_hinges=tuple(
-                BodyHinge(first=first, second=second, anchor_m=one.anchor_m, axis=one.axis, **self._terms(one, second))
+                BodyHinge(
+                    first=first, second=second, anchor_m=one.anchor_m, axis=one.axis, **self._terms(second, one.motor)
+                )
                 for one in self.spec.body_hinges
                 for first, second in [one.bodies]
                 if self._is_present(first) and self._is_present(second)
@@ -228,8 +234,8 @@ class SceneBuilder:
         if placement.angular_velocity_deg_per_s is None:
             return linear or rest, rest
         angular = np.radians(placement.angular_velocity_deg_per_s)
-        hinge = self.hinges.get(name)
-        if linear is None and isinstance(hinge, JointSpec):
+        hinge = next((joint for joint in self.spec.joints if joint.body == name and joint.kind == "hinge"), None)
+        if linear is None and hinge is not None:
             linear = vector(np.cross(angular, np.subtract(pose.position_m, self._joint(hinge).anchor_m)))
         return linear or rest, vector(angular)
 
@@ -248,26 +254,22 @@ class SceneBuilder:
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
-        anchor_m = joint.anchor_m or placement.hangs_from_m
-        if anchor_m is None or (joint.anchor_m and placement.hangs_from_m):
-            needed = "hangs_from_m, or its hinge anchor_m, and not both"
+        anchor_m = placement.hangs_from_m or joint.anchor_m
+        if anchor_m is None or (placement.hangs_from_m and joint.anchor_m):
+            needed = "hangs_from_m, or its hinge an anchor_m, and not both"
             raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} needs {needed}")
         if joint.axis is not None:
-            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, **self._terms(joint, joint.body))
+            terms = self._terms(joint.body, joint.motor)
+            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, **terms)
         assert placement.length_m is not None
         return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
 
-    def _terms(self, hinge: HingeSpec, body: str) -> dict[str, Any]:
-        """Return `dynamics` and `motor` of the hinge that turns a body, with overrides."""
-        known, changed = hinge.dynamics, self.terms.get(body, {})
-        dynamics = known.get(self.variant.material) or known.get("all") or JointDynamics()
-        return {
-            name: stated
-            and TypeAdapter(type(stated)).validate_python(
-                vars(stated) | {key: value for key, value in changed.items() if key in vars(stated)}
-            )
-            for name, stated in (("dynamics", dynamics), ("motor", hinge.motor))
-        }
+    def _terms(self, body: str, motor: MotorSpec | None) -> dict[str, Any]:
+        """Return `dynamics` and `motor` of the hinge whose constants a body states."""
+        try:
+            return hinge_terms(self.constants.get(self.spec_name(body), {}), motor)
+        except ValueError as error:
+            raise TaskFileError(self.path, f"constants.{body}", str(error)) from None
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
         for contact in self.contacts:

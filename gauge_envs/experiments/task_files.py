@@ -128,9 +128,7 @@ def _names_of_parts(spec: TaskSpec) -> Iterator[UsedName]:
         yield from ((f"subtasks.{key}", name, spec.names) for name in (*subtask.bodies, *subtask.motion))
     for i, joint in enumerate(spec.joints):
         yield f"joints.{i}.body", joint.body, names
-        yield from ((f"joints.{i}.dynamics", name, ["all", *spec.materials]) for name in joint.dynamics)
     for i, hinge in enumerate(spec.body_hinges):
-        yield from ((f"body_hinges.{i}.dynamics", name, ["all", *spec.materials]) for name in hinge.dynamics)
         yield from ((f"body_hinges.{i}.bodies", name, names) for name in hinge.bodies)
     for i, attachment in enumerate(spec.attachments):
         yield f"attachments.{i}.deformable", attachment.deformable, names

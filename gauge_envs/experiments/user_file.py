@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction
+from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import outside_reason, toml_document
@@ -26,10 +26,9 @@ from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
-from gauge_envs.scene import Contact, ContactMode, Hinge, JointDynamics, Markers, Motion, Scene
+from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
-from gauge_envs.scene.motors import Motor
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
 
 EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
@@ -45,12 +44,11 @@ class PairSpec(FileModel):
     mode: ContactMode | None = None
 
 
-class FileHingeSpec(FileModel):
-    """Terms of the hinge that turns a body, the second of two, which replace those of the USD layer."""
+class FileHingeSpec(JointConstants):
+    """Terms of the hinge to the world of a body, or of one between bodies whose second body it is."""
 
     body: str
-    dynamics: JointDynamics | None = None
-    motor: Annotated[Motor, Field(discriminator="kind")] | None = None
+    motor: MotorSpec | None = None
 
 
 class FileMarkersSpec(MarkersSpec):
@@ -103,7 +101,7 @@ class ExperimentFile(FileModel):
         recorded: Bodies whose positions are observed, by prim path or name; empty if markers are observed.
         markers: Markers on deformable bodies that replace those of the layer.
         contacts: Constants of single pairs.
-        joints: Friction, armature and motors of hinges.
+        joints: Friction, armature and motors of hinges, which replace those of the layer.
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
@@ -259,7 +257,7 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
     for index, spec in enumerate(definition.joints):
-        scene = _with_terms(path, f"joints.{index}.body", scene, names, spec)
+        scene = _with_terms(path, f"joints.{index}", scene, names(f"joints.{index}.body", spec.body), spec)
     scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
     if definition.markers is not None:
         scene = replace(scene, markers=_markers(path, layer, names, definition.markers))
@@ -322,13 +320,17 @@ def _with_pair(path: Path, key: str, scene: Scene, names: Names, pair: PairSpec)
     return replace(scene, contacts=tuple(contacts))
 
 
-def _with_terms(path: Path, key: str, scene: Scene, names: Names, spec: FileHingeSpec) -> Scene:
-    """Return the scene with the terms of one hinge."""
-    body = names(key, spec.body)
+def _with_terms(path: Path, key: str, scene: Scene, body: str, spec: FileHingeSpec) -> Scene:
+    """Return the scene with the terms of the hinge that turns a body."""
     turned = [hinge for hinge in scene.hinges if body == (hinge.body if isinstance(hinge, Hinge) else hinge.second)]
     if len(turned) != 1:
-        raise AssetError(path, key, f"{body} is the body, or the second one, of {len(turned)} hinges, not of one")
-    terms: dict[str, Any] = {name: value for name in ("dynamics", "motor") if (value := getattr(spec, name))}
+        raise AssetError(
+            path, f"{key}.body", f"{body} is the body, or the second one, of {len(turned)} hinges, not one"
+        )
+    try:
+        terms: dict[str, Any] = {"motor": None} | hinge_terms(spec.model_dump(exclude={"body", "motor"}), spec.motor)
+    except ValueError as error:
+        raise TaskFileError(path, key, str(error)) from None
     return replace(
         scene,
         joints=tuple(replace(one, **terms) if one is turned[0] else one for one in scene.joints),

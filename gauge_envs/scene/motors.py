@@ -6,10 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from gauge_envs.scene.geometry import NonNegative, Positive
-from gauge_envs.scene.profiles import Profile, SampledProfile
-
-REST = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
-"""Command of a motor that exerts no torque, or of a servo that holds its start."""
+from gauge_envs.scene.profiles import Profile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +20,7 @@ class TorqueMotor:
     """
 
     kind: Literal["torque"] = field(default="torque", repr=False)
-    command: Profile = REST
+    command: Profile
     delay_s: NonNegative = 0.0
 
 
@@ -41,7 +38,7 @@ class Servo:
     """
 
     kind: Literal["servo"] = field(default="servo", repr=False)
-    command: Profile = REST
+    command: Profile
     kp_n_m_per_rad: Positive
     kv_n_m_s_per_rad: NonNegative = 0.0
     torque_limit_n_m: Positive | None = None

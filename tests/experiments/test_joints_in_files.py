@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -46,12 +45,12 @@ motion = "dynamic"
 recorded = true
 
 [constants.upper]
-brass = { mass_kg = 0.5 }
-steel = { mass_kg = 0.6 }
+brass = { mass_kg = 0.5, dry_friction_n_m = 0.01, armature_kg_m2 = 0.002 }
+steel = { mass_kg = 0.6, viscous_friction_n_m_s_per_rad = 0.03 }
 
 [constants.lower]
-brass = { mass_kg = 0.2 }
-steel = { mass_kg = 0.3 }
+brass = { mass_kg = 0.2, kp_n_m_per_rad = 8.0, kv_n_m_s_per_rad = 0.1, torque_limit_n_m = 1.5, delay_s = 0.02 }
+steel = { mass_kg = 0.3, kp_n_m_per_rad = 9.0 }
 
 [initial.all]
 upper = { position_m = [0.0, 0.0, 0.85] }
@@ -62,22 +61,12 @@ kind = "hinge"
 body = "upper"
 axis = [0.0, 1.0, 0.0]
 anchor_m = [0.0, 0.0, 1.0]
-dynamics.brass = { dry_friction_n_m = 0.01, armature_kg_m2 = 0.002 }
-dynamics.steel = { viscous_friction_n_m_s_per_rad = 0.03 }
 
 [[body_hinges]]
 bodies = ["upper", "lower"]
 anchor_m = [0.0, 0.0, 0.7]
 axis = [0.0, 1.0, 0.0]
-dynamics.all = { viscous_friction_n_m_s_per_rad = 0.04 }
-
-[body_hinges.motor]
-kind = "servo"
-kp_n_m_per_rad = 8.0
-kv_n_m_s_per_rad = 0.1
-torque_limit_n_m = 1.5
-delay_s = 0.02
-command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 }
+motor = { kind = "servo", command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 } }
 
 [score]
 observable = "position"
@@ -113,14 +102,14 @@ def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path: Path) -> No
     assert brass[0].dynamics == JointDynamics(dry_friction_n_m=0.01, armature_kg_m2=0.002)
     assert steel[0].dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.03)
     assert brass[0].motor is None
-    assert brass[1].dynamics == steel[1].dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.04)
     assert brass[1].motor == Servo(
         command=SERVO_COMMAND, kp_n_m_per_rad=8.0, kv_n_m_s_per_rad=0.1, torque_limit_n_m=1.5, delay_s=0.02
     )
+    assert steel[1].motor == Servo(command=SERVO_COMMAND, kp_n_m_per_rad=9.0)
 
 
-COMMAND = 'command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 }\n'
-GAINS = "kp_n_m_per_rad = 8.0\nkv_n_m_s_per_rad = 0.1\ntorque_limit_n_m = 1.5\n"
+COMMAND = ', command = { kind = "cosine", start_s = 0.1, duration_s = 0.3, amount = 0.7 }'
+GAINS = "kp_n_m_per_rad = 8.0, kv_n_m_s_per_rad = 0.1, torque_limit_n_m = 1.5, "
 
 
 def test_a_motor_without_a_command_rests(tmp_path: Path) -> None:
@@ -130,45 +119,43 @@ def test_a_motor_without_a_command_rests(tmp_path: Path) -> None:
 
 
 def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
-    command = 'command = { kind = "sampled", times_s = [0.0, 0.1], values = [0.0, 0.3] }\n'
+    command = ', command = { kind = "sampled", times_s = [0.0, 0.1], values = [0.0, 0.3] }'
+    text = ARM.replace(GAINS, "").replace(", kp_n_m_per_rad = 9.0", "").replace(COMMAND, command)
     path = tmp_path / "arm.toml"
-    text = ARM.replace(GAINS, "").replace(COMMAND, command)
     path.write_text(text.replace('"servo"', '"torque"'), encoding="utf-8")
     scene = SceneBuilder(path, load_task(path), Variant("Arm", None, "brass"), {}).build()
     expected = TorqueMotor(command=SampledProfile(times_s=(0.0, 0.1), values=(0.0, 0.3)), delay_s=0.02)
     assert scene.hinges[1].motor == expected
 
 
-def test_overrides_state_terms_of_the_hinge_that_turns_a_body(tmp_path: Path) -> None:
-    stated = {"upper__viscous_friction_n_m_s_per_rad": 0.5, "lower__kp_n_m_per_rad": 9.0, "lower__armature_kg_m2": 0.1}
-    upper, lower = built(tmp_path, **stated).hinges
-    dynamics = JointDynamics(dry_friction_n_m=0.01, viscous_friction_n_m_s_per_rad=0.5, armature_kg_m2=0.002)
-    assert upper.dynamics == dynamics
-    assert lower.dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.04, armature_kg_m2=0.1)
-    before = built(tmp_path).hinges[1].motor
-    assert isinstance(before, Servo)
-    assert lower.motor == replace(before, kp_n_m_per_rad=9.0)
+def test_overrides_state_terms(tmp_path: Path) -> None:
+    upper, lower = built(tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0).hinges
+    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.5, armature_kg_m2=0.002)
+    assert lower.motor is not None
+    assert lower.motor.delay_s == 0.0
     with pytest.raises(ParameterError, match=r"dry_friction_n_m'.*greater than or equal to 0"):
         built(tmp_path, upper__dry_friction_n_m=-1.0)
     with pytest.raises(ParameterError, match="'upper' has no constant 'kp_n_m_per_rad'"):
         built(tmp_path, upper__kp_n_m_per_rad=1.0)
-    with pytest.raises(ParameterError, match=r"kp_n_m_per_rad'.*greater than 0"):
-        built(tmp_path, lower__kp_n_m_per_rad=0.0)
 
 
 @pytest.mark.parametrize(
     ("old", "new", "key", "reason"),
     [
-        ("dry_friction_n_m = 0.01", "dry_friction_n_m = -0.01", "joints.0.dynamics.brass.dry_friction_n_m", "-0.01"),
-        ("dry_friction_n_m = 0.01", "dry_friction = 0.01", "joints.0.dynamics.brass.dry_friction", "unknown key"),
-        ("dynamics.steel", "dynamics.tin", "joints.0.dynamics", "'tin' is not defined; known: all, brass, steel"),
-        ("kp_n_m_per_rad = 8.0\n", "", "body_hinges.0.motor.servo.kp_n_m_per_rad", "missing key"),
-        ('"servo"', '"torque"', "body_hinges.0.motor.torque.kp_n_m_per_rad", "unknown key"),
-        ('"servo"', '"stepper"', "body_hinges.0.motor", "'servo'"),
+        ("dry_friction_n_m = 0.01", "dry_friction_n_m = -0.01", "constants.upper.brass.dry_friction_n_m", "-0.01"),
+        ("kp_n_m_per_rad = 8.0, ", "", "constants.lower", "a servo needs the constant kp_n_m_per_rad"),
+        ('"servo"', '"torque"', "constants.lower", "no motor with that constant"),
+        ("dry_friction_n_m = 0.01", "delay_s = 0.01", "constants.upper", "state its motor"),
+        ('"servo"', '"stepper"', "body_hinges.0.motor.kind", "'servo' or 'torque'"),
         ('body = "upper"', 'body = "uper"', "joints.0.body", "uper"),
-        ("anchor_m = [0.0, 0.0, 1.0]\n", "", "joints", "hangs_from_m, or its hinge anchor_m"),
-        ('kind = "hinge"', 'kind = "tether"', "joints.0", "a tether has none"),
-        ('joints = "nominal: a test"\n', "", "joints.0", "provenance"),
+        ('["upper", "lower"]', '["lower", "upper"]', "constants.upper", "'upper' has 2"),
+        ("anchor_m = [0.0, 0.0, 1.0]\n", "", "joints", "hangs_from_m, or its hinge an anchor_m"),
+        (
+            'constants = "nominal: a test"',
+            '"constants.*.*.mass_kg" = "nominal: a test"',
+            "dry_friction_n_m",
+            "provenance",
+        ),
         ('body_hinges = "nominal: a test"', '"body_hinges.*.axis" = "nominal: a test"', "body_hinges.0", "provenance"),
     ],
 )
@@ -181,11 +168,14 @@ def test_a_wrong_joint_names_key_and_reason(old: str, new: str, key: str, reason
 
 def test_a_body_with_an_anchor_of_its_hinge_starts_with_an_angular_velocity(tmp_path: Path) -> None:
     spin = "upper = { position_m = [0.0, 0.0, 0.85], angular_velocity_deg_per_s = [0.0, 90.0, 0.0] }"
-    text = ARM[: ARM.index("[[body_hinges]]")] + ARM[ARM.index("[score]") :]
+    alone = ARM[: ARM.index("[[body_hinges]]")] + ARM[ARM.index("[score]") :]
     path = tmp_path / "arm.toml"
-    path.write_text(text.replace("upper = { position_m = [0.0, 0.0, 0.85] }", spin), encoding="utf-8")
+    text = alone.replace("upper = { position_m = [0.0, 0.0, 0.85] }", spin)
+    path.write_text(
+        text.replace(GAINS + "delay_s = 0.02", "").replace(", kp_n_m_per_rad = 9.0", "").replace("0.2,  }", "0.2 }")
+    )
     upper = SceneBuilder(path, load_task(path), Variant("Arm", None, "steel"), {}).build().body("upper")
-    assert upper.linear_velocity_m_per_s == pytest.approx((-0.15 * np.pi / 2.0, 0.0, 0.0))
+    assert upper.linear_velocity_m_per_s == pytest.approx((-0.15 * 1.5707963267948966, 0.0, 0.0))
 
 
 # --- experiment files ------------------------------------------------------------------------------------------------
@@ -202,13 +192,12 @@ observable = "position"
 
 [[joints]]
 body = "upper"
-dynamics = { dry_friction_n_m = 0.02 }
+dry_friction_n_m = 0.02
 
 [[joints]]
 body = "/World/lower"
-motor.kind = "servo"
-motor.kp_n_m_per_rad = 5.0
-motor.command = { kind = "sampled", times_s = [0.0, 0.2], values = [0.0, 0.5] }
+kp_n_m_per_rad = 5.0
+motor = { kind = "servo", command = { kind = "sampled", times_s = [0.0, 0.2], values = [0.0, 0.5] } }
 
 [provenance]
 joints = "nominal: a test"
@@ -226,7 +215,7 @@ def swing(tmp_path: Path) -> Path:
 def test_an_experiment_file_replaces_the_terms_of_its_layer(swing: Path) -> None:
     upper, lower = load_experiment_file(swing).scene.hinges
     assert upper.dynamics == JointDynamics(dry_friction_n_m=0.02)
-    assert lower.dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.04)
+    assert lower.dynamics == JointDynamics()
     assert lower.motor == Servo(command=SampledProfile(times_s=(0.0, 0.2), values=(0.0, 0.5)), kp_n_m_per_rad=5.0)
 
 
@@ -242,16 +231,11 @@ def test_an_experiment_file_with_motors_runs_and_its_result_reads_back(swing: Pa
 @pytest.mark.parametrize(
     ("old", "new", "error", "reason"),
     [
-        (
-            "dry_friction_n_m = 0.02",
-            "dry_friction_n_m = -0.02",
-            TaskFileError,
-            r"joints.0.dynamics.dry_friction_n_m: .*-0.02",
-        ),
+        ("dry_friction_n_m = 0.02", "dry_friction_n_m = -0.02", TaskFileError, r"joints.0.dry_friction_n_m: .*-0.02"),
         ('body = "upper"', 'body = "uper"', AssetError, r"joints.0.body: 'uper' is no body of arm.usda"),
-        ("motor.kp_n_m_per_rad = 5.0\n", "", TaskFileError, "joints.1.motor.servo.kp_n_m_per_rad: missing key"),
-        ("dry_friction_n_m = 0.02", "delay_s = 0.02", TaskFileError, "joints.0.dynamics.delay_s: unknown key"),
-        ("[0.0, 0.2]", "[0.2, 0.2]", TaskFileError, "joints.1.motor.servo.command.*times_s"),
+        ("kp_n_m_per_rad = 5.0\n", "", TaskFileError, "joints.1: a servo needs the constant kp_n_m_per_rad"),
+        ("dry_friction_n_m = 0.02", "delay_s = 0.02", TaskFileError, "joints.0: delay_s: the hinge has no motor"),
+        ("[0.0, 0.2]", "[0.2, 0.2]", TaskFileError, "joints.1.motor.command.*times_s"),
     ],
 )
 def test_wrong_terms_in_an_experiment_file(
