@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
-from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
+from gauge_envs.experiments.task_format import BodyHingeSpec, JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
     Air,
@@ -22,6 +22,7 @@ from gauge_envs.scene import (
     Contact,
     Deformable,
     Hinge,
+    JointDynamics,
     Markers,
     Motion,
     Pose,
@@ -173,7 +174,14 @@ class SceneBuilder:
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
             body_hinges=tuple(
-                BodyHinge(first=one.bodies[0], second=one.bodies[1], anchor_m=one.anchor_m, axis=one.axis)
+                BodyHinge(
+                    first=one.bodies[0],
+                    second=one.bodies[1],
+                    anchor_m=one.anchor_m,
+                    axis=one.axis,
+                    dynamics=self._dynamics(one),
+                    motor=None if one.motor is None else one.motor.build(),
+                )
                 for one in self.spec.body_hinges
                 if all(self._is_present(name) for name in one.bodies)
             ),
@@ -238,11 +246,17 @@ class SceneBuilder:
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
-        if placement.hangs_from_m is None or placement.length_m is None:
+        anchor_m = joint.anchor_m or placement.hangs_from_m
+        if anchor_m is None or (joint.axis is None and placement.length_m is None):
             raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} lacks hangs_from_m")
-        if joint.axis is not None:
-            return Hinge(body=joint.body, anchor_m=placement.hangs_from_m, axis=joint.axis)
-        return Tether(body=joint.body, anchor_m=placement.hangs_from_m, length_m=placement.length_m)
+        if joint.axis is None:
+            assert placement.length_m is not None
+            return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
+        motor = None if joint.motor is None else joint.motor.build()
+        return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, dynamics=self._dynamics(joint), motor=motor)
+
+    def _dynamics(self, joint: JointSpec | BodyHingeSpec) -> JointDynamics:
+        return joint.dynamics.get(self.variant.material, JointDynamics())
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
         for contact in self.contacts:
