@@ -3,7 +3,8 @@
     python studies/joints/so101.py
 
 MuJoCo simulates the whole arm. Writes so101_constants.csv, so101_inertia.csv, so101_errors.csv (each motion),
-so101_judged.csv (over the judged motions, also with one constant left out or changed), so101_load.csv and so101.png.
+so101_judged.csv (over the judged motions, also with one constant left out or changed), so101_load.csv,
+so101_held.csv and so101.png.
 """
 
 from __future__ import annotations
@@ -174,7 +175,7 @@ def intervals(servos: Servos, rows: FloatArray) -> dict[str, FloatArray]:
     slopes = (rows[1:] - rows[0]) / STEPS[:, None, None]
     count = rows.shape[1] // BLOCK_FRAMES
     cut = slice(0, count * BLOCK_FRAMES)
-    found = {field: np.zeros((2, 6)) for field in FIELDS}
+    found = {field: np.full((2, 6), np.nan) for field in FIELDS}
     for j in range(6):
         free = [k for k, field in enumerate(FIELDS) if field != "kp" or LOADED[j]]
         a = slopes[free, cut, j].reshape(len(free), count, BLOCK_FRAMES)
@@ -274,6 +275,23 @@ def load_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
     return rows
 
 
+def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
+    """Return, per loaded joint, what friction holds at rest over the fitted one: weight less the servo's torque."""
+    data = mujoco.MjData(TASK)
+    shares: list[FloatArray] = []
+    for trial in motions:
+        assert trial.commands is not None
+        same = [(one[50:] == one[:-50]).all(axis=1) for one in (trial.angles_rad, trial.commands)]
+        for frame in (np.flatnonzero(same[0] & same[1]) + 50)[::50]:
+            data.qpos[:] = trial.angles_rad[frame]
+            mujoco.mj_forward(TASK, data)
+            servo = found.kp * (trial.commands[frame] - trial.angles_rad[frame])
+            shares.append(np.abs(servo - data.qfrc_bias) / found.dry)
+    middle, most, largest = np.percentile(shares, [50, 90, 100], axis=0)
+    numbers = zip(JOINTS, middle, most, largest, LOADED, strict=True)
+    return [(joint, float(a), float(b), float(c)) for joint, a, b, c, loaded in numbers if loaded]
+
+
 def picture(judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]) -> None:
     """Draw errors per joint, and steps of three joints."""
     figure, axes = plt.subplots(1, 4, figsize=(14, 3.6), layout="constrained", width_ratios=(1.5, 1, 1, 1))
@@ -331,6 +349,7 @@ def main() -> None:
     write("so101_judged.csv", ("constants", *JOINTS), [(name, *map(float, errors)) for name, errors in judged.items()])
     loads = ("joint", "levels", "correlation_with_torque", "share_of_frames_held", "share_of_these_without_load")
     write("so101_load.csv", loads, load_rows(found, motions))
+    write("so101_held.csv", ("joint", "median", "percentile_90", "largest"), held_rows(found, motions))
     picture(judged, motions[4], sets)
 
 
