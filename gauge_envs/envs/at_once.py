@@ -25,8 +25,7 @@ from gauge_envs.evaluation.worlds import copied_array, device_array, host_array,
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.driver_path import DriverPathOfWorlds
-from gauge_envs.scene.motors import motor_commands
+from gauge_envs.scene.driver_path import DriverPathOfWorlds, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]

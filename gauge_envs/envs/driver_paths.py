@@ -8,8 +8,7 @@ import numpy as np
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.scene import Scene
-from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.motors import motor_commands
+from gauge_envs.scene.driver_path import DriverPath, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 

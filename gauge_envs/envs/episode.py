@@ -28,8 +28,7 @@ from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarke
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
-from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.motors import motor_commands
+from gauge_envs.scene.driver_path import DriverPath, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 NO_RATES = np.zeros(0)

@@ -18,9 +18,9 @@ from gauge_envs.experiments.variants import Variant, find_variant, is_experiment
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, Tether
-from gauge_envs.scene.drivers import SampledProfile
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import carried
+from gauge_envs.scene.profiles import SampledProfile
 
 AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
 AnyJoint = TypeVar("AnyJoint", Hinge, Hinge | Tether, BodyHinge)

@@ -10,15 +10,13 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from gauge_envs.errors import UnknownNameError
-from gauge_envs.experiments.tables import DriverSpec, Fraction, ShapeTable
+from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, ShapeTable
 from gauge_envs.experiments.variants import Collection, Variant
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, UnitVector
-from gauge_envs.scene import Attachment, ContactMode, JointDynamics, Motion, Pose
-from gauge_envs.scene.drivers import SampledProfile
+from gauge_envs.scene import Attachment, ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
-from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 
 
 class Group(StrEnum):
@@ -79,8 +77,10 @@ class Substituted(FileModel):
     reason: str
 
 
-class RigidConstants(FileModel):
+class RigidConstants(JointConstants):
     """Calibrated constants of a rigid body; friction and restitution hold for its contact in this experiment.
+
+    Those of a joint are stated by the body of a hinge to the world, or by the second body of a hinge between bodies.
 
     Attributes:
         inertia_kg_m2: Moment of inertia about every axis through the centre; without it the density is uniform.
@@ -159,39 +159,11 @@ class Placement(FileModel):
         return [Pose.from_euler_deg(position, self.euler_deg) for position in positions if position is not None]
 
 
-class MotorSpec(FileModel):
-    """A motor of a joint. A recorded trial states its command, which is 0 without one."""
-
-    kind: Literal["servo", "torque"]
-    kp_n_m_per_rad: Positive | None = None
-    torque_limit_n_m: Positive | None = None
-    delay_s: NonNegative = 0.0
-
-    @model_validator(mode="after")
-    def _gain(self) -> MotorSpec:
-        if (self.kind == "servo") != (self.kp_n_m_per_rad is not None):
-            raise ValueError("a servo needs kp_n_m_per_rad, a torque motor has none")
-        return self
-
-    def build(self) -> Motor:
-        """Return the motor with a command of 0."""
-        command = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
-        if self.kp_n_m_per_rad is None:
-            return TorqueMotor(command=command, delay_s=self.delay_s)
-        return Servo(
-            command=command,
-            kp_n_m_per_rad=self.kp_n_m_per_rad,
-            torque_limit_n_m=self.torque_limit_n_m,
-            delay_s=self.delay_s,
-        )
-
-
 class JointSpec(FileModel):
-    """A hinge or a string to the world at the point that the body hangs from.
+    """A hinge or a string to the world at the point that the body hangs from, or at a hinge's own anchor.
 
     Attributes:
-        anchor_m: World position of a point of the axis of a hinge; None where the body hangs from a point.
-        dynamics: Friction and armature of a hinge, by material.
+        anchor_m: Anchor of the hinge of a body that is placed by its position.
         motor: Motor of a hinge.
     """
 
@@ -199,23 +171,23 @@ class JointSpec(FileModel):
     body: str
     axis: UnitVector | None = None
     anchor_m: Vector | None = None
-    dynamics: dict[str, JointDynamics] = Field(default_factory=dict)
     motor: MotorSpec | None = None
 
     @model_validator(mode="after")
     def _axis(self) -> JointSpec:
         if (self.kind == "hinge") != (self.axis is not None):
             raise ValueError("a hinge needs an axis, a tether has none")
+        if self.kind == "tether" and (self.anchor_m or self.motor):
+            raise ValueError("a tether has no anchor_m and no motor")
         return self
 
 
 class BodyHingeSpec(FileModel):
-    """A hinge between two dynamic bodies, at their start; friction, armature and motor as of a hinge to the world."""
+    """A hinge between two dynamic bodies, at their start. A motor turns the second one relative to the first."""
 
     bodies: tuple[str, str]
     anchor_m: Vector
     axis: UnitVector
-    dynamics: dict[str, JointDynamics] = Field(default_factory=dict)
     motor: MotorSpec | None = None
 
 

@@ -23,8 +23,8 @@ from gauge_envs.files import MEGABYTE, npz_arrays
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, UnitVector, faults_of, read_content, read_toml, scoring_folder
-from gauge_envs.scene.drivers import SampledProfile
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 Half = Literal["fit", "judge"]

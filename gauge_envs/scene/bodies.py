@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
-
-if TYPE_CHECKING:
-    from gauge_envs.scene.motors import Motor
+from gauge_envs.scene.motors import Motor
 
 
 class Motion(StrEnum):

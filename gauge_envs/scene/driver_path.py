@@ -152,3 +152,19 @@ def _between(before: FloatArray, after: FloatArray, interval_s: float) -> tuple[
     starts, ends = before[:, 7:], after[:, 7:]
     miss = np.concatenate([linear, angular], axis=1) - 0.5 * (starts + ends)
     return starts + miss, (ends - starts) / interval_s
+
+
+def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S) -> FloatArray:
+    """Return the commands of a scene's motors [rad or N m], those in the middle of each interval.
+
+    Args:
+        scene: The scene.
+        count: Number of intervals from the start.
+        interval_s: Length of an interval [s].
+
+    Returns:
+        Shape [count, motor_count], in the order of `Scene.motors`.
+    """
+    times_s = (np.arange(count) + 0.5) * interval_s
+    columns = [[motor.command.value(time - motor.delay_s) for time in times_s.tolist()] for _, motor in scene.motors]
+    return np.array(columns).reshape(len(columns), count).T.copy()

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene.bodies import BodyHinge, Hinge, Motion, RigidBody
+from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 
 UNIT = 1e-6
@@ -184,6 +185,12 @@ def hinge_fault(
 def joint_sign(hinge: Hinge | BodyHinge, child: str) -> float:
     """Return 1 where the angle of a hinge turns a body relative to what it hangs on, and -1 where the other way."""
     return -1.0 if isinstance(hinge, BodyHinge) and child == hinge.first else 1.0
+
+
+def joint_fields(joint: Hinge | BodyHinge | Tether) -> dict[str, Any]:
+    """Return the fields of a joint, without friction, armature and motor if it has none."""
+    without = {"dynamics": asdict(JointDynamics()), "motor": None}
+    return {name: value for name, value in asdict(joint).items() if name not in without or value != without[name]}
 
 
 def _root(group: Mapping[str, str], name: str) -> str:

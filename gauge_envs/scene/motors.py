@@ -3,16 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-import numpy as np
-
-from gauge_envs.scene.drivers import Profile
-from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-
-if TYPE_CHECKING:
-    from gauge_envs.scene.scene import Scene
+from gauge_envs.scene.geometry import NonNegative, Positive
+from gauge_envs.scene.profiles import Profile
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,19 +52,3 @@ class Servo:
 
 
 Motor = TorqueMotor | Servo
-
-
-def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S) -> FloatArray:
-    """Return the commands of a scene's motors [rad or N m], those in the middle of each interval.
-
-    Args:
-        scene: The scene.
-        count: Number of intervals from the start.
-        interval_s: Length of an interval [s].
-
-    Returns:
-        Shape [count, motor_count], in the order of `Scene.motors`.
-    """
-    times_s = (np.arange(count) + 0.5) * interval_s
-    columns = [[motor.command.value(time - motor.delay_s) for time in times_s.tolist()] for _, motor in scene.motors]
-    return np.array(columns).reshape(len(columns), count).T.copy()

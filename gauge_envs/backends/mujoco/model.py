@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import mujoco
@@ -35,7 +35,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.hinged import joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
-from gauge_envs.scene.motors import Motor, Servo
+from gauge_envs.scene.motors import Servo
 
 START_KEY = "start"
 """Name of the keyframe whose `qvel` holds the start velocities; a scene at rest has no keyframe."""
@@ -154,9 +154,7 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
-    for name, hinge in hinges.items():
-        if hinge.motor is not None:
-            _add_motor(spec, name, hinge.motor, joint_sign(hinge, name))
+    _add_motors(spec, hinges)
     parts = add_deformables(spec, scene, settings)
     for index, contact in enumerate(scene.contacts):
         if parts.keys() & {*contact.first, *contact.second}:
@@ -260,21 +258,7 @@ def _add_body(
     if body.motion is Motion.FIXED:
         return geoms
     if hinge is not None:
-        anchor = body.pose.to_body(np.asarray(hinge.anchor_m))
-        axis = body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True)
-        joint = frame.add_joint(
-            type=mujoco.mjtJoint.mjJNT_HINGE,
-            name=body.name,
-            pos=anchor,
-            axis=axis,
-            frictionloss=hinge.dynamics.dry_friction_n_m,
-            damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
-            armature=hinge.dynamics.armature_kg_m2,
-        )
-        # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second. With its
-        # time constant of 20 ms, a joint that stops is 0.2 degrees off after three swings.
-        joint.solimp_friction = STIFF_IMPEDANCE
-        joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+        _add_hinge(frame, body, hinge, settings)
     else:
         frame.add_freejoint(name=body.name)
     if body.motion is Motion.KINEMATIC:
@@ -298,6 +282,24 @@ def _add_body(
     return geoms
 
 
+def _add_hinge(frame: mujoco.MjsBody, body: RigidBody, hinge: Hinge | BodyHinge, settings: SettingsMuJoCo) -> None:
+    """Add the joint of a hinged body, which has the name of the body."""
+    joint = frame.add_joint(
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        name=body.name,
+        pos=body.pose.to_body(np.asarray(hinge.anchor_m)),
+        axis=body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True),
+        frictionloss=hinge.dynamics.dry_friction_n_m,
+        damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
+        armature=hinge.dynamics.armature_kg_m2,
+    )
+    if hinge.dynamics.dry_friction_n_m:
+        # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second, and
+        # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
+        joint.solimp_friction = STIFF_IMPEDANCE
+        joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+
+
 def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
     """Return the volume of each geom of a shape [m^3]."""
     if isinstance(shape, ConvexUnion):
@@ -309,24 +311,26 @@ def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
     ]
 
 
-def _add_motor(spec: mujoco.MjSpec, joint: str, motor: Motor, sign: float) -> None:
-    """Add the motor of a joint, whose control is its command: an angle from the start, or a torque.
+def _add_motors(spec: mujoco.MjSpec, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
+    """Add the motors of joints, whose control is their command: an angle from the start, or a torque.
 
     Args:
         spec: The editable model.
-        joint: Name of the joint, which is that of its body.
-        motor: The motor.
-        sign: 1 where the joint of MuJoCo turns as the scene's, -1 where the other way.
+        hinges: The hinges, by name of the joint.
     """
-    actuator = spec.add_actuator(name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT)
-    actuator.gear[0] = sign
-    if isinstance(motor, Servo):
-        actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
-        actuator.gainprm[0] = motor.kp_n_m_per_rad
-        actuator.biasprm[1:3] = [-motor.kp_n_m_per_rad, -motor.kv_n_m_s_per_rad]
-        if motor.torque_limit_n_m is not None:
-            actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
-            actuator.forcerange = [-motor.torque_limit_n_m, motor.torque_limit_n_m]
+    for name, hinge in hinges.items():
+        motor = hinge.motor
+        if motor is None:
+            continue
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear[0] = joint_sign(hinge, name)
+        if isinstance(motor, Servo):
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.gainprm[0] = motor.kp_n_m_per_rad
+            actuator.biasprm[1:3] = [-motor.kp_n_m_per_rad, -motor.kv_n_m_s_per_rad]
+            if motor.torque_limit_n_m is not None:
+                actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+                actuator.forcerange = [-motor.torque_limit_n_m, motor.torque_limit_n_m]
 
 
 def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:

@@ -15,10 +15,10 @@ from gauge_envs.backends.base import Backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Plane, Pose, RigidBody, Scene, Sphere
-from gauge_envs.scene.drivers import SampledProfile
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, joint_sign, other_end, parent_hinges
 from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify.logs import Log
 
 DYNAMICS = tuple(one.name for one in fields(JointDynamics))
