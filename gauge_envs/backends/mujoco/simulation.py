@@ -73,8 +73,8 @@ class SimulationMuJoCo(Simulation):
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         self._folds: FoldWatch | None = None
         if len(scene.contacts) == 1 and len(names := {*scene.contacts[0].first, *scene.contacts[0].second}) == 1:
-            cloth = self._parts.get(*names)
-            self._folds = FoldWatch(cloth, model, self.data) if isinstance(cloth, ClothPartMuJoCo) else None
+            alone = self._parts.get(*names)
+            self._folds = FoldWatch(alone, model, self.data) if isinstance(alone, ClothPartMuJoCo) else None
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}

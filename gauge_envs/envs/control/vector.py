@@ -172,6 +172,8 @@ class ControlWorlds:
     ) -> None:
         found = find_control_task(task)
         make = load_env_creator(found.entry_point)
+        assert isinstance(make, type)
+        assert issubclass(make, ControlEnv)
         settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
