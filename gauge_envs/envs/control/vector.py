@@ -175,7 +175,7 @@ class ControlWorlds:
         settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
-            return make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)  # type: ignore[no-any-return]
+            return make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
 
         first = world(parameters)
         common = dict(first.experiment.overrides)
