@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from ctypes.util import find_library
+from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
@@ -47,6 +49,9 @@ DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
 def _graphics_context(width: int, height: int) -> Any:
     """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
+    # After Mesa's LLVM, loading that of triton, which PyTorch for CUDA brings, ends in a segmentation fault.
+    with suppress(ImportError):
+        import_module("triton")
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
         wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""

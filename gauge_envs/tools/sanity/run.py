@@ -372,7 +372,7 @@ def read_baseline(path: Path) -> dict[str, float]:
     try:
         lines = [json_document(line) for line in content.splitlines() if line.strip()]
         found = {line["phenomenon"]: _deviation(line) for line in lines if "phenomenon" in line}
-    except (TypeError, ValueError, KeyError, ZeroDivisionError) as error:
+    except (TypeError, ValueError, KeyError, ArithmeticError) as error:
         raise TargetError(f"{path}: is not the output of gauge sanity --json: {error}") from None
     if not found:
         raise TargetError(f"{path}: has no row; write it with gauge sanity TARGET --json > {path}")

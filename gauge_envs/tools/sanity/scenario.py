@@ -124,9 +124,9 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
 
 
 def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, Any]:
-    """Return settings with the drive interval for their step; unchanged when they state no step."""
+    """Return settings with the drive interval for their step; unchanged without a step that an engine takes."""
     step = settings.get("timestep_s")
-    if step is None:
+    if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
         return dict(settings)
     return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}
 

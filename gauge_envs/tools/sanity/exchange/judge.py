@@ -119,7 +119,7 @@ def _difference(expected: Any, found: Any, place: str = "") -> str | None:
         parts = ((key, expected[key], found[key]) for key in expected)
     elif isinstance(expected, list) and isinstance(found, list) and len(expected) == len(found):
         parts = ((str(i), one, other) for i, (one, other) in enumerate(zip(expected, found, strict=True)))
-    elif isinstance(expected, float) and isinstance(found, int | float):
+    elif isinstance(expected, float) and isinstance(found, int | float) and abs(found) < 1e300:
         return None if math.isclose(expected, found, rel_tol=SAME_NUMBER, abs_tol=1e-12) else place
     else:
         return None if type(expected) is type(found) and expected == found else place

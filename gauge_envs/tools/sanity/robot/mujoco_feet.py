@@ -109,6 +109,8 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, f
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     stance = stance_of(model, np.asarray(up))
+    if not np.isfinite(stance.positions_m).all():
+        raise NoFootError("the poses of the model's geoms are not finite")
     robot_of = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
     robots = {robot_of[geom] for geom in touching}
     joints, bodies = driven(model)
