@@ -99,7 +99,8 @@ def test_no_default_preset_fails_a_check_of_what_is_ranked() -> None:
     )
     for one in defaults.values():
         slides = [ratio for column, ratio in one["laws"].items() if column.startswith("slide")]
-    assert slides == pytest.approx([1.0] * 3, abs=0.01)
+        slides.append(build_engine_table.law_ratio(one, "slide"))
+        assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 
 def test_ranks_need_every_graded_episode_of_every_configuration(tmp_path: Path) -> None:
