@@ -19,10 +19,10 @@ from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
@@ -31,8 +31,9 @@ from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, read_content
 from gauge_envs.references.user_data import trials_folder
-from gauge_envs.scene.drivers import Driver, SampledProfile
+from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MOST_RECORD_BYTES = 8 * MEGABYTE
@@ -140,7 +141,7 @@ class VariantRecord(ImportFacts):
     """
 
     format: Literal[1] = 1
-    arrays: str
+    arrays: Annotated[str, Field(pattern=r"^[\w.-]+\.npz$")]
     arrays_sha256: str
     unit: str
     coordinates: tuple[str, ...]

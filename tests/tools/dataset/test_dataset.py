@@ -42,7 +42,8 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name
-from gauge_envs.scene.drivers import DriverMotion, SampledProfile
+from gauge_envs.scene.drivers import DriverMotion
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.dataset.importer import ImportedTrials, import_trials
 from gauge_envs.tools.dataset.layout import find_trials, write_revision
@@ -649,6 +650,17 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
     assert gauge("show", name).exit_code == 0
     imported(tmp_path)
     assert band_grade(name, DataSource.IMPORTED) is BandGrade.TRIALS
+
+
+@pytest.mark.parametrize("arrays", ["", "..", "../a.npz", "a\0.npz"])
+def test_a_damaged_name_of_arrays_is_named(arrays: str, tmp_path: Path) -> None:
+    name = "SlopeSlider-1-wood"
+    write_synthetic(tmp_path, name)
+    imported(tmp_path)
+    (file,) = (user_data_folder() / "trials").glob("*.json")
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"arrays": arrays}))
+    with pytest.raises(ReferenceFileError, match="is no import of this version: arrays"):
+        load_imported(name)
 
 
 def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
