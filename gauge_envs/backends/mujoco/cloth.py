@@ -46,10 +46,6 @@ class ClothPartMuJoCo(FlexPart):
         flex: Its flex in the editable model.
         grid: Its mesh.
         points: Its vertices.
-
-    Attributes:
-        cloth: The cloth.
-        grid: Its mesh.
     """
 
     def __init__(self, cloth: Cloth, flex: mujoco.MjsFlex, grid: ClothGrid, points: Points) -> None:

@@ -39,14 +39,11 @@ class SimulationMuJoCo(Simulation):
     Args:
         scene: The scene.
         settings: Numerical settings in force, including `timestep_s`.
-        spec: The editable model.
+        spec: The editable model, for export and inspection.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
 
     Attributes:
-        settings: Numerical settings in force.
-        spec: The editable model, for export and inspection.
-        model: The compiled model.
         data: MuJoCo's state of the model.
         grips: Nodes of soft bodies that move with driven bodies.
     """

@@ -26,9 +26,8 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 Frame = Generator[None, None, tuple[float, Ending | None]]
 """A frame of a task, which yields where the world must advance by 1/180 s, and returns reward and ending."""

@@ -121,6 +121,14 @@ def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
     assert read.inapplicable[Need.FOOT] == reason
 
 
+def test_a_model_that_is_nowhere_has_no_foot(tmp_path: Path) -> None:
+    """MuJoCo compiles a position of NaN."""
+    path = tmp_path / "nowhere.xml"
+    ball = '<body pos="nan 0 1"><freejoint/><geom size=".1"/></body>'
+    path.write_text(f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>')
+    assert configuration(path).inapplicable[Need.FOOT] == "the poses of the model's geoms are not finite"
+
+
 BIPED = """<mujoco><asset><mesh name="wedge" vertex="-.1 -.03 0 .1 -.03 0 -.1 .03 0 .1 .03 0 -.1 0 .05"/></asset>
   <worldbody><geom type="plane" size="5 5 .1" {plane}/><body name="base" pos="0 0 1"><freejoint/>
     <geom type="box" size=".1 .1 .1" mass="8" pos="0 0 .5"/>
