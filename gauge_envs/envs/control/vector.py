@@ -172,7 +172,6 @@ class ControlWorlds:
     ) -> None:
         found = find_control_task(task)
         make = load_env_creator(found.entry_point)
-        settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
             env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
@@ -180,6 +179,7 @@ class ControlWorlds:
             return env
 
         first = world(parameters)
+        settings = settings or first.OWN_SETTINGS.get(backend)
         common = dict(first.experiment.overrides)
         self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
         scenes = [env.experiment.scene for env in self.envs]
