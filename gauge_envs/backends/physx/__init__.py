@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.base import Feature, Simulation
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
@@ -34,10 +34,10 @@ class BackendPhysX(BundledBackend):
     packages = ("sapien",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
+        {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
     corrections = ("a cylinder is a capsule or a ball in a prism",)
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:
@@ -50,8 +50,8 @@ class BackendPhysX(BundledBackend):
         """Yield one sentence for each kind of unsupported feature of a scene."""
         if scene.deformables:
             yield (
-                f"{first_of([body.name for body in scene.deformables])} is deformable: SAPIEN contains PhysX's rigid "
-                "bodies only; its cloth and soft bodies need a GPU and Isaac Sim"
+                f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
+                "a GPU, and SAPIEN's chains have no spherical joint for ropes"
             )
         hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
         yield from declined_hinges(hinges)

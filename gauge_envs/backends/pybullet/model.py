@@ -14,9 +14,9 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushin
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
-from gauge_envs.backends.shared.rigid import centre_velocity
+from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
@@ -28,13 +28,10 @@ STRING_MASS = 1e-6
 class WorldPyBullet(BulletWorld):
     """A PyBullet world at the start of a scene.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-
     Attributes:
         ropes: The ropes in PyBullet, by name.
         soft: PyBullet's numbers of the soft bodies, by name.
+        joints: PyBullet's numbers of the multibody and the link of each hinge, and the sign of the joint, by its `id`.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -54,6 +51,7 @@ class WorldPyBullet(BulletWorld):
         self._set_parameters()
         self.handles.clear()
         self.copies.clear()
+        self.joints: dict[int, tuple[int, int, float]] = {}
         self._surfaces = surfaces(self.scene)
         self._coned = pushing_bodies(self.scene) if self.settings.cone_friction else set()
         self.ropes = {
@@ -61,9 +59,13 @@ class WorldPyBullet(BulletWorld):
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
-        joints = {joint.body: joint for joint in self.scene.joints}
+        hinges, joints = world_hinges(self.scene), {joint.body: joint for joint in self.scene.joints}
         for tree in hinge_trees(self.scene.body_hinges):
-            self._joined(parent_hinges(tree))
+            below = parent_hinges(tree, self.scene.hung)
+            name, hinge = next(iter(below.items()))
+            root = other_end(hinge, name)
+            hung = {root: hinges[root]} if root in hinges else {}
+            self._joined({**hung, **below})
         for body in self.scene.bodies:
             joint = joints.get(body.name)
             if body.name in self.handles:
@@ -77,7 +79,13 @@ class WorldPyBullet(BulletWorld):
                 for _ in self._surfaces.get(body.name, [None]):
                     self._free(body)
         self.soft = {
-            body.name: add_soft_body(self, body, self.folder / f"{body.name}.vtk", cell_m=self.settings.cell_m)
+            body.name: add_soft_body(
+                self,
+                body,
+                self.folder / f"{body.name}.vtk",
+                cell_m=self.settings.cell_m,
+                friction=self._surfaces[body.name][0].friction if body.name in self._surfaces else None,
+            )
             for body in soft
         }
         self._set_contacts()
@@ -151,7 +159,7 @@ class WorldPyBullet(BulletWorld):
             body, back, place, parent = self.scene.body(name), turns[name].inv(), (np.zeros(3), turns[name]), 0
             if isinstance(hinge, BodyHinge):
                 other = other_end(hinge, name)
-                to_parent, parent = turns[other].inv(), list(frames).index(other)
+                to_parent, parent = turns[other].inv(), list(frames).index(other) + (root is None)
                 place = (self.scale * to_parent.apply(origins[name] - origins[other]), to_parent * turns[name])
             arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
             offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
@@ -177,6 +185,14 @@ class WorldPyBullet(BulletWorld):
             if isinstance(hinge, BodyHinge):
                 rate = start_rate_rad_per_s(hinge, body, self.scene.body(other_end(hinge, name)))
             self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
+            dry, damping = hinge.dynamics.dry_friction_n_m, hinge.dynamics.viscous_friction_n_m_s_per_rad
+            if dry:
+                # A motor that holds the rate at 0 with a largest torque.
+                brake = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": self.scale**2 * dry}
+                self.call("setJointMotorControl2", number, link_number, **brake)
+            if damping:
+                self.call("changeDynamics", number, link_number, jointDamping=self.scale**2 * damping)
+            self.joints[id(hinge)] = (number, link_number, joint_sign(hinge, name))
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""
@@ -248,7 +264,9 @@ class WorldPyBullet(BulletWorld):
         return list(zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True))
 
     def _towards(self, name: str, partner: str) -> Handle:
-        """Return the copy of a rigid body whose surface is that towards another body."""
+        """Return a soft body, or the copy of a rigid body whose surface is that towards another body."""
+        if name in self.soft:
+            return Handle(self.soft[name], -1, np.zeros(3), Rotation.identity())
         return next(handle for surface, handle in self._surface_handles(name) if partner in surface.partners)
 
     def _filter_collisions(self) -> None:

@@ -23,9 +23,8 @@ from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 
 class ControlVectorEnv(WorldsEnvironment[FloatArray]):
@@ -173,6 +172,9 @@ class ControlWorlds:
     ) -> None:
         found = find_control_task(task)
         make = load_env_creator(found.entry_point)
+        assert isinstance(make, type)
+        assert issubclass(make, ControlEnv)
+        settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
             env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)

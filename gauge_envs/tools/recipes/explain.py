@@ -66,7 +66,7 @@ class Meaning:
 
     def json(self) -> dict[str, Any]:
         """Return the meaning as one JSON-ready object."""
-        ready: dict[str, Any] = json_ready(
+        return json_ready(
             {
                 "engine": self.engine,
                 "asked": {"mass_kg": self.mass_kg, "timestep_s": self.settings.timestep_s},
@@ -78,7 +78,6 @@ class Meaning:
                 "versions": dict(self.versions),
             }
         )
-        return ready
 
 
 def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) -> ContactSettings:

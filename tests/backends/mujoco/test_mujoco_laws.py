@@ -29,7 +29,8 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 G = GRAVITY_M_PER_S2

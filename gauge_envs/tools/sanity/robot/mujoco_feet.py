@@ -299,8 +299,7 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
     """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]
-    vertices: NDArray[np.float64] = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-    return vertices
+    return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
 
 
 def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
