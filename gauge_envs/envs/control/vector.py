@@ -171,15 +171,11 @@ class ControlWorlds:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         found = find_control_task(task)
-        make = load_env_creator(found.entry_point)
-        assert isinstance(make, type)
-        assert issubclass(make, ControlEnv)
+        make: Any = load_env_creator(found.entry_point)
         settings = settings or make.OWN_SETTINGS.get(backend)
 
         def world(chosen: Parameters) -> ControlEnv:
-            env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
-            assert isinstance(env, ControlEnv)
-            return env
+            return make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
 
         first = world(parameters)
         common = dict(first.experiment.overrides)
