@@ -98,26 +98,6 @@ def _joint_dry(rollout: Rollout) -> Measurement:
     return _dry_n_m(angles, -WEIGHT_N_M * np.cos(angles), DRY_N_M)
 
 
-@rollout_of(
-    "a bar on a hinge without gravity, with a dry friction of 0.1 N m and a servo of 2 N m/rad that steps by 0.5 rad",
-    _scene(
-        _bar(),
-        seconds=2.5,
-        motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP),
-        dry_friction_n_m=BRAKE_N_M,
-    ),
-).check(
-    "joint-dry-servo",
-    title="dry friction beside a servo",
-    law="loss = dry angle: the amplitude falls by 2 dry / kp from stop to stop",
-    diagnosis="where joint-dry passes, the servo takes the place of the friction: both share one motor",
-    **DRY,
-)
-def _joint_dry_servo(rollout: Rollout) -> Measurement:
-    angles = _turned_rad(rollout) - RELEASE_RAD
-    return _dry_n_m(angles, 0.5 * KP * angles**2, BRAKE_N_M)
-
-
 HOLD_N_M, HELD_RAD, SLIPPING_RAD = 0.3, float(np.arcsin(0.24 / WEIGHT_N_M)), float(np.arcsin(0.375 / WEIGHT_N_M))
 _held = rollout_of(
     "two bars at rest on hinges with a dry friction of 0.3 N m, whose weights exert 0.24 and 0.375 N m",
@@ -288,6 +268,26 @@ def _joint_servo(rollout: Rollout) -> Measurement:
 def _joint_limit(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
     return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
+
+
+@rollout_of(
+    "a bar on a hinge without gravity, with a dry friction of 0.1 N m and a servo of 2 N m/rad that steps by 0.5 rad",
+    _scene(
+        _bar(),
+        seconds=2.5,
+        motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP),
+        dry_friction_n_m=BRAKE_N_M,
+    ),
+).check(
+    "joint-dry-servo",
+    title="dry friction beside a servo",
+    law="loss = dry angle: the amplitude falls by 2 dry / kp from stop to stop",
+    diagnosis="where joint-dry passes, the servo takes the place of the friction: both share one motor",
+    **DRY,
+)
+def _joint_dry_servo(rollout: Rollout) -> Measurement:
+    angles = _turned_rad(rollout) - RELEASE_RAD
+    return _dry_n_m(angles, 0.5 * KP * angles**2, BRAKE_N_M)
 
 
 # --- chain -----------------------------------------------------------------------------------------------------------
