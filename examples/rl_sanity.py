@@ -105,7 +105,7 @@ def train(task: str, settings: Mapping[str, Any], steps: int, *, hide_slip: bool
         n_steps=300,
         batch_size=300,
         # The rate falls to 0, so that the policy settles below the limit.
-        learning_rate=lambda left: 1e-3 * left,
+        learning_rate=lambda left: 1e-3 * max(left, 0.0),
         gamma=0.98,
         # An action of 0.4 changes the angular rate by 1/30 of its final value; more noise would cause slips.
         policy_kwargs={"log_std_init": -1.0, "net_arch": [32, 32]},

@@ -1,6 +1,6 @@
 """Write the tables of `docs/engines/conformance.md` from `scoring/conformance.json`.
 
-    gauge backend check '*:*' --out engines.json                                in each environment that has engines
+    gauge backend check '*:*' --only '*' --out engines.json                     in each environment that has engines
     gauge backend check engines.json genesis.json --out scoring/conformance.json
     python scripts/build_conformance.py                                         writes the page
     python scripts/build_conformance.py --check                                 fails if the page is not current
@@ -58,11 +58,18 @@ def sign(finding: CheckResult | None) -> str:
 
 
 def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
-    """Yield the lines of the table of checks, with a column for each engine."""
+    """Yield the table: one check per phenomenon, and what a default fails, with a column for each engine."""
     engines = list(dict.fromkeys(column.backend for column in columns))
     found = {(column.backend, column.name): column.current() for column in columns}
+    failed = {
+        name
+        for (_, configuration), results in found.items()
+        if configuration == "default"
+        for name, one in results.items()
+        if one.is_bad
+    }
     rows = []
-    for check in checks(CANONICAL):
+    for check in checks([*CANONICAL, *failed]):
         of_check = {place: results.get(check.id) for place, results in found.items()}
         cells = ["".join(sign(of_check.get((engine, name))) for name in SHOWN) for engine in engines]
         expected = expected_text(of_check.values())

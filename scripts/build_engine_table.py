@@ -4,23 +4,20 @@
     python scripts/build_engine_table.py --results DIR --engine rapier  measures this engine only; ranks stay
     python scripts/build_engine_table.py --results DIR --grades         runs what ranks need; writes scores and ranks
     python scripts/build_engine_table.py --results DIR --scores         scores what DIR holds again; writes the same
-    python scripts/build_engine_table.py --again CHECK                  runs a check again in all configurations
     python scripts/build_engine_table.py --docs                         writes the page from `scoring/engines.json`
     python scripts/build_engine_table.py --tables                       prints all tables of the data
     python scripts/build_engine_table.py --check                        fails if the page is not current
 
-DIR keeps the result files and the conformance checks, one folder for each configuration, so that the script can be
-stopped at any time. Wall times are ratios to MuJoCo's default preset, which runs right before each episode.
+DIR keeps the result files, one folder for each configuration, so that the script can be stopped at any time. Wall times
+are ratios to MuJoCo's default preset, which runs right before each episode. Checks are those of
+`scoring/conformance.json`.
 
 Ranks compare the configurations that fail no conformance check of what a ranked experiment has (`UNRANKED` are the
-others), neither in the data file nor in `scoring/conformance.json`; the others stand apart with their scores. They run
-with the published constants, and where the reference is the mean of real trials with the parameter set `effective`.
-All result files must be in DIR together. `--grades` measures no cost and no checks, so that a new engine joins the
-ranks without a second measurement of the others. An engine of another environment runs there, with `--engine` and the
-same DIR; ranks are written where all configurations are complete. Trajectories are scored again by the present code
-each time.
-
-`--again` is for a conformance check that changed: it moves the check between the passed, failed and declined ones.
+others); the others stand apart with their scores. They run with the published constants, and where the reference is
+the mean of real trials with the parameter set `effective`. All result files must be in DIR together. `--grades`
+measures no cost, so that a new engine joins the ranks without a second measurement of the others. An engine of another
+environment runs there, with `--engine` and the same DIR; ranks are written where all configurations are complete.
+Trajectories are scored again by the present code each time.
 """
 
 from __future__ import annotations
@@ -30,6 +27,7 @@ import json
 import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +45,8 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.tools.compare import PUBLISHED, Comparison, GradeComparison, compare
 from gauge_envs.tools.compare.significance import NEGLIGIBLE
-from gauge_envs.tools.conformance import checks, run_checks
-from gauge_envs.tools.conformance.matrix import read_columns
+from gauge_envs.tools.conformance import Status, checks
+from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns
 from gauge_envs.tools.leaderboard.trajectory import rescored
 
 DATA = SCORING / "engines.json"
@@ -65,8 +63,6 @@ PAPER_STEP = {"timestep_s": 1 / 180, "drive_interval_s": 1 / 180}
 
 SHORT_S = 5.0
 """Wall time below which an episode runs twice, for the faster time [s]."""
-
-STATUSES = ("pass", "fail", "error", "declined")
 
 SLIDES = ("SlopeSlider-2-wood", "SlopeSlider-2-plastic", "SlopeSlider-2-metal")
 LAWS = ("SlopeSlider-1-wood", "SlopeSlider-1-plastic", "SlopeSlider-1-metal")
@@ -115,13 +111,10 @@ def settings_of(engine: str, preset: str) -> dict[str, Any]:
     return {"preset": preset} | (PAPER_STEP if engine == "mujoco" else {})
 
 
-def conformance(engine: str, preset: str, file: Path) -> list[dict[str, Any]]:
-    """Return the conformance checks of a configuration, from its file if there is one."""
-    if not file.is_file():
-        results = run_checks(engine, settings=settings_of(engine, preset))
-        rows = [json.dumps(one.to_dict()) for one in results]
-        write_whole(file, ("\n".join(rows) + "\n").encode())
-    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()]
+@cache
+def columns() -> Mapping[tuple[str, str], MatrixColumn]:
+    """Return the conformance checks of all configurations, by engine and preset."""
+    return {(one.backend, "" if one.name == "default" else one.name): one for one in read_columns(CONFORMANCE)}
 
 
 def episode(engine: str, preset: str, variant: str) -> tuple[Result, float]:
@@ -136,7 +129,7 @@ def episode(engine: str, preset: str, variant: str) -> tuple[Result, float]:
 
 
 def measure(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> None:
-    """Run the episodes and checks of a configuration that its folder lacks."""
+    """Run the episodes of a configuration that its folder lacks."""
     folder.mkdir(parents=True, exist_ok=True)
     ratios_file = folder / "ratios.json"
     ratios = json.loads(ratios_file.read_text(encoding="utf-8")) if ratios_file.is_file() else {}
@@ -156,7 +149,6 @@ def measure(engine: str, preset: str, folder: Path, variants: Sequence[str]) -> 
         ratios[variant] = wall_s / reference_s if reference_s and result.error is None else None
         write_whole(ratios_file, json.dumps(ratios, indent=1).encode())
         print(f"{name_of(engine, preset)}: {variant} {result.outcome.value}, {time.perf_counter() - started:.0f} s")
-    conformance(engine, preset, folder / "conformance.jsonl")
 
 
 def implied(result: Result, parameter: str) -> float | None:
@@ -186,18 +178,11 @@ def record(engine: str, preset: str, folder: Path) -> dict[str, Any]:
     """Return what the page states about one configuration, JSON-ready."""
     results = {one.id.removeprefix("GAUGE/"): one for one in loaded(folder) if one.parameters == PUBLISHED}
     ratios = json.loads((folder / "ratios.json").read_text(encoding="utf-8"))
-    checks = conformance(engine, preset, folder / "conformance.jsonl")
-    by_status = {status: [one["check"] for one in checks if one["status"] == status] for status in STATUSES}
-    by_check = {one["check"]: one for one in checks}
     return {
         "engine": engine,
         "preset": preset,
         "versions": engine_versions(results.values()),
-        "conformance": {"passed": len(by_status["pass"]), "failed": [*by_status["fail"], *by_status["error"]]}
-        | {"declined": by_status["declined"]},
-        "laws": {column: law_ratio(by_check[check]) for column, check in RATIOS.items()}
-        | {"energy loss": measured_value(by_check["pendulum-energy"])}
-        | {f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name]) for name in SLIDES}
+        "laws": {f"slide {name.rsplit('-', 1)[1]}": acceleration_ratio(results[name]) for name in SLIDES}
         | {"rebound": rebound_ratio(results[BALL])},
         "episodes": {name: episode_record(one) for name, one in results.items()} | not_run(folder),
         "wall_ratios": ratios,
@@ -215,16 +200,23 @@ def engine_versions(results: Iterable[Result]) -> dict[str, str]:
     return next((dict(RunConfiguration.of(one).engine_versions) for one in results if one.error is None), {})
 
 
-def law_ratio(check: Mapping[str, Any]) -> float | None:
+def law_ratio(one: Mapping[str, Any], check: str) -> float | None:
     """Return the measured over the expected value of a check that ran."""
-    measured = measured_value(check)
-    return None if measured is None else measured / check["expected"]
+    found = columns()[one["engine"], one["preset"]].findings[check]
+    ratio = np.nan if found.measured is None else found.measured / (found.expected or np.nan)
+    return float(ratio) if np.isfinite(ratio) else None
 
 
-def measured_value(check: Mapping[str, Any]) -> float | None:
-    """Return the measured value of a check, None if it was declined or raised an error."""
-    value = check.get("measured")
-    return float(value) if value is not None else None
+def energy_loss(one: Mapping[str, Any]) -> str:
+    """Return the energy that a pendulum loses [%], empty if the check did not run."""
+    return number(columns()[one["engine"], one["preset"]].findings["pendulum-energy"].measured, 3)
+
+
+def checks_with(one: Mapping[str, Any], *statuses: Status) -> list[str]:
+    """Return the conformance checks of a configuration with some statuses; refused ones count as declined."""
+    column = columns()[one["engine"], one["preset"]]
+    refused = column.refused if Status.DECLINED in statuses else ()
+    return [*(name for name, found in column.findings.items() if found.status in statuses), *refused]
 
 
 def episode_record(result: Result) -> dict[str, Any]:
@@ -306,16 +298,16 @@ def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
     return [rescored(found[one], recorded_experiment(found[one])) for one in sorted(wanted)]
 
 
-UNRANKED = ("oblique-", "slide-between")
-"""Checks of what no ranked experiment has: impacts that slip, and two moving bodies that rub."""
+COUNTED = ((Status.PASS,), (Status.FAIL, Status.ERROR), (Status.DECLINED,))
+"""What the tables count: passed, failed, declined."""
+
+UNRANKED = ("oblique-", "slide-between", "rebound-flat")
+"""Checks of what no ranked experiment has: impacts that slip, two moving bodies that rub, and boxes that land flat."""
 
 
 def failed_checks(known: Mapping[str, Any]) -> int:
-    """Return how many checks a configuration fails that keep it from the ranks, by both data files."""
-    name = known["preset"] or "default"
-    columns = [one for one in read_columns(CONFORMANCE) if (one.backend, one.name) == (known["engine"], name)]
-    bad = [[name for name, finding in one.findings.items() if finding.is_bad] for one in columns]
-    return max(sum(not name.startswith(UNRANKED) for name in names) for names in [known["conformance"]["failed"], *bad])
+    """Return how many checks a configuration fails that keep it from the ranks."""
+    return sum(not name.startswith(UNRANKED) for name in checks_with(known, Status.FAIL, Status.ERROR))
 
 
 def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
@@ -333,16 +325,14 @@ def scored_again(known: Mapping[str, Any], results: Path) -> dict[str, Any]:
             }
             for parameters in (PUBLISHED, EFFECTIVE)
         }
-        fails = failed_checks(one)
         configurations.append(
             {
                 **one,
                 "episodes": {**one["episodes"], **episodes[PUBLISHED]},
                 EFFECTIVE: episodes[EFFECTIVE],
-                "fails": fails,
             }
         )
-        ranked += [] if fails else every
+        ranked += [] if failed_checks(one) else every
     comparison = compare(ranked)
     return {"configurations": configurations, "grades": [grade_record(comparison, one) for one in comparison.grades]}
 
@@ -355,24 +345,6 @@ def merged(known: Mapping[str, Any], measured: Mapping[str, Any]) -> dict[str, A
         place = (one["engine"], one["preset"])
         rows[place] = {**rows.get(place, {}), **one}
     return {"configurations": [rows[one] for one in order if one in rows], "grades": known["grades"]}
-
-
-def checked_again(configuration: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """Return a configuration with the present outcome of one check, which all configurations had measured."""
-    (result,) = run_checks(
-        configuration["engine"], settings=settings_of(configuration["engine"], configuration["preset"]), only=[name]
-    )
-    print(f"{name_of(configuration['engine'], configuration['preset'])}: {name} {result.status}, {result.measured}")
-    known = configuration["conformance"]
-    before = next((key for key in ("failed", "declined") if name in known[key]), "passed")
-    now = {"fail": "failed", "error": "failed", "declined": "declined", "pass": "passed"}[result.status]
-    if now == before:
-        return dict(configuration)
-    passed = known["passed"] + (now == "passed") - (before == "passed")
-    failed, declined = (
-        [one for one in known[key] if one != name] + [name] * (now == key) for key in ("failed", "declined")
-    )
-    return {**configuration, "conformance": {"passed": passed, "failed": failed, "declined": declined}}
 
 
 def folder_of(results: Path, engine: str, preset: str) -> Path:
@@ -404,18 +376,14 @@ def number(value: float | None, digits: int) -> str:
 def page(data: Mapping[str, Any]) -> str:
     """Return the generated part of the page: the main numbers of each configuration."""
     rows = [(name_of(one["engine"], one["preset"]), one) for one in data["configurations"]]
-    first = data["configurations"][0]["conformance"]
-    counted = first["passed"] + len(first["failed"]) + len(first["declined"])
     lines = [
         f"Measured with {versions(data)}.",
         "",
         "### Closed forms and cost",
         "",
-        f"Checks that passed, failed and were declined, of the {counted} that there were; {len(checks()) - counted} "
-        "came later, and [conformance](conformance.md#results) has what they find. Difference from the law in per "
-        "cent; *loss* is the energy that a pendulum loses in 3 s, in per cent. *Cost* is the wall time over that of "
-        "MuJoCo's default preset, the "
-        f"geometric mean over those of {len(TIMED)} episodes that ran.",
+        f"Checks that passed, failed and were declined, of [all {len(checks())}](conformance.md#results). Difference "
+        "from the law in per cent; *loss* is the energy that a pendulum loses in 3 s, in per cent. *Cost* is the wall "
+        f"time over that of MuJoCo's default preset, the geometric mean over those of {len(TIMED)} episodes that ran.",
         "",
         *markdown_table(
             ("configuration", "physics", "checks", "slide", "e = 0.5", "period", "loss", "cost"),
@@ -447,11 +415,10 @@ def whose_physics(one: Mapping[str, Any]) -> str:
 
 def main_cells(one: Mapping[str, Any]) -> list[str]:
     """Return the main closed forms of a configuration, and its cost."""
-    checks, laws = one["conformance"], one["laws"]
-    counts = f"{checks['passed']}, {len(checks['failed'])}, {len(checks['declined'])}"
+    counts = ", ".join(str(len(checks_with(one, *statuses))) for statuses in COUNTED)
     ratios = [ratio for variant in TIMED if (ratio := one["wall_ratios"].get(variant))]
     cost = f"{np.exp(np.mean(np.log(ratios))):.2g}" if ratios else ""
-    return [counts, *(percent(laws[name]) for name in MAIN_RATIOS), number(laws["energy loss"], 3), cost]
+    return [counts, *(percent(law_ratio(one, RATIOS[name])) for name in MAIN_RATIOS), energy_loss(one), cost]
 
 
 def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, Any]]]) -> Iterator[str]:
@@ -462,7 +429,7 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
         ("recording", PUBLISHED): "One recording, published constants",
         ("law", PUBLISHED): "Laws, published constants",
     }
-    passing = sum(not one["fails"] for _, one in rows)
+    passing = sum(not failed_checks(one) for _, one in rows)
     yield from ("### Ranks", "")
     yield (
         f"Among the {passing} configurations that fail no check of these laws. A cell has the score, 1 being a typical "
@@ -494,7 +461,9 @@ def rank_lines(data: Mapping[str, Any], rows: Sequence[tuple[str, Mapping[str, A
     short = [*(name.rsplit("-", 1)[1] for name in SLIDES), "ball"]
     head = ("configuration", "", *short, *(f"{name}, trials' constants" for name in short))
     apart = (
-        (name, f"fails {one['fails']} checks; not ranked", *apart_cells(one)) for name, one in rows if one["fails"]
+        (name, f"fails {failed_checks(one)} such checks; not ranked", *apart_cells(one))
+        for name, one in rows
+        if failed_checks(one)
     )
     yield from markdown_table(head, apart)
 
@@ -550,9 +519,9 @@ def tables(data: Mapping[str, Any]) -> Iterator[str]:
     yield from markdown_table(head, ((name, *closed_forms(one)) for name, one in rows))
     yield ""
     for name, one in rows:
-        for status in ("failed", "declined"):
-            if checks := ", ".join(f"`{check}`" for check in one["conformance"][status]):
-                yield f"- {name}, {status}: {checks}"
+        for title, statuses in zip(("failed", "declined"), COUNTED[1:], strict=True):
+            if found := ", ".join(f"`{check}`" for check in checks_with(one, *statuses)):
+                yield f"- {name}, {title}: {found}"
     yield from ("", "### Scores against real trials", "")
     yield from ("Normalized RMSE with 95 % interval: slides aligned in time, then raw; the ball raw.", "")
     heads = [f"{name.rsplit('-', 1)[1]}, {kind}" for kind in ("aligned", "raw") for name in SLIDES]
@@ -569,12 +538,11 @@ def tables(data: Mapping[str, Any]) -> Iterator[str]:
 
 def closed_forms(one: Mapping[str, Any]) -> list[str]:
     """Return the cells of the table of closed forms."""
-    checks, laws = one["conformance"], one["laws"]
+    laws = one["laws"]
     slides = " / ".join(percent(laws[f"slide {name.rsplit('-', 1)[1]}"]) or "-" for name in SLIDES)
-    counts = [str(checks["passed"]), str(len(checks["failed"])), str(len(checks["declined"]))]
-    ratios = [percent(laws[column]) for column in RATIOS]
-    loss = laws["energy loss"]
-    return [*counts, slides, *ratios, number(loss, 3), percent(laws["rebound"])]
+    counts = [str(len(checks_with(one, *statuses))) for statuses in COUNTED]
+    ratios = [percent(law_ratio(one, check)) for check in RATIOS.values()]
+    return [*counts, slides, *ratios, energy_loss(one), percent(laws["rebound"])]
 
 
 def trial_cells(one: Mapping[str, Any]) -> list[str]:
@@ -602,11 +570,6 @@ def other_cells(one: Mapping[str, Any]) -> list[str]:
 def measured(options: argparse.Namespace, known: Mapping[str, Any]) -> dict[str, Any]:
     """Return the known data with what the options ask to measure or to score."""
     engines = options.engine or ENGINES
-    if options.again:
-        changed = [
-            checked_again(one, options.again) if one["engine"] in engines else one for one in known["configurations"]
-        ]
-        return {**known, "configurations": changed}
     chosen = [(engine, preset) for engine in engines for preset in presets_of(engine)]
     for engine, preset in chosen:
         folder = folder_of(options.results, engine, preset)
@@ -624,7 +587,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     mode = parser.add_mutually_exclusive_group(required=True)
     mode.add_argument("--results", type=Path, help="folder of the results")
-    mode.add_argument("--again", metavar="CHECK", help="conformance check to run again")
     mode.add_argument("--docs", action="store_true", help="write the page from the data file")
     mode.add_argument("--tables", action="store_true", help="print all tables of the data file")
     mode.add_argument("--check", action="store_true", help="fail if the page is not current")
@@ -634,7 +596,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if (options.grades or options.scores) and options.results is None:
         parser.error("--grades and --scores need --results DIR")
-    if options.results or options.again:
+    if options.results:
         known = json.loads(DATA.read_text(encoding="utf-8"))
         write_whole(DATA, (json.dumps(json_ready(measured(options, known)), indent=1) + "\n").encode())
     data = json.loads(DATA.read_text(encoding="utf-8"))

@@ -106,6 +106,7 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("CubeToss-acrylic"),
         Entry("ElbowToss-blocks"),
         Entry("SiliconeBeam-52g-silicone", 0.5),
+        Entry("CubePush-light"),
     ),
 }
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
-from math import ceil
 from typing import Any
 
 import numpy as np
@@ -89,8 +88,7 @@ class MarbleWorlds(ArrayWorlds):
 
     def advance(self, seconds: float) -> None:
         """Simulate an interval in equal steps."""
-        count = ceil(seconds / self.step_s - 1e-9)
-        for _ in range(count):
+        for _ in range(count := int(np.ceil(seconds / self.step_s - 1e-9))):
             self._step(seconds / count)
 
     def _step(self, seconds: float) -> None:
@@ -104,11 +102,10 @@ class MarbleWorlds(ArrayWorlds):
         flight = np.clip(np.where(speed < 0.0, sinks, rises), 0.0, seconds)
         self._move(gravity, flight)
         left, twist = seconds - flight, self.states[..., 7:]
-        rebound = -self.restitutions * np.sum(twist[..., :3] * self.normals, axis=2)
         # A ball whose hop would be shorter than a step stays, and its weight presses on the plane.
-        hops = 2.0 * rebound > -pull * seconds
-        hit = self._hit(twist, np.where(hops, self.restitutions, 0.0))
-        pressed = self._hit(hit + gravity * left[..., None], np.zeros_like(left))
+        hops = -2.0 * self.restitutions * np.sum(twist[..., :3] * self.normals, axis=2) > -pull * seconds
+        hit = self._hit(twist, self.restitutions * hops)
+        pressed = self._hit(hit + gravity * left[..., None], 0.0 * left)
         mean = np.divide(pressed - hit, left[..., None], out=np.zeros_like(hit), where=left[..., None] > 0.0)
         self.states[..., 7:] = np.where((left > 0.0)[..., None], hit, twist)
         self._move(np.where(hops[..., None], gravity, mean), left)
@@ -117,10 +114,9 @@ class MarbleWorlds(ArrayWorlds):
         """Return velocities after Coulomb's impulse on a solid sphere, for all balls."""
         arm = -self.radii[..., None] * self.normals
         approach = -np.sum(twist[..., :3] * self.normals, axis=2, keepdims=True)
-        slip = twist[..., :3] + approach * self.normals + np.cross(twist[..., 3:], arm)
         push = (1.0 + restitution[..., None]) * approach
-        drag = -2.0 / 7.0 * slip
-        size = np.maximum(np.linalg.norm(drag, axis=2, keepdims=True), 1e-300)
+        drag = -2.0 / 7.0 * (twist[..., :3] + approach * self.normals + np.cross(twist[..., 3:], arm))
+        size = np.linalg.norm(drag, axis=2, keepdims=True) + 1e-300
         drag *= np.minimum(1.0, self.frictions[..., None] * push / size)
         spin = 2.5 / self.radii[..., None] ** 2 * np.cross(arm, drag)
         return twist + np.concatenate([push * self.normals + drag, spin], axis=2)

@@ -69,8 +69,7 @@ def uninstalled_backend(name: str) -> Backend:
     It cannot build; the answers are the same whether or not the engine is installed.
     """
     (point,) = (point for point in _points() if point.name == name and is_bundled(name))
-    engine: Backend = object.__new__(point.load())
-    return engine
+    return object.__new__(point.load())
 
 
 @contextmanager
@@ -111,9 +110,7 @@ def support_of(name: str, scene: Scene, model_file: Path | None = None) -> Suppo
         model_file: File that replaces the scene, or None.
 
     Raises:
-        UnknownNameError: No installed package provides it.
-        MissingExtraError: Its engine is not installed.
-        BackendError: It cannot be imported, or `supports` does not work.
+        GaugeError: As `backend`; or a `BackendError`, `supports` does not work.
     """
     engine = backend_for(name, model_file)
     with engine_call(name, "supports"):
@@ -127,9 +124,7 @@ def versions_of(name: str) -> dict[str, str]:
     """Return the versions of a backend's packages.
 
     Raises:
-        UnknownNameError: No installed package provides it.
-        MissingExtraError: Its engine is not installed.
-        BackendError: It cannot be imported, or `versions` does not work.
+        GaugeError: As `backend`; or a `BackendError`, `versions` does not work.
     """
     engine = backend(name)
     with engine_call(name, "versions"):

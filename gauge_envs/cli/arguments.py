@@ -149,7 +149,7 @@ def quantities(name: str, text: str, **units: float) -> dict[str, float]:
     """
     values = {}
     for part in filter(None, text.split(",")):
-        found = re.fullmatch(r"(\d*\.?\d+(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip())
+        found = re.fullmatch(r"((?:\d+|\d*\.\d+)(?:e[-+]?\d+)?)\s*([A-Za-z]+)", part.strip())
         if found is None or found[2] not in units:
             example = ",".join(f"{value:g}{unit}" for unit, value in units.items())
             raise ParameterError(f"{name} {text!r}: expected numbers with units, as {example}")

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.scene import Scene
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 
 def speed_fault(names: Sequence[str], velocities: FloatArray, limit_m_per_s: float) -> str | None:
@@ -31,11 +30,7 @@ def speed_fault(names: Sequence[str], velocities: FloatArray, limit_m_per_s: flo
 
 
 class RigidBounds:
-    """Bounds of distance, speed and kinetic energy of the dynamic bodies.
-
-    Args:
-        scene: The scene.
-    """
+    """Bounds of distance, speed and kinetic energy of the dynamic bodies."""
 
     def __init__(self, scene: Scene) -> None:
         self._names = tuple(body.name for body in scene.dynamic_bodies)
@@ -122,7 +117,6 @@ class DeformableBounds:
         rest_m: Its nodes at the start [m], shape [node_count, 3].
 
     Attributes:
-        name: Name of the body.
         distance_m: Largest coordinate of a node [m].
         largest_extent_m: Largest diagonal of the box around the nodes [m].
     """

@@ -20,9 +20,9 @@ from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.envs.episode import Episode, Observation, run_on_together
 from gauge_envs.errors import ActionError
 from gauge_envs.files import processors
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-FloatArray = NDArray[np.float64]
 Numbers = NDArray[np.intp]
 Result = TypeVar("Result")
 AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
@@ -14,11 +13,9 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.jitter import swung
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
 """Weights of the first three frames in the velocity of the first one, exact for a constant acceleration."""
@@ -172,9 +169,7 @@ def _about(rotation: Rotation, axis: FloatArray) -> Rotation:
     return Rotation.from_rotvec(2.0 * np.arctan2(np.array([x, y, z]) @ axis, w) * axis)
 
 
-def _swinging(
-    body: RigidBody, joint: Hinge | Tether, position_m: NDArray[np.float64], velocity: FloatArray
-) -> RigidBody:
+def _swinging(body: RigidBody, joint: Hinge | Tether, position_m: FloatArray, velocity: FloatArray) -> RigidBody:
     """Return a body that is rotated about its joint towards a position, and swings with a velocity [m/s]."""
     anchor = np.asarray(joint.anchor_m)
     arm, recorded = np.subtract(body.pose.position_m, anchor), position_m - anchor

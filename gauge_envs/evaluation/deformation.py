@@ -9,14 +9,13 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
 from gauge_envs.references.imported import DataSource, load_imported
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

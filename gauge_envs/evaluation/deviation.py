@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 from scipy.special import betaincinv
 
@@ -18,9 +17,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import Sensitivities, load_sensitivities
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 SHIFT_STEP_S = 1.0 / 120.0
 """Step of the grid of time shifts [s]; the best one is refined."""

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from gauge_envs.evaluation.metrics.events import oscillation_period
@@ -16,10 +15,9 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 LEAST_SAMPLES = 4
 """Smallest number of frames that determine an acceleration with its uncertainty."""

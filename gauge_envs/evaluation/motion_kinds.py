@@ -27,8 +27,8 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene import ContactMode
+from gauge_envs.scene.geometry import FloatArray
 
-FloatArray = NDArray[np.float64]
 Continuation = Callable[[FloatArray], FloatArray]
 
 RATE_BOUNDS = (0.5, 2.0)
@@ -399,5 +399,4 @@ def _coasting(times_s: FloatArray, values: FloatArray) -> Continuation:
 
 def _interpolated(times_s: FloatArray, values: FloatArray, at_s: FloatArray) -> FloatArray:
     """Return all coordinates by linear interpolation, shape [*shape of at_s, C]."""
-    found: FloatArray = make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))
-    return found
+    return make_interp_spline(times_s, values, k=1)(np.clip(at_s, times_s[0], times_s[-1]))

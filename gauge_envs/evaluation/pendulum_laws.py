@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 from scipy.special import ellipj, ellipk
 
@@ -14,10 +14,9 @@ from gauge_envs.errors import ShapeError
 from gauge_envs.references.published import Baseline, ChainLaw, SwingLaw
 from gauge_envs.scene import Hinge, Scene, Sphere
 from gauge_envs.scene.contact_faces import TOUCHING_M
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

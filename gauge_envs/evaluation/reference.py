@@ -48,7 +48,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         positions_mm = _carried_positions_mm(calibrated, law.body, law.carrier, experiment.frame_count)
         return carried_band(variant=experiment.name, positions_mm=positions_mm)
     if isinstance(law, UniaxialLaw):
-        from gauge_envs.evaluation.bar_law import bar_band
+        from gauge_envs.evaluation.laws import bar_band
 
         return bar_band(law, calibrated, variant=experiment.name, frame_count=experiment.frame_count)
     from gauge_envs.evaluation.laws import law_motion

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.metrics.events import (
     SwingTimes,
@@ -25,9 +24,8 @@ from gauge_envs.references.metrics import EVENT_METRICS
 from gauge_envs.references.published import Baseline, EventQuantity, recorded_events
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Hinge
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-FloatArray = NDArray[np.float64]
 
 NORMAL_95 = 1.959964
 """Half width of the 95 % interval of a normal distribution, in standard deviations."""

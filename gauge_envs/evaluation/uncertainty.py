@@ -44,8 +44,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.references.sensitivities import input_uncertainties
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 DRAW_COUNT = 4000
 """Number of random draws; it gives the ends of an interval to about 2 % of its width."""
@@ -232,20 +231,22 @@ class BandErrors:
         kurtosis = max(float(np.mean(np.square(squares))) / float(squares.mean()) ** 2 - 1.0, 2.0)
         degrees = 2.0 * (count - 1) / kurtosis / widening(squares) ** 2
         drawn = np.sqrt(degrees / _random("smear").chisquare(degrees, DRAW_COUNT))
-        source = _Source(
-            name="smear of the mean by releases",
-            kind="smear",
-            evaluation="A",
-            source=f"scatter of {count} trials",
-            columns=slice(len(self.shapes), len(self.shapes) + len(SMEARS)),
-        )
         place = np.interp(drawn, SMEARS, np.arange(len(SMEARS)))
         factors = np.maximum(1.0 - np.abs(place[:, None] - np.arange(len(SMEARS))), 0.0)
+        shapes, scatter = smears - of_trials.mean(axis=0), f"scatter of {count} trials"
+        return aligned.with_source("smear of the mean by releases", "smear", "A", scatter, shapes, factors)
+
+    def with_source(
+        self, name: str, kind: str, evaluation: str, source: str, shapes: FloatArray, factors: FloatArray
+    ) -> BandErrors:
+        """Return the errors with those of one more source."""
+        columns = slice(len(self.shapes), len(self.shapes) + len(shapes))
+        added = _Source(name=name, kind=kind, evaluation=evaluation, source=source, columns=columns)
         return replace(
-            aligned,
-            shapes=np.vstack([aligned.shapes, smears - of_trials.mean(axis=0)]),
+            self,
+            shapes=np.vstack([self.shapes, shapes]),
             factors=np.hstack([self.factors, factors]),
-            sources=(*self.sources, source),
+            sources=(*self.sources, added),
         )
 
     def with_baseline(self, distances: FloatArray) -> BandErrors:
@@ -283,21 +284,9 @@ class BandErrors:
         if np.abs(across).max() < PROJECTION_FLOOR_MM:
             return self
         shape = self.flat(math.radians(tilt.std) * across[:, None] * np.ones(len(band.projection)))
-        start = len(self.shapes)
-        source = _Source(
-            name="direction of the measured coordinate",
-            kind="projection",
-            evaluation="B",
-            source=f"{tilt.std:.4g} {tilt.unit}: {tilt.source}",
-            columns=slice(start, start + 1),
-        )
         factors = _random("projection").standard_normal((DRAW_COUNT, 1))
-        return replace(
-            self,
-            shapes=np.vstack([self.shapes, shape]),
-            factors=np.hstack([self.factors, factors]),
-            sources=(*self.sources, source),
-        )
+        name, source = "direction of the measured coordinate", f"{tilt.std:.4g} {tilt.unit}: {tilt.source}"
+        return self.with_source(name, "projection", "B", source, shape[None], factors)
 
     @cached_property
     def _components(self) -> _Components:

@@ -18,12 +18,11 @@ from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 if TYPE_CHECKING:
     import warp as wp
-
-FloatArray = NDArray[np.float64]
 
 DLPACK_CPU = 1
 """Number of the CPU among the devices of DLPack."""
@@ -180,7 +179,7 @@ def score_recording(
     positions_m: Any,
     rows: Sequence[int],
     sample_counts: NDArray[np.intp],
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, FloatArray]:
     """Return the distances of recorded worlds from a band; for experiments that observe positions.
 
     Args:
@@ -222,7 +221,7 @@ def score_recording(
 
 def _scored_on_device(
     experiment: Experiment, band: Band, positions: wp.array, rows: Sequence[int], sample_counts: NDArray[np.intp]
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, FloatArray]:
     """Return the distances of recorded worlds from a band, by kernels of Warp."""
     import warp as wp
 

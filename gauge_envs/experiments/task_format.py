@@ -17,6 +17,7 @@ from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, UnitVector
 from gauge_envs.scene import Attachment, ContactMode, Motion, Pose
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.timing import MOST_FRAMES
 
 
 class Group(StrEnum):
@@ -255,7 +256,7 @@ class SubtaskSpec(FileModel):
     """Values that a subtask adds to the family, or replaces."""
 
     title: str
-    frames: dict[str, Annotated[int, Field(ge=2)]]
+    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]]
     bodies: tuple[str, ...] = ()
     motion: dict[str, Motion] = Field(default_factory=dict)
     initial: dict[str, dict[str, Placement]] = Field(default_factory=dict)
@@ -293,7 +294,7 @@ class TaskSpec(FileModel):
     attachments: tuple[Attachment, ...] = ()
     contacts: tuple[ContactSpec, ...] = ()
     score: ScoreSpec
-    frames: dict[str, Annotated[int, Field(ge=2)]] = Field(default_factory=dict)
+    frames: dict[str, Annotated[int, Field(ge=2, le=MOST_FRAMES)]] = Field(default_factory=dict)
     drivers: tuple[DriverSpec, ...] = ()
     markers: MarkersSpec | None = None
     parameters: dict[str, ParameterSetSpec] = Field(default_factory=dict)

@@ -13,7 +13,7 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.variants import task_path
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.scene import ContactMode, Motion, Sphere, Vector
+from gauge_envs.scene import ContactMode, Motion, RigidBody, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray
 
 MASS_STEP_KG = 1e-4
@@ -145,7 +145,7 @@ def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
         placement = builder.placements.get(name)
         if body.motion is not Motion.DYNAMIC or placement is None or placement.position_m is None:
             continue
-        for axis, direction in _directions(body.pose.rotation.as_matrix().T, free=isinstance(body.shape, Sphere)):
+        for axis, direction in free_directions([body]):
             x, y, z = direction.tolist()
             yield UncertainParameter(
                 name=f"{name}.position_m along {axis}",
@@ -158,16 +158,12 @@ def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
             )
 
 
-def _directions(axes: FloatArray, *, free: bool) -> Iterator[tuple[str, FloatArray]]:
-    """Yield directions in which a body may start elsewhere, so that it does not start inside another.
-
-    Args:
-        axes: Axes of the body in the world, shape [3, 3].
-        free: Whether it touches nothing at the start.
-    """
-    if free:
+def free_directions(bodies: Sequence[RigidBody]) -> Iterator[tuple[str, FloatArray]]:
+    """Yield directions in which bodies may start elsewhere together, so that none starts inside another."""
+    if all(isinstance(body.shape, Sphere) for body in bodies):
         yield from zip(AXES, np.eye(3), strict=True)
         return
+    axes = bodies[0].pose.rotation.as_matrix().T
     normal = int(np.abs(axes[:, 2]).argmax())
     for number, axis in enumerate(axes):
         if number != normal:

@@ -55,11 +55,7 @@ class Observer(Protocol):
 
 
 class ObserverPositions:
-    """Observer of the positions of rigid bodies [mm].
-
-    Args:
-        names: Names of the bodies.
-    """
+    """Observer of the positions of rigid bodies [mm]."""
 
     def __init__(self, names: Sequence[str]) -> None:
         self._names = tuple(names)

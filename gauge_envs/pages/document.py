@@ -188,8 +188,7 @@ def as_rows(shown: Shown) -> list[dict[str, Any]]:
     rows = shown.rows if isinstance(shown, Document) else None
     if rows is None:
         rows = [row for part in _parts(shown) if isinstance(part, Table) for row in part.rows]
-    ready: list[dict[str, Any]] = json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
-    return ready
+    return json_ready([row if isinstance(row, Mapping) else vars(row) for row in rows])
 
 
 def as_html(parts: Iterable[Part]) -> Html:

@@ -7,7 +7,7 @@ page's on a phone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -218,7 +218,7 @@ LEAST_SCORE = 0.1
 """Left end of the axis of scores; an arrow points at what is below it."""
 
 
-def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> Html:
+def forest(title: str, rows: Sequence[ForestRow]) -> Html:
     """Return scores with intervals on a logarithmic axis, with a line at 1: the mean score of the real trials."""
     highest = max([1.0, *(row.interval[1] if row.interval else row.value for row in rows)])
     right = 10.0 ** math.ceil(math.log10(highest * 1.2))
@@ -254,6 +254,7 @@ def forest(title: str, rows: Sequence[ForestRow], notes: Iterable[str] = ()) -> 
     values = "; ".join(f"{row.label} {interval_text(row.value, row.interval, score_text)}" for row in rows)
     box, label = f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", f"{title}: {values}"
     drawing = element("svg", *parts, viewBox=box, role="img", aria_label=label, class_="plot")
-    is_cut = any(row.value < LEAST_SCORE for row in rows)
-    cut = [f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."] if is_cut else []
-    return element("figure", drawing, *(element("figcaption", note) for note in (*notes, *cut)))
+    if any(row.value < LEAST_SCORE for row in rows):
+        note = f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."
+        return element("figure", drawing, element("figcaption", note))
+    return element("figure", drawing)

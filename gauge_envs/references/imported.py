@@ -19,10 +19,10 @@ from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import Field, ValidationError
 
 from gauge_envs.errors import DatasetError, ReferenceFileError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, locked, npz_arrays, os_errors, read_regular, write_whole
@@ -141,7 +141,7 @@ class VariantRecord(ImportFacts):
     """
 
     format: Literal[1] = 1
-    arrays: str
+    arrays: Annotated[str, Field(pattern=r"^[\w.-]+\.npz$")]
     arrays_sha256: str
     unit: str
     coordinates: tuple[str, ...]

@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from gauge_envs.backends.registry import is_bundled, uninstalled_backend
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.runs.result import Result
@@ -52,6 +53,13 @@ class RunConfiguration:
             asset={key: result.asset[key] for key in ("file", "sha256")} if result.is_edited else {},
             engine_versions={name: text for name, text in result.versions.items() if name not in common},
         )
+
+    @property
+    def physics(self) -> str:
+        """Whose physics an engine of this package shows, by `Backend.whose_physics`; else empty."""
+        if self.backend is None or not is_bundled(self.backend):
+            return ""
+        return uninstalled_backend(self.backend).whose_physics(str(self.settings_given.get("preset", "")))
 
 
 def group_by_configuration(results: Iterable[Result]) -> list[tuple[RunConfiguration, list[Result]]]:

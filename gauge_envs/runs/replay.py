@@ -34,7 +34,6 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
-FloatArray = NDArray[np.float64]
 PoseArray = NDArray[np.float32]
 
 RIGID_VIEWS_PER_FRAME = 2

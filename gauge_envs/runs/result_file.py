@@ -12,9 +12,11 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
+from gauge_envs.evaluation.trajectory_file import LARGEST
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import find_variant
@@ -22,9 +24,10 @@ from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, w
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import BUNDLED_DATA, DataSource
-from gauge_envs.runs.result import Result
+from gauge_envs.runs.result import Outcome, Result
 
 MOST_RESULT_BYTES = 32 * MEGABYTE
+MOST_DEPTH = 64
 
 
 def result_file_name(result: Result) -> str:
@@ -109,6 +112,7 @@ class _AssetRecord(BaseModel):
 
 def _check(result: Result, *, needs_trajectory: bool) -> None:
     """Check what types alone do not state."""
+    _check_depth([result.parameters, result.settings, result.settings_given, result.asset])
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if result.has_experiment_file:
@@ -123,9 +127,12 @@ def _check(result: Result, *, needs_trajectory: bool) -> None:
     for key, (value, known) in stated.items():
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
+    if result.trajectory is not None or result.error is None or needs_trajectory:
+        _check_trajectory(result)
+
+
+def _check_trajectory(result: Result) -> None:
     trajectory = result.trajectory
-    if trajectory is None and result.error is not None and not needs_trajectory:
-        return
     if trajectory is None:
         raise ValueError("it has no trajectory")
     if not (trajectory.times_s and trajectory.coordinates):
@@ -133,6 +140,16 @@ def _check(result: Result, *, needs_trajectory: bool) -> None:
     times_s = [*trajectory.times_s, *trajectory.later_times_s]
     if any(later <= earlier for earlier, later in pairwise(times_s)):
         raise ValueError("trajectory.times_s: increasing times are expected")
+    largest = np.nanmax(np.abs(trajectory.arrays(later=True)[1]), initial=0.0)
+    if result.outcome is Outcome.FINISHED and largest > LARGEST:
+        raise ValueError(f"trajectory.samples: amounts of at most {LARGEST:g} are expected")
+
+
+def _check_depth(value: Any, left: int = MOST_DEPTH) -> None:
+    if left == 0:
+        raise ValueError(f"its tables and lists are nested more than {MOST_DEPTH} deep")
+    for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
+        _check_depth(inner, left - 1)
 
 
 # --- the scene of a result ---

@@ -167,7 +167,7 @@ def states_now(simulation: Simulation, names: Sequence[str]) -> NDArray[np.float
     return np.array(simulation.body_states(names), dtype=np.float64)
 
 
-def raised_at(error: Exception) -> str:
+def raised_at(error: BaseException) -> str:
     """Return where an engine raised an error, as ` (advance, my_engine.py, line 12)`; or "" for an error on purpose.
 
     That is the last line of the engine's own folder. A line of a library that it called comes behind.

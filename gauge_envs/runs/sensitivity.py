@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend
@@ -16,6 +15,7 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
+from gauge_envs.experiments.uncertain import free_directions
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.sensitivities import (
     ConstantUncertainty,
@@ -25,11 +25,9 @@ from gauge_envs.references.sensitivities import (
     input_uncertainties,
 )
 from gauge_envs.runs.request import RunRequest
-from gauge_envs.scene import Contact, Motion, Scene, Sphere
-from gauge_envs.scene.geometry import vector
+from gauge_envs.scene import Contact, Motion, Scene
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.jitter import tilted
-
-FloatArray = NDArray[np.float64]
 
 DISCRETIZATION_FACTOR = 2.0 / math.sqrt(3.0)
 """Standard uncertainty of a discretization over the change by half its size.
@@ -206,16 +204,8 @@ def _start_directions(experiment: Experiment) -> Iterator[tuple[str, FloatArray]
     if not experiment.recorded or scene.joints:
         return
     bodies = [scene.body(name) for name in experiment.recorded]
-    if any(body.motion is not Motion.DYNAMIC for body in bodies):
-        return
-    if all(isinstance(body.shape, Sphere) for body in bodies):
-        yield from zip("xyz", np.eye(3), strict=True)
-        return
-    axes = bodies[0].pose.rotation.as_matrix().T
-    normal = int(np.abs(axes[:, 2]).argmax())
-    for number, axis in enumerate(axes):
-        if number != normal:
-            yield f"its {'xyz'[number]} axis", axis
+    if all(body.motion is Motion.DYNAMIC for body in bodies):
+        yield from free_directions(bodies)
 
 
 def _shifted(scene: Scene, names: tuple[str, ...], shift_m: FloatArray) -> Scene:

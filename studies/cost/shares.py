@@ -23,7 +23,7 @@ import numpy as np
 from gauge_envs import find_variant, variants
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.pages.figures import legend_above, new_figure, save_png, tidy_axis
-from gauge_envs.references.limits import episode_costs
+from gauge_envs.tools.catalog.description import episode_costs
 
 TABLE = Path(__file__).with_name("shares.csv")
 LONGEST_FRAMES = 90

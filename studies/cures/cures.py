@@ -12,7 +12,7 @@ import warnings
 from pathlib import Path
 
 from gauge_envs.tools.sanity import Report, check, configuration
-from gauge_envs.tools.sanity.cured import applied
+from gauge_envs.tools.sanity.run import applied
 
 HERE = Path(__file__).resolve().parent
 TARGETS = ("playground:Go1JoystickFlatTerrain", "playground:SpotFlatTerrainJoystick", "HalfCheetah-v5", "Walker2d-v5")

@@ -29,10 +29,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.control.carry import CarryLimit
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.friction import HOLD_FRAMES, FrictionLimit
-from gauge_envs.envs.control.least_time import LeastTimeLimit
+from gauge_envs.envs.control.least_time import CarryLimit, LeastTimeLimit
 from gauge_envs.envs.control.limit import Ending
 from gauge_envs.envs.control.pendulum import PendulumLimit
 from gauge_envs.envs.control.slope_slider import SlopeSliderLimit

@@ -21,7 +21,7 @@ sys.path.insert(0, str(HERE.parents[1] / "tests" / "tools" / "sanity"))
 from robot_faults import FAULTS, good_xml  # noqa: E402
 
 from gauge_envs.tools.sanity import Report, check, configuration  # noqa: E402
-from gauge_envs.tools.sanity.cured import applied  # noqa: E402
+from gauge_envs.tools.sanity.run import applied  # noqa: E402
 
 GOOD = ("Ant-v5", "HalfCheetah-v5", "Hopper-v5", "Humanoid-v5", "Walker2d-v5", "Swimmer-v5")
 GOOD += ("dm_control:walker/walk", "dm_control:quadruped/run", "dm_control:acrobot/swingup", "dm_control:humanoid/run")

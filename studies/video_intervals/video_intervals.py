@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.tools.video import Motion, Track, VideoTask, score_track, video_task
 from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.interval import WINDOW
-from gauge_envs.tools.video.laws import fit_constant_acceleration
+from gauge_envs.tools.video.laws import WINDOW, fit_constant_acceleration
 from gauge_envs.tools.video.tasks import published_results
 from gauge_envs.tools.video.tracker import track_object
 from gauge_envs.tools.video.words import find_videos

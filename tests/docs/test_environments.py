@@ -28,8 +28,8 @@ from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import beyond_variants, matching_variants, variants
 from gauge_envs.pages.document import as_markdown
-from gauge_envs.references.limits import all_limits, episode_costs, known_limits
 from gauge_envs.tools.catalog import listing
+from gauge_envs.tools.catalog.description import all_limits, episode_costs, known_limits
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 PAGES = ROOT / "docs" / "environments"

@@ -11,7 +11,7 @@ from scipy.optimize import fsolve
 
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.errors import ShapeError
-from gauge_envs.evaluation.bar_law import CLAMP_DECAY, bar_band
+from gauge_envs.evaluation.laws import CLAMP_DECAY, bar_band
 from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import UniaxialLaw, law_for

@@ -86,6 +86,7 @@ def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
         ("SlopeSlider", '"constants" = "metadata"', '"constants" = "guess"', "provenance.constants", "guess"),
         ("SlopeSlider", '"constants" = "metadata"\n', "", "constants", "provenance"),
         ("SlopeSlider", "frames = { all = 9 }", "frames = { all = 1 }", "subtasks.1.frames", ""),
+        ("SlopeSlider", "frames = { all = 9 }", f"frames = {{ all = {10**400} }}", "subtasks.1.frames", "18000"),
         ("NewtonsCradle", 'kind = "hinge"', 'kind = "hing"', "joints", "hing"),
         ("FoamStretching", "poisson_ratio = 0.23", "poisson_ratio = 0.52", "poisson_ratio", "Poisson ratio 0.52"),
         ("FoamStretching", "[0, 7, 8]", "[0, 7, 28]", "markers", "marker index 28 is out of range"),

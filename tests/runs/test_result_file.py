@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import hashlib
 import json
 import re
@@ -50,6 +51,8 @@ DAMAGES = [
     ("trajectory", {"unit": "mm", "coordinates": ["x"], "times_s": [], "samples": []}, "it has no samples"),
     ("trajectory", None, "no trajectory"),
     ("id", "GAUGE/../../x", "unknown experiment"),
+    ("trajectory.later_samples", [[1e308] * 3] * 60, "amounts of at most 1e+12 are expected"),
+    ("settings", {"a": functools.reduce(lambda inner, _: [inner], range(200), 0)}, "nested more than 64 deep"),
 ]
 
 

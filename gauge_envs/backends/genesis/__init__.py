@@ -36,7 +36,9 @@ class BackendGenesis(BundledBackend):
     features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
-    configurations = MappingProxyType({"CG": {"constraint_solver": "CG"}, "out_of_box": {"preset": "out_of_box"}})
+    configurations = MappingProxyType(
+        {"CG": {"constraint_solver": "CG"}} | {name: {"preset": name} for name in ("out_of_box", "paper")}
+    )
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each feature of a scene that Genesis does not support."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.parts import DeformablePart, contiguous, coupled_geoms
-from gauge_envs.backends.genesis.pbd_settings import (
+from gauge_envs.backends.genesis.settings import (
     CLOTH_CELL_M,
     SettingsPBD,
     cloth_cell_m,
@@ -140,12 +140,7 @@ class _Sheet:
 
 
 class ClothPart(DeformablePart):
-    """All cloths of a scene.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All cloths of a scene."""
 
     def __init__(self, scene: Scene, settings: SettingsPBD) -> None:
         cloths = [body for body in scene.deformables if isinstance(body, Cloth)]

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.genesis.engine import engine
-from gauge_envs.backends.genesis.foam_settings import (
+from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
+from gauge_envs.backends.genesis.settings import (
     COURANT_LIMIT,
     SOFT_CELL_M,
     VOXEL_M,
@@ -29,7 +30,6 @@ from gauge_envs.backends.genesis.foam_settings import (
     SettingsMPM,
     sound_time_s,
 )
-from gauge_envs.backends.genesis.parts import DeformablePart, coupled_geoms
 from gauge_envs.backends.shared.bundled import replaced
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (
@@ -91,11 +91,6 @@ class SoftPart(DeformablePart):
     """All soft bodies of a scene.
 
     Material in a grip moves rigidly and is not simulated.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-        rows: The soft rows.
     """
 
     def __init__(self, scene: Scene, settings: SettingsFEM | SettingsMPM, rows: Sequence[_Row]) -> None:
@@ -173,12 +168,7 @@ class _FEMRow(_Row):
 
 
 class FEMPart(SoftPart):
-    """All soft bodies of a scene as tetrahedra, which span the free material and have its mass.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All soft bodies of a scene as tetrahedra, which span the free material and have its mass."""
 
     def __init__(self, scene: Scene, settings: SettingsFEM) -> None:
         self._settings = settings
@@ -346,12 +336,7 @@ def _affine(points_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 class MPMPart(SoftPart):
-    """All soft bodies of a scene as material points.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """All soft bodies of a scene as material points."""
 
     def __init__(self, scene: Scene, settings: SettingsMPM) -> None:
         self._settings = settings

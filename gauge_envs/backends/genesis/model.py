@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.document import body_label, document, layers_of_bodies
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
-from gauge_envs.backends.genesis.foam_settings import SettingsFEM, SettingsMPM
 from gauge_envs.backends.genesis.parts import DeformablePart
-from gauge_envs.backends.genesis.pbd_settings import SettingsPBD
-from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.scene import Motion, Scene

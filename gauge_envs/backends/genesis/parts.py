@@ -30,11 +30,6 @@ class DeformablePart(ABC):
     The calls come in this order: `scene_options` and `touches` before the Genesis scene exists, `add` before it is
     built, `finish` after it, then `reset`, and `prescribe` before each step.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-        names: Names of the bodies.
-
     Attributes:
         names: Names of the bodies.
     """
@@ -148,8 +143,7 @@ class DeformablePart(ABC):
 
     def _positions(self, rows: slice) -> NDArray[np.float64]:
         """Return the current positions of nodes of the solver [m], shape [node_count, 3]."""
-        positions: NDArray[np.float64] = self.state()[0][rows].astype(np.float64)
-        return positions
+        return self.state()[0][rows].astype(np.float64)
 
 
 def contiguous(array: NDArray[Any]) -> NDArray[Any]:

@@ -10,9 +10,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from gauge_envs.backends.genesis.document import is_frictionless, unsupported_contacts
-from gauge_envs.backends.genesis.foam_settings import SOFT_PRESETS, soft_presets
-from gauge_envs.backends.genesis.pbd_settings import pbd_presets
-from gauge_envs.backends.genesis.settings import PRESETS, SettingsGenesis
+from gauge_envs.backends.genesis.settings import PRESETS, SOFT_PRESETS, SettingsGenesis, pbd_presets, soft_presets
 from gauge_envs.backends.settings import resolve_settings
 from gauge_envs.backends.shared.attachments import attachment_problems
 from gauge_envs.backends.shared.bundled import declined_hinges, first_of

@@ -174,12 +174,7 @@ def _advance(lent: _Lent, worlds: Sequence[_WorldGenesis], seconds: float) -> No
 
 
 class SimulationGenesis(_WorldGenesis, Simulation):
-    """A scene in Genesis.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """A scene in Genesis."""
 
     def __init__(self, scene: Scene, settings: SettingsGenesis) -> None:
         super().__init__(scene, _Lent([scene], settings), 0)

@@ -46,10 +46,6 @@ class ClothPartMuJoCo(FlexPart):
         flex: Its flex in the editable model.
         grid: Its mesh.
         points: Its vertices.
-
-    Attributes:
-        cloth: The cloth.
-        grid: Its mesh.
     """
 
     def __init__(self, cloth: Cloth, flex: mujoco.MjsFlex, grid: ClothGrid, points: Points) -> None:
@@ -154,6 +150,56 @@ def _membrane(grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> 
     matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
     rows, columns = np.triu_indices(3)
     return np.asarray(matrices[:, rows, columns])
+
+
+# --- contact with itself ----------------------------------------------------------------------------------------------
+
+LARGEST_ACCELERATION_M_PER_S2 = 100.0
+"""Acceleration of a point beside a rigid motion, with which it is foreseen whether layers can touch."""
+
+
+class FoldWatch:
+    """Foresees intervals in which a cloth cannot touch itself, so that the search for contacts can be left out.
+
+    The search takes up to 40 % of a step. Now and then it runs with a larger thickness; if it finds nothing, layers
+    are apart by the difference. Points then move by a translation, a part w x r, which brings no two nearer, and a
+    rest e, which brings two nearer by 2 |e| at most.
+    """
+
+    def __init__(self, part: ClothPartMuJoCo, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        self._part, self._model, self._data = part, model, data
+        # Elements of flat cloth that share no vertex are 0.7 of a cell apart.
+        self._apart_m = 0.65 * min(part.grid.cell_m) - 2.0 * part.flex.radius
+        self._seen_m: NDArray[np.float64] | None = None
+
+    def stays_apart(self, seconds: float) -> bool:
+        """Return whether the cloth cannot touch itself in the next seconds."""
+        places = self._part.points.positions()
+        soon = places + self._part.points.velocities() * seconds
+        most_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
+        if self._seen_m is None or _rest_m(self._seen_m, soon) >= most_m:
+            self._seen_m = places if _rest_m(places, soon) < most_m and self._is_apart() else None
+        return self._seen_m is not None
+
+    def _is_apart(self) -> bool:
+        """Return whether there is no contact with the larger thickness."""
+        model, data, flex = self._model, self._data, self._part.flex.id
+        radius = float(model.flex_radius[flex])
+        model.flex_radius[flex] = radius + 0.5 * self._apart_m
+        for stage in (mujoco.mj_kinematics, mujoco.mj_comPos, mujoco.mj_flex, mujoco.mj_collision):
+            stage(model, data)
+        model.flex_radius[flex] = radius
+        return not data.ncon
+
+
+def _rest_m(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
+    """Return the largest part of the points' displacements [m] beside a translation and a part w x r."""
+    arms, moves = before - before.sum(axis=0) / len(before), after - before
+    moves -= moves.sum(axis=0) / len(moves)
+    inertia = np.eye(3) * np.vdot(arms, arms) - arms.T @ arms
+    x, y, z = np.linalg.solve(inertia, _cross(arms, moves).sum(axis=0)).tolist()
+    moves -= arms @ ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))
+    return float(np.sqrt(np.max(np.einsum("ij,ij->i", moves, moves))))
 
 
 # --- air --------------------------------------------------------------------------------------------------------------

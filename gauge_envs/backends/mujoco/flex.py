@@ -90,11 +90,6 @@ class Points:
 class FlexPart:
     """A deformable body of a MuJoCo model.
 
-    Args:
-        flex: Its flex in the editable model, with the name of the body.
-        rest_m: World positions of the nodes at the start [m], shape [node_count, 3].
-        points: The points that carry the flex.
-
     Attributes:
         name: Name of the deformable body, and of its flex.
         flex: The flex in the editable model; `add_flex_contact` sets its contact bits and friction.

@@ -7,7 +7,7 @@ module restores the digits from the editable model and adds the tables as custom
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 from xml.etree import ElementTree
 
@@ -173,6 +173,16 @@ def expanded(text: str) -> str:
 
 
 # --- exact XML -------------------------------------------------------------------------------------------------------
+
+
+def described_xml(simulation: SimulationMuJoCo, name: str, notes: Iterable[str]) -> str:
+    """Return MuJoCo's XML with all digits, with the name of the model and a comment of some lines at the top."""
+    root = exact_xml(simulation)
+    root.set("model", name)
+    comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
+    comment.tail = "\n\n  "
+    root.insert(0, comment)
+    return ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
 def exact_xml(simulation: SimulationMuJoCo) -> ElementTree.Element:

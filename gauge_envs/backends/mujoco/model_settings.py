@@ -87,8 +87,7 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
 def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
     """Return whether each geom is on a body that can move, shape [geom_count]."""
     roots = model.body_weldid[model.geom_bodyid]
-    moves: NDArray[np.bool_] = model.body_dofnum[roots] > 0
-    return moves
+    return model.body_dofnum[roots] > 0
 
 
 def _implicit_pairs(model: mujoco.MjModel) -> NDArray[np.intp]:
@@ -124,8 +123,7 @@ def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDA
         """Return the value of the geom with the higher priority, or the greater value for equal priorities."""
         one, other = values[first], values[second]
         ranks = rank.reshape(-1, *[1] * (values.ndim - 1))
-        chosen: NDArray[Any] = np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
-        return chosen
+        return np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
 
     def mixed(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return share * values[first] + (1.0 - share) * values[second]
@@ -157,8 +155,7 @@ def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[
         *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),
         *(model.pair_solimp, model.pair_margin[:, None], model.pair_gap[:, None]),
     )
-    table: NDArray[np.float64] = np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
-    return table
+    return np.hstack(columns).astype(np.float64)[rows].reshape(-1, 17)
 
 
 def _override(model: mujoco.MjModel, constants: NDArray[np.float64]) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, check_air_step
+from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, FoldWatch, check_air_step
 from gauge_envs.backends.mujoco.flex import FlexPart
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
@@ -39,14 +39,11 @@ class SimulationMuJoCo(Simulation):
     Args:
         scene: The scene.
         settings: Numerical settings in force, including `timestep_s`.
-        spec: The editable model.
+        spec: The editable model, for export and inspection.
         model: The compiled model.
         parts: Parts of its deformable bodies, by name.
 
     Attributes:
-        settings: Numerical settings in force.
-        spec: The editable model, for export and inspection.
-        model: The compiled model.
         data: MuJoCo's state of the model.
         grips: Nodes of soft bodies that move with driven bodies.
     """
@@ -74,12 +71,14 @@ class SimulationMuJoCo(Simulation):
             cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
+        # A scene in which a cloth touches nothing but itself.
+        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        lone = self._parts.get(*touching) if len(touching) == 1 else None
+        self._folds = FoldWatch(lone, model, self.data) if isinstance(lone, ClothPartMuJoCo) else None
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
-        actuators = {id(hinge): model.actuator(name).id for name, hinge in hinges_by_body(scene).items() if hinge.motor}
-        self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
         self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
@@ -118,15 +117,20 @@ class SimulationMuJoCo(Simulation):
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
 
-    def command(self, values: NDArray[np.float64]) -> None:
-        """Set the commands of the motors; see `World.command`."""
-        self.data.ctrl[self._motors] = values
-
     def advance(self, seconds: float) -> None:
         """Step the model."""
         self._step(round(seconds / self._timestep_s))
 
     def _step(self, count: int) -> None:
+        if self._folds is None or not self._folds.stays_apart(count * self._timestep_s):
+            self._steps(count)
+            return
+        flags = self.model.opt.disableflags
+        self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
+        self._steps(count)
+        self.model.opt.disableflags = flags
+
+    def _steps(self, count: int) -> None:
         if not self._air:
             has_clock = mujoco.get_mjcb_time() is not None  # of the user, or of another thread that is in this method
             if not has_clock:

@@ -65,14 +65,9 @@ def constants_of(enumeration: str, names: Mapping[str, str]) -> dict[str, Any]:
     return {name: getattr(found, constant) for name, constant in names.items() if hasattr(found, constant)}
 
 
-def absent_settings() -> set[str]:
-    """Return the names of settings that the installed version lacks as a whole."""
-    return {feature.setting for feature in FEATURES if feature.value is None and not feature.is_installed}
-
-
 def without_absent(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return settings without those that the installed version lacks: they are not in force."""
-    absent = absent_settings()
+    absent = {feature.setting for feature in FEATURES if feature.value is None and not feature.is_installed}
     return {name: value for name, value in settings.items() if name not in absent}
 
 

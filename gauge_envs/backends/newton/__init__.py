@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
-from gauge_envs.backends.newton.contacts import unsupported_contacts, unsupported_surface_contacts
+from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
     SettingsMPM,
@@ -108,16 +108,11 @@ def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
 
 def _unsupported_features(scene: Scene, settings: SettingsNewton) -> Iterator[str]:
     """Yield one sentence for each feature of a scene that Newton does not support with given settings."""
+    if not scene.deformables:
+        return
     for joint in scene.joints:
         if isinstance(joint, Tether):
-            yield (
-                f"{joint.body!r} hangs on a string: Newton's MuJoCo solver has no distance joints, and this backend "
-                "does not build its tendons"
-            )
-    if not scene.deformables:
-        if isinstance(settings, SettingsMuJoCoWarp):
-            yield from unsupported_contacts(scene, settings)
-        return
+            yield f"{joint.body!r} hangs on a string beside deformable bodies, which this backend does not support"
     per_body = isinstance(settings, SettingsVBD) and not settings.full_surface
     yield from unsupported_surface_contacts(scene, per_body=per_body)
     yield from _unsupported_lines(scene)

@@ -1,7 +1,8 @@
 """Contacts in Newton, whose contact constants belong to shapes and particles and not to pairs. Needs no engine.
 
 In a rigid scene, a body whose contacts all have the same constants carries them with priority over the other body of
-each pair. Cloth and soft bodies consist of particles, which share one friction.
+each pair; where neither has, both get a copy of their shapes for the constants of the pair. Cloth and soft bodies
+consist of particles, which share one friction.
 """
 
 from __future__ import annotations
@@ -91,19 +92,6 @@ def carried_constants(pairs: dict[frozenset[str], ShapeConstants]) -> dict[str, 
         for name in pair:
             found.setdefault(name, set()).add(constants)
     return {name: next(iter(every)) for name, every in found.items() if len(every) == 1}
-
-
-def unsupported_contacts(scene: Scene, settings: SettingsMuJoCoWarp) -> Iterator[str]:
-    """Yield one sentence for each group of contacts whose constants Newton's shapes cannot carry."""
-    pairs = pair_constants(scene, settings)
-    carried = carried_constants(pairs)
-    mixed = sorted({name for pair in pairs if not pair & set(carried) for name in pair})
-    if mixed:
-        shown = ", ".join(mixed[:4]) + (f" and {len(mixed) - 4} more" if len(mixed) > 4 else "")
-        yield (
-            f"contacts among {shown} differ in friction, restitution or mode from pair to pair: Newton's contact "
-            "constants belong to a body, not to a pair"
-        )
 
 
 # --- particles --------------------------------------------------------------------------------------------------------

@@ -13,13 +13,14 @@ from numpy.typing import NDArray
 from gauge_envs.backends.newton.contacts import surface_contacts
 from gauge_envs.backends.newton.line import add_line
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m
-from gauge_envs.backends.newton.particles import add_cloth, add_soft
-from gauge_envs.backends.newton.parts import Part
+from gauge_envs.backends.newton.parts import Part, add_cloth, add_soft
 from gauge_envs.backends.newton.rigid import (
     RigidIndex,
+    Solids,
     StepperMuJoCo,
     add_bodies,
     add_contacts,
+    add_strings,
     keep_apart,
     shape_config,
 )
@@ -124,8 +125,10 @@ def _add_scene(builder: newton.ModelBuilder, scene: Scene, settings: SettingsNew
     if isinstance(settings, SettingsLines):
         return _add_line_scene(builder, scene, settings)
     if isinstance(settings, SettingsMuJoCoWarp):
-        rigid = add_bodies(builder, scene, config=shape_config(), solids="meshes" if settings.meshes else "prisms")
-        add_contacts(builder, scene, rigid, settings)
+        solids: Solids = "meshes" if settings.meshes else "prisms"
+        rigid = add_bodies(builder, scene, config=shape_config(), solids=solids)
+        add_contacts(builder, scene, rigid, settings, solids)
+        add_strings(builder, scene, rigid, settings)
         return WorldLayout(rigid=rigid)
     layout = WorldLayout(rigid=add_bodies(builder, scene, config=newton.ModelBuilder.ShapeConfig(density=0.0)))
     if isinstance(settings, SettingsVBD):

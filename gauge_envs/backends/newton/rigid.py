@@ -20,10 +20,16 @@ import newton
 import numpy as np
 import trimesh
 import warp as wp
-from newton.solvers import SolverMuJoCo
+from newton.solvers import SolverMuJoCo, mujoco
 from numpy.typing import ArrayLike, NDArray
 
-from gauge_envs.backends.newton.contacts import FRICTION_AS_NORMAL, ShapeConstants, carried_constants, pair_constants
+from gauge_envs.backends.newton.contacts import (
+    DEFAULT_SOLIMP,
+    FRICTION_AS_NORMAL,
+    ShapeConstants,
+    carried_constants,
+    pair_constants,
+)
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
@@ -43,6 +49,7 @@ from gauge_envs.scene import (
     RigidBody,
     Scene,
     Sphere,
+    Tether,
 )
 from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties, prism
@@ -88,6 +95,13 @@ CONTACT_GAP_M = 0.002
 """Distance at which Newton detects a contact [m], more than the displacement of any body in one step."""
 
 
+STRING_TIME_CONSTANT_S = 1e-3
+"""Shortest time constant of the limit of a string [s], as in the MuJoCo backend."""
+
+Layer = dict[str, list[int]]
+"""Shapes of each of two bodies that touch with the same constants, by name."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class RigidIndex:
     """Indices of the rigid bodies and shapes of one scene in a model.
@@ -125,9 +139,9 @@ def add_bodies(
         root = next(other_end(hinge, name) for name, hinge in below.items())
         joined |= _add_articulation(builder, scene, (root, *below), hinges)
     for body in scene.bodies:
-        name, frame = body.name, wp.transform_identity()
+        name = body.name
         if body.motion is Motion.FIXED:
-            place, frame = WORLD, warp_transform(body.pose)
+            place = WORLD
         elif name in joined:
             place = joined[name]
         elif name in hinges:
@@ -138,7 +152,7 @@ def add_bodies(
                 _set_velocity(builder, place, body)
                 builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
-        index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, frame, solids)
+        index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, solids)
     for one in joint_motors(scene):
         is_servo, joint = isinstance(one.motor, Servo), builder.joint_child.index(index.bodies[one.body])
         starts = builder.joint_q_start if is_servo else builder.joint_qd_start
@@ -218,10 +232,9 @@ def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> 
     builder.body_qd[index] = wp.spatial_vector(*velocity)
 
 
-def _add_shapes(
-    builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], frame: wp.transform, solids: Solids
-) -> list[int]:
-    """Add the shapes of a body, with given arguments and a frame, and return their indices."""
+def _add_shapes(builder: newton.ModelBuilder, body: RigidBody, given: dict[str, Any], solids: Solids) -> list[int]:
+    """Add the shapes of a body with given arguments, and return their indices."""
+    frame = warp_transform(body.pose) if body.motion is Motion.FIXED else wp.transform_identity()
     parts: list[tuple[str, wp.transform, _Solid]]
     if isinstance(body.shape, Compound):
         parts = [
@@ -279,15 +292,29 @@ def _hull(points_m: NDArray[np.float64]) -> newton.Mesh:
     return newton.Mesh(hull.vertices, hull.faces.ravel(), compute_inertia=False)
 
 
-def keep_apart(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex) -> None:
-    """Exclude collisions between all shapes that have no contact in the scene."""
+def keep_apart(
+    builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, layers: Mapping[frozenset[str], Layer] | None = None
+) -> None:
+    """Exclude collisions between all shapes that have no contact in the scene.
+
+    Args:
+        builder: Model builder.
+        scene: The scene.
+        index: Indices of its bodies and shapes.
+        layers: Copies of shapes that collide alone, for pairs of bodies; the first shapes of these bodies do not.
+    """
     pairs = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
-    for body in scene.bodies:
-        for one, other in combinations(index.shapes[body.name], 2):
+    copies = {name: {tuple(layer[name]) for layer in (layers or {}).values() if name in layer} for name in index.shapes}
+    every = {name: [*own, *(one for copy in copies[name] for one in copy)] for name, own in index.shapes.items()}
+    for shapes in every.values():
+        for one, other in combinations(shapes, 2):
             builder.add_shape_collision_filter_pair(one, other)
     for first, second in combinations(index.shapes, 2):
-        if frozenset((first, second)) not in pairs:
-            for one, other in product(index.shapes[first], index.shapes[second]):
+        pair = frozenset((first, second))
+        layer = (layers or {}).get(pair, index.shapes)
+        meeting = set(product(layer[first], layer[second])) if pair in pairs else set()
+        for one, other in product(every[first], every[second]):
+            if (one, other) not in meeting:
                 builder.add_shape_collision_filter_pair(one, other)
 
 
@@ -301,14 +328,45 @@ def shape_config() -> newton.ModelBuilder.ShapeConfig:
     )
 
 
-def add_contacts(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
-    """Write the contact constants of shapes, and exclude all collisions without a contact in the scene."""
+def add_contacts(
+    builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp, solids: Solids
+) -> None:
+    """Write the contact constants of shapes, and exclude all collisions without a contact in the scene.
+
+    The bodies of a pair whose constants neither carries get copies of their shapes, which meet each other alone.
+    """
     pairs = pair_constants(scene, settings)
+    carried = carried_constants(pairs)
+    shapes = [(constants, index.shapes[name]) for name, constants in carried.items()]
+    copies: dict[tuple[str, ShapeConstants], list[int]] = {}
+    layers: dict[frozenset[str], Layer] = {}
+    for pair, constants in pairs.items():
+        for name in () if pair & set(carried) else sorted(pair):
+            if (name, constants) not in copies:
+                given = {"body": index.bodies[name], "cfg": shape_config()}
+                copies[name, constants] = _add_shapes(builder, scene.body(name), given, solids)
+                shapes.append((constants, copies[name, constants]))
+            layers.setdefault(pair, {})[name] = copies[name, constants]
     keeps_material = settings.newton_material and settings.contact_solref is None
-    for name, constants in carried_constants(pairs).items():
-        for shape in index.shapes[name]:
+    for constants, one in shapes:
+        for shape in one:
             _carry(builder, shape, constants, newton_material=keeps_material)
-    keep_apart(builder, scene, index)
+    keep_apart(builder, scene, index, layers)
+
+
+def add_strings(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, settings: SettingsMuJoCoWarp) -> None:
+    """Add each string as a spatial tendon of limited length, as stiff as a step allows."""
+    for joint in scene.joints:
+        if isinstance(joint, Tether):
+            anchor = builder.add_site(WORLD, xform=wp.transform(wp.vec3(*joint.anchor_m), wp.quat_identity()))
+            mujoco.add_tendon_spatial(
+                builder,
+                [mujoco.TendonWrapSite(anchor), mujoco.TendonWrapSite(builder.add_site(index.bodies[joint.body]))],
+                limited=True,
+                limit_range=(0.0, joint.length_m),
+                solref_limit=(max(2.0 * settings.timestep_s, STRING_TIME_CONSTANT_S), 1.0),
+                solimp_limit=(0.9999, 0.9999, *DEFAULT_SOLIMP[2:]),
+            )
 
 
 def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
@@ -339,6 +397,7 @@ class StepperMuJoCo(Stepper):
 
     def __init__(self, model: newton.Model, *, driven: Sequence[int], settings: SettingsMuJoCoWarp) -> None:
         pair_count = model.shape_contact_pair_count // model.world_count
+        strings = model.custom_frequency_counts.get("mujoco:tendon", 0) // model.world_count
         with warnings.catch_warnings():
             # Newton 1.8 asks for MuJoCo 3.17, but this package needs 4.0; tests/backends/newton verify the combination.
             warnings.filterwarnings("ignore", message="MuJoCo dependency version mismatch")
@@ -356,7 +415,8 @@ class StepperMuJoCo(Stepper):
                 use_mujoco_contacts=settings.mujoco_contacts or not pair_count,
                 disable_contacts=not pair_count,
                 nconmax=CONTACT_POINTS_PER_PAIR * pair_count or None,
-                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) or None,
+                njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) + strings
+                or None,
             )
         has_pipeline = pair_count and not settings.mujoco_contacts
         self._pipeline = collision_pipeline(model) if has_pipeline else None

@@ -260,11 +260,7 @@ class Stepper(ABC):
 
 
 class HostState:
-    """A state whose arrays are copied from the device once, whoever reads them.
-
-    Args:
-        state: The state.
-    """
+    """A state whose arrays are copied from the device once, whoever reads them."""
 
     def __init__(self, state: newton.State) -> None:
         self._state = state

@@ -34,7 +34,7 @@ class BackendPhysX(BundledBackend):
     packages = ("sapien",)
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"PGS": {"solver": "PGS"}, "out_of_box": {"preset": "out_of_box"}, "isaac": {"preset": "isaac"}}
+        {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
     corrections = (
         "a cylinder is a capsule or a ball in a prism",
@@ -53,8 +53,8 @@ class BackendPhysX(BundledBackend):
         """Yield one sentence for each kind of unsupported feature of a scene."""
         if scene.deformables:
             yield (
-                f"{first_of([body.name for body in scene.deformables])} is deformable: SAPIEN contains PhysX's rigid "
-                "bodies only; its cloth and soft bodies need a GPU and Isaac Sim"
+                f"{first_of([body.name for body in scene.deformables])} is deformable: PhysX's cloth and foam need "
+                "a GPU, and SAPIEN's chains have no spherical joint for ropes"
             )
         hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))
         yield from declined_hinges(hinges)

@@ -22,12 +22,7 @@ SAME_POSE = 1e-5
 
 
 class SimulationPhysX(PlacedWorld, Simulation):
-    """A scene in PhysX. A reset builds it anew, since PhysX cannot forget its contacts.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """A scene in PhysX. A reset builds it anew, since PhysX cannot forget its contacts."""
 
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
         self.settings = settings.model_dump(mode="json")

@@ -179,6 +179,6 @@ def pushing_bodies(scene: Scene) -> set[str]:
             rebounding.update((first, second))
             continue
         for name, other in ((first, second), (second, first)):
-            if motions[name] is Motion.DYNAMIC is not motions[other]:
+            if motions.get(name) is Motion.DYNAMIC is not motions[other]:
                 touched.setdefault(name, set()).add(other)
     return {other for others in touched.values() if len(others) > 1 for other in others} - rebounding

@@ -27,6 +27,9 @@ from gauge_envs.scene.meshes import mass_properties, nodes_in, tetrahedra
 SEGMENT_M = 0.0125
 """Default length of a segment [m]."""
 
+SOFT_MARGIN_M = 0.001
+"""Distance at which soft bodies touch [m]: with 0.2 mm, the cube of FoamBending passes through the foam."""
+
 GROUND = -1
 """Number of the body that holds anchors in the world."""
 
@@ -189,7 +192,9 @@ def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) 
 # --- soft bodies ------------------------------------------------------------------------------------------------------
 
 
-def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None) -> int:
+def add_soft_body(
+    world: BulletWorld, body: SoftBody, file: Path, *, cell_m: float | None, friction: float | None
+) -> int:
     """Add a soft body, attach its regions, and return PyBullet's number; rigid bodies exist already.
 
     Bullet's energy is the stable Neo-Hookean one, which equals linear elasticity at small strain for mu' = 4/3 mu and
@@ -200,10 +205,14 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
         body: The soft body.
         file: File to write its mesh to, the only form in which PyBullet takes tetrahedra.
         cell_m: Desired edge of the cells [m], or None for the default.
+        friction: Coefficient of its surface, by which Bullet multiplies that of a rigid body; None without contacts.
     """
     attachments = rigid_attachments(world.scene, body.name)
     nodes_m = _write_mesh(file, body, [one.region for one in attachments], cell_m or SOFT_CELL_M, world.scale)
     shear, lame = lame_constants(body)
+    contact: dict[str, float] = {}
+    if friction is not None:
+        contact = {"useFaceContact": 1, "frictionCoeff": friction, "collisionMargin": world.scale * SOFT_MARGIN_M}
     number = world.call(
         "loadSoftBody",
         str(file),
@@ -217,6 +226,7 @@ def add_soft_body(world: BulletWorld, body: SoftBody, file: Path, *, cell_m: flo
         NeoHookeanLambda=(lame + 5.0 / 6.0 * shear) / world.scale,
         NeoHookeanDamping=0.0,
         useSelfCollision=0,
+        **contact,
     )
     for attachment in attachments:
         # An anchor keeps the node where it now is in the frame of the body.

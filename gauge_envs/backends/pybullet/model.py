@@ -29,10 +29,6 @@ STRING_MASS = 1e-6
 class WorldPyBullet(BulletWorld):
     """A PyBullet world at the start of a scene.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-
     Attributes:
         ropes: The ropes in PyBullet, by name.
         soft: PyBullet's numbers of the soft bodies, by name.
@@ -82,7 +78,13 @@ class WorldPyBullet(BulletWorld):
                 for _ in self._surfaces.get(body.name, [None]):
                     self._free(body)
         self.soft = {
-            body.name: add_soft_body(self, body, self.folder / f"{body.name}.vtk", cell_m=self.settings.cell_m)
+            body.name: add_soft_body(
+                self,
+                body,
+                self.folder / f"{body.name}.vtk",
+                cell_m=self.settings.cell_m,
+                friction=self._surfaces[body.name][0].friction if body.name in self._surfaces else None,
+            )
             for body in soft
         }
         self._set_contacts()
@@ -257,7 +259,9 @@ class WorldPyBullet(BulletWorld):
         return list(zip(found, [self.handles[name], *self.copies.get(name, [])], strict=True))
 
     def _towards(self, name: str, partner: str) -> Handle:
-        """Return the copy of a rigid body whose surface is that towards another body."""
+        """Return a soft body, or the copy of a rigid body whose surface is that towards another body."""
+        if name in self.soft:
+            return Handle(self.soft[name], -1, np.zeros(3), Rotation.identity())
         return next(handle for surface, handle in self._surface_handles(name) if partner in surface.partners)
 
     def _filter_collisions(self) -> None:

@@ -23,10 +23,6 @@ Rows = list[list[float]]
 class SimulationPyBullet(PlacedWorld, Simulation):
     """A scene in PyBullet.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings in force.
-
     Attributes:
         settings: Numerical settings in force.
         world: The world in PyBullet.

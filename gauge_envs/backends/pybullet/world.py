@@ -124,10 +124,6 @@ class Link:
 class BulletWorld:
     """A PyBullet world without bodies.
 
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-
     Attributes:
         scene: The scene.
         settings: Numerical settings.

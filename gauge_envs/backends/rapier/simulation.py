@@ -128,8 +128,7 @@ def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> l
     if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
         turned = Rotation.from_rotvec(travel[:, 3:])
         angular = (turned[1:] * turned[:-1].inv()).as_rotvec()
-    velocities: list[list[float]] = (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
-    return velocities
+    return (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
 
 
 def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:
@@ -162,12 +161,7 @@ def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: 
 
 
 class SimulationRapier(_SceneWorld, Simulation):
-    """A scene in Rapier.
-
-    Args:
-        scene: The scene.
-        settings: Numerical settings.
-    """
+    """A scene in Rapier."""
 
     def __init__(self, scene: Scene, settings: SettingsRapier) -> None:
         world, (layout,) = build_world([scene], settings)

@@ -70,8 +70,7 @@ class ReplayedSimulation(Simulation):
 
     def sample_positions(self, names: Sequence[str], count: int, interval_s: float) -> NDArray[np.float64]:
         """Advance and return positions; see `Simulation.sample_positions`."""
-        positions: NDArray[np.float64] = self._call("sample_positions", tuple(names), count, interval_s)
-        return positions
+        return self._call("sample_positions", tuple(names), count, interval_s)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of bodies, shape [len(names), 13]; see `World.body_states`."""

@@ -26,9 +26,8 @@ from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 Frame = Generator[None, None, tuple[float, Ending | None]]
 """A frame of a task, which yields where the world must advance by 1/180 s, and returns reward and ending."""
@@ -51,7 +50,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
-        settings: Numerical settings of the engine that replace those of the preset.
+        settings: Numerical settings of the engine that replace those of the preset; without any, `OWN_SETTINGS` do.
         render_mode: None or `rgb_array`.
         width: Picture width [pixels].
         height: Picture height [pixels].
@@ -62,6 +61,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         DURATION_S: Length of an episode [s].
+        OWN_SETTINGS: Settings on an engine if none are given, in place of the preset's.
         COMMANDED: Names of the action's entries.
         OBSERVED: Names of the observation's entries, with units.
         experiment: The experiment, with the drivers and the duration of the task.
@@ -75,6 +75,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
     DURATION_S: ClassVar[float]
+    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
     COMMANDED: ClassVar[tuple[str, ...]]
     OBSERVED: ClassVar[tuple[str, ...]]
 
@@ -95,7 +96,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
         scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
-        super().__init__(experiment, pictures, backend=backend, settings=settings)
+        super().__init__(experiment, pictures, backend=backend, settings=settings or self.OWN_SETTINGS.get(backend))
         if not is_world:
             self._build(experiment)
             check_drive_interval(self.simulation.settings)

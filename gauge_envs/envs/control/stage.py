@@ -6,15 +6,12 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
 from gauge_envs.scene import Box, Contact, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.drivers import Driver, DriverMotion
-from gauge_envs.scene.geometry import Vector
+from gauge_envs.scene.geometry import FloatArray, Vector, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
@@ -98,8 +95,7 @@ class Stage:
         acceleration[:3] += 2.0 / step**2 * (moved_m - self._moved_m)
         world.drive(self.driver.body, self._pose, self._velocity, acceleration)
         self._moved_m, self._velocity = moved_m, np.concatenate([self.rate_m_per_s @ self._axes, np.zeros(3)])
-        x, y, z = (np.asarray(self._start.position_m) + moved_m).tolist()
-        self._pose = Pose(position_m=(x, y, z), quaternion=self._start.quaternion)
+        self._pose = Pose(position_m=vector(self._start.position_m + moved_m), quaternion=self._start.quaternion)
 
 
 def acceleration_to_rest(distance_m: float, speed_m_per_s: float, acceleration_m_per_s2: float) -> float:

@@ -33,8 +33,8 @@ _TASKS = {
     "Turntable": ("gauge_envs.envs.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
     "SlopeSlider": ("gauge_envs.envs.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
     "Pendulum": ("gauge_envs.envs.control.pendulum:PendulumLimit", ("metal",)),
-    "Carry": ("gauge_envs.envs.control.carry:CarryLimit", ("wood", "plastic", "metal")),
-    "Push": ("gauge_envs.envs.control.push:PushLimit", ("wood", "plastic", "metal")),
+    "Carry": ("gauge_envs.envs.control.least_time:CarryLimit", ("wood", "plastic", "metal")),
+    "Push": ("gauge_envs.envs.control.least_time:PushLimit", ("wood", "plastic", "metal")),
     "Throw": ("gauge_envs.envs.control.throw:ThrowLimit", ("rubber",)),
     "Fling": ("gauge_envs.envs.control.fling:FlingLimit", ("satin",)),
 }

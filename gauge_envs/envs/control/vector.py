@@ -23,9 +23,8 @@ from gauge_envs.envs.rendering.lazy import Pictures
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-
-FloatArray = NDArray[np.float64]
 
 
 class ControlVectorEnv(WorldsEnvironment[FloatArray]):
@@ -180,6 +179,7 @@ class ControlWorlds:
             return env
 
         first = world(parameters)
+        settings = settings or first.OWN_SETTINGS.get(backend)
         common = dict(first.experiment.overrides)
         self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
         scenes = [env.experiment.scene for env in self.envs]

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from gauge_envs.envs.rendering.expected import Expected, expected_motion
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.scene import Plane, Scene, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view of the camera [deg]."""

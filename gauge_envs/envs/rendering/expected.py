@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
@@ -29,9 +28,7 @@ from gauge_envs.scene import (
     SoftBody,
     Tether,
 )
-from gauge_envs.scene.geometry import vector
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray, vector
 
 STILL_RAD = 1e-3
 """Largest angle from hanging at which bodies hang still [rad]."""

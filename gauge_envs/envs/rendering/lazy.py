@@ -33,10 +33,6 @@ class Pictures:
         width: Picture width [pixels].
         height: Picture height [pixels].
         has_overlay: Whether the environment puts an overlay on its pictures.
-
-    Attributes:
-        render_mode: None or `rgb_array`.
-        has_overlay: Whether the environment puts an overlay on its pictures.
     """
 
     def __init__(self, render_mode: str | None, *, width: int, height: int, has_overlay: bool = False) -> None:

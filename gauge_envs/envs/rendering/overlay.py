@@ -11,19 +11,17 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import ParameterError, ShapeError
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from gauge_envs.envs.episode import Episode
-
-FloatArray = NDArray[np.float64]
 
 Color = tuple[float, float, float, float]
 """Red, green, blue and opacity from 0 to 1."""

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from ctypes.util import find_library
+from importlib import import_module
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +23,7 @@ from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.envs.rendering.studio import studio_model
 from gauge_envs.errors import RenderError, UnknownNameError
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene.geometry import FloatArray
 
 STRING_RADIUS_M = 0.0015
 """Radius of a string in pictures [m]."""
@@ -43,11 +46,12 @@ differently in each picture, which one is in front. A ghost that is displaced by
 
 DEBIAN_PACKAGES = "libegl1 libegl-mesa0 libgl1-mesa-dri libgl1 libopengl0"
 
-FloatArray = NDArray[np.float64]
-
 
 def _graphics_context(width: int, height: int) -> Any:
     """Return an off-screen OpenGL context: that of MUJOCO_GL, or else EGL or OSMesa, whichever is installed."""
+    # After Mesa's LLVM, loading that of triton, which PyTorch for CUDA brings, ends in a segmentation fault.
+    with suppress(ImportError):
+        import_module("triton")
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     if not wanted:
         wanted = "egl" if find_library("EGL") else "osmesa" if find_library("OSMesa") else ""
@@ -90,7 +94,7 @@ class SceneRenderer:
     def __init__(
         self,
         scene: Scene,
-        rest_nodes_m: Mapping[str, NDArray[np.float64]],
+        rest_nodes_m: Mapping[str, FloatArray],
         width: int,
         height: int,
         *,
@@ -128,8 +132,8 @@ class SceneRenderer:
 
     def picture(
         self,
-        poses: Mapping[str, NDArray[np.float64]],
-        nodes_m: Mapping[str, NDArray[np.float64]],
+        poses: Mapping[str, FloatArray],
+        nodes_m: Mapping[str, FloatArray],
         overlay: Overlay | None = None,
     ) -> NDArray[np.uint8]:
         """Return a picture of the scene with bodies at given poses.
@@ -185,7 +189,7 @@ class SceneRenderer:
         mujoco.mjr_readPixels(pixels, None, self._viewport, self._device)
         return np.ascontiguousarray(pixels[::-1])
 
-    def _add_lines(self, nodes_m: Mapping[str, NDArray[np.float64]]) -> None:
+    def _add_lines(self, nodes_m: Mapping[str, FloatArray]) -> None:
         """Add strings, ropes and rods; far ones are drawn thicker than they are, so that they stay visible."""
         radius_m = max(STRING_RADIUS_M if self._flat is not None else 0.0, self._least_radius_m)
         for joint in self._scene.joints:
@@ -270,8 +274,7 @@ def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
     # A drawing has a camera for each eye; a picture is taken from between them.
     left, right = drawing.camera
     way = -left.forward.astype(np.float64) if left.orthographic else 0.5 * (left.pos + right.pos) - point_m
-    unit: FloatArray = way / np.linalg.norm(way)
-    return unit
+    return way / np.linalg.norm(way)
 
 
 def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray, color: Color) -> None:

@@ -14,8 +14,7 @@ from scipy.spatial import Delaunay, QhullError
 
 from gauge_envs.envs.rendering.materials import Look
 from gauge_envs.scene import Cloth, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 ON_SIDE = 1e-4
 """Largest distance of a node from a side of the box around all nodes, relative to its longest edge."""

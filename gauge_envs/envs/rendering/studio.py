@@ -7,15 +7,13 @@ from dataclasses import replace
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model import add_geoms
 from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, View
 from gauge_envs.envs.rendering.materials import Look, look_of
 from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.scene import Attachment, Box, Cylinder, Motion, Plane, RigidBody, Scene, SoftBody
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 GRID_PITCHES_M = (0.025, 0.1)
 """Pitch of the grid on the ground [m]: the hole pitch of the real optical table, and a coarser one for wide views."""

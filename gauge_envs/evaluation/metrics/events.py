@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize_scalar
 
 from gauge_envs.errors import ShapeError
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 # Frames on each side of a turning point that locate it; the polynomial through them has twice that degree. At 30 Hz
 # and a period of 1.2 s, a reach of 2 has an error of 3e-6 in energy, and a reach of 4 includes the impact of a cradle.

@@ -15,8 +15,7 @@ from scipy.optimize import minimize_scalar
 from scipy.spatial.distance import cdist
 
 from gauge_envs.errors import ShapeError
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 MAX_RELEASE_OFFSET_S = 10 / 30
 """Largest time shift of a release alignment in either direction [s]; recorded bodies are released within 9 frames."""

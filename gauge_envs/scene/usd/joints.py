@@ -218,9 +218,9 @@ def _letter(source: Source, prim: Usd.Prim) -> str:
 
 
 def _normalized(axis: FloatArray) -> FloatArray:
-    """Return a unit vector; an axis that was edited has single precision, and an exact one stays."""
+    """Return a unit vector; an axis that was edited has single precision, and one that a task file may state stays."""
     length = float(np.linalg.norm(axis))
-    return axis if abs(length - 1.0) < 1e-12 else axis / length
+    return axis if abs(length - 1.0) <= 1e-9 else axis / length
 
 
 def _is_edited(attribute: Usd.Attribute) -> bool:

@@ -589,14 +589,14 @@ def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
     _custom(prim, "motor", motor.kind, "token")
     _custom(prim, "command", json.dumps(asdict(motor.command), allow_nan=False), "string")
     if isinstance(motor, Servo):
-        drive = UsdPhysics.DriveAPI.Apply(prim, "angular")
-        record_follower(drive.CreateTargetPositionAttr(math.degrees(motor.command.value(0.0))), "gauge:command")
+        target = UsdPhysics.DriveAPI.Apply(prim, "angular").CreateTargetPositionAttr()
+        target.Set(math.degrees(motor.command.value(0.0)))
+        record_follower(target, "gauge:command")
     for field, value in asdict(motor).items():
         if isinstance(value, float):
-            name, factor = DRIVE.get(field, ("", 1.0))
-            _custom(
-                prim, field, value, written=_set(prim, name, "float", value / factor).Get() * factor if name else None
-            )
+            drive = DRIVE.get(field)
+            single = drive and _set(prim, drive[0], "float", value / drive[1]).Get() * drive[1]
+            _custom(prim, field, value, written=single)
 
 
 def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:

@@ -20,7 +20,7 @@ from gauge_envs.backends.mujoco.mjcf_writer import NUMBER, expanded
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
-from gauge_envs.files import data_folder, os_errors
+from gauge_envs.files import data_folder, os_errors, write_texts
 from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, Rope, Shape, SoftBody, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import hull_faces
@@ -65,13 +65,8 @@ def build_assets(folder: Path) -> list[Path]:
     Returns:
         Paths of the written files.
     """
-    written = []
     with os_errors(lambda cause: ResultFileError(f"{folder}: assets cannot be written there: {cause}")):
-        for name, text in asset_texts():
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8", newline="\n")
-            written.append(path)
+        written = write_texts(folder, asset_texts())
         for path in set(_generated(folder)) - set(written):
             path.unlink()
     return written

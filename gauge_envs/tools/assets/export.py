@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from xml.etree import ElementTree
 
 from pxr import Usd
 
@@ -13,7 +12,7 @@ from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
 from gauge_envs.backends.mujoco.mjcf_writer import (
     add_grips,
     add_stiffness_tables,
-    exact_xml,
+    described_xml,
     replay_note,
     start_notes,
     without_rest,
@@ -105,9 +104,4 @@ def mjcf_text(experiment: TaskExperiment) -> str:
         simulation.spec.add_numeric(name=name, size=moving.size, data=moving.ravel().tolist())
         notes.append(replay_note(driver.body, driver.provenance, simulation, moving, len(rows)))
     notes += add_grips(simulation)
-    root = exact_xml(simulation)
-    root.set("model", experiment.name)
-    comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
-    comment.tail = "\n\n  "
-    root.insert(0, comment)
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    return described_xml(simulation, experiment.name, notes)

@@ -52,9 +52,7 @@ def unsupported_reason(scene: Scene) -> str | None:
         if (kind := UNSUPPORTED.get(type(body))) is not None:
             return f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
     if any(hinge.motor or hinge.dynamics != JointDynamics() for hinge in scene.hinges):
-        return (
-            "its joints have friction, armature or motors, whose commands and friction PhysX does not take from a layer"
-        )
+        return "its joints have friction, armature or motors, which PhysX does not take from a layer"
     return None
 
 

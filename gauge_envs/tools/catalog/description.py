@@ -8,10 +8,12 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import math
+from fnmatch import fnmatchcase
 from typing import Any
 
 import gymnasium
 import numpy as np
+from pydantic import Field, PositiveFloat, PositiveInt
 
 from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.tasks import ControlTask
@@ -21,19 +23,72 @@ from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
 from gauge_envs.experiments.user_file import FileExperiment
-from gauge_envs.files import json_ready
+from gauge_envs.files import data_folder, json_ready
 from gauge_envs.pages.results import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DataSource, DriverRecord, load_imported
-from gauge_envs.references.limits import episode_costs, known_limits
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
+from gauge_envs.references.tables import FileModel, read_rows, read_toml
 from gauge_envs.references.user_data import has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
+
+
+class Limit(FileModel):
+    """What is known to be wrong or uncertain of some experiments.
+
+    Attributes:
+        variants: Patterns of variants.
+        text: One or two sentences.
+        study: Folder of `studies/` that has the numbers, or None.
+    """
+
+    variants: tuple[str, ...] = Field(min_length=1)
+    text: str
+    study: str | None = None
+
+
+class _Limits(FileModel):
+    limit: tuple[Limit, ...]
+
+
+class Cost(FileModel):
+    """Measured processor time of the episodes of a family on an engine, over the simulated time [s/s].
+
+    Attributes:
+        engine: Name of the engine.
+        family: Name of the family.
+        ids: Number of variants that were measured.
+        least: Smallest cost among them.
+        most: Largest cost among them.
+    """
+
+    engine: str
+    family: str
+    ids: PositiveInt
+    least: PositiveFloat
+    most: PositiveFloat
+
+
+def all_limits() -> tuple[Limit, ...]:
+    """Return all known limits."""
+    return read_toml(data_folder("scoring") / "limits.toml", _Limits).limit
+
+
+def known_limits(variant: str) -> tuple[Limit, ...]:
+    """Return the known limits of a variant, as `SlopeSlider-2-wood`."""
+    return tuple(one for one in all_limits() if any(fnmatchcase(variant, pattern) for pattern in one.variants))
+
+
+def episode_costs(family: str) -> dict[str, Cost]:
+    """Return what episodes of a family cost, by engine; engines that were not measured are absent."""
+    file = data_folder("scoring") / "costs.csv"
+    rows = (row for _, row in read_rows(file, list(Cost.model_fields), Cost))
+    return {row.engine: row for row in rows if row.family == family}
 
 
 def description(experiment: Experiment) -> dict[str, Any]:

@@ -21,13 +21,14 @@ def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEX
 
     Ranks are within each grade of reference. Without a reference, distances between engines are shown. Results that
     differ in their seed alone are repeats, shown as mean and scatter. metric=rmse,dtw after the results shows these
-    metrics alone. Exit code 1 when a damaged file was skipped.
+    metrics alone; corrected=false leaves out engines whose physics this package corrects. Exit code 1 when a damaged
+    file was skipped.
     """
     from gauge_envs.tools.compare.comparison import compare as compare_results
     from gauge_envs.tools.compare.words import check_metrics, comparison_document
 
-    files, names = _split_metrics(sources)
-    results, skipped = loaded_results(files)
+    files, names, corrected = _split_details(sources)
+    results, skipped = loaded_results(files, corrected=corrected)
     print_document(comparison_document(compare_results(list(results.values())), check_metrics(names)), form)
     return bool(skipped)
 
@@ -41,8 +42,8 @@ def plot(
 ) -> bool:
     """Draw results: experiments over real bands, a comparison, a diagnosis, or cost.
 
-    Details after the results: metric=rmse for compare; order=release,offset,rate and measured_only=true for diagnose.
-    Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
+    Details after the results: metric=rmse and corrected=false for compare; order=release,offset,rate and
+    measured_only=true for diagnose. Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
     """
     if kind not in DRAWINGS:
         raise UnknownNameError("kind of picture", kind, DRAWINGS)
@@ -67,8 +68,8 @@ def draw_compare(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Pat
     """Draw a picture of each experiment, and one of all."""
     from gauge_envs.tools.compare.overview_figure import save_comparison
 
-    files, names = _split_metrics(sources)
-    results, skipped = loaded_results(files, with_scene=True)
+    files, names, corrected = _split_details(sources)
+    results, skipped = loaded_results(files, with_scene=True, corrected=corrected)
     return save_comparison(list(results.values()), out, metric=next(iter(names), None)), skipped
 
 
@@ -92,11 +93,11 @@ def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterator[Path],
     return written(), skipped
 
 
-def _split_metrics(words: Sequence[str] | None) -> tuple[list[str], list[str]]:
-    """Return files, and the metrics that the detail `metric` names."""
+def _split_details(words: Sequence[str] | None) -> tuple[list[str], list[str], bool]:
+    """Return files, the metrics that the detail `metric` names, and whether corrected engines count."""
     from gauge_envs.tools.compare.words import check_metrics
 
-    files, details = arguments.split_details(words, metric=arguments.split_list)
+    files, details = arguments.split_details(words, metric=arguments.split_list, corrected=bool)
     names = details.get("metric", [])
     check_metrics(names)
-    return files, names
+    return files, names, details.get("corrected", True)

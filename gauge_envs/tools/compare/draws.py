@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import t as student
 
 from gauge_envs.evaluation.deviation import band_deviations
@@ -20,8 +19,7 @@ from gauge_envs.evaluation.uncertainty import LEVEL, SEED, widening
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.result import Outcome, Result
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)

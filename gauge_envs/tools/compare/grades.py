@@ -23,15 +23,14 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.stats import norm
 
 from gauge_envs.evaluation.uncertainty import LEVEL
 from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.compare.draws import ScoreDraws, paired_scores
 from gauge_envs.tools.compare.significance import NEGLIGIBLE, holm, majority_p_value, p_value
 
-FloatArray = NDArray[np.float64]
 Interval = tuple[float, float]
 
 TAILS: Interval = (0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL))
@@ -397,16 +396,12 @@ def _experiment_ranks(
     return ExperimentRanks(
         id=experiment.id,
         ranks={
-            index: Mean(value=value[index], interval_95=_holding(value[index], low[index], high[index]))
-            for index in members
+            index: Mean(value=one, interval_95=(min(low[index], one), max(high[index], one)))
+            for index, one in value.items()
         },
         pair_count=len(known),
         distinguishable_count=sum(one.distinguishable for _, one in known),
     )
-
-
-def _holding(value: float, low: float, high: float) -> Interval:
-    return min(low, value), max(high, value)
 
 
 def _mean_rank(ranks: Sequence[Mean]) -> Mean:

@@ -6,12 +6,11 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import stdtr, stdtrit
 
 from gauge_envs.evaluation.uncertainty import LEVEL
-
-FloatArray = NDArray[np.float64]
+from gauge_envs.scene.geometry import FloatArray
 
 NEGLIGIBLE = 0.01
 """Difference of normalized scores up to which two configurations count as equal: the last digit of a score that tables

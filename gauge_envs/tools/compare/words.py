@@ -7,8 +7,6 @@ from dataclasses import asdict
 from functools import partial
 from typing import Any
 
-from gauge_envs.backends import is_bundled
-from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.files import json_ready
 from gauge_envs.pages.document import Document, Paragraph
@@ -279,13 +277,10 @@ def _score_notes(comparison: Comparison, rows: Sequence[dict[str, Any]], used: S
 
 
 def _physics_text(one: RunConfiguration) -> str:
-    """Return whose physics a configuration of a bundled engine shows; empty for another engine."""
-    if one.backend is None or not is_bundled(one.backend):
-        return ""
-    preset = str(one.settings_given.get("preset", ""))
-    mark = uninstalled_backend(one.backend).whose_physics(preset)
-    by = " by this package" if mark == "corrected" else ""
-    return f"{' '.join(filter(None, (one.backend, preset)))} {mark}{by}"
+    """Return whose physics a configuration shows, empty if that is not known."""
+    by = " by this package" if one.physics == "corrected" else ""
+    words = (one.backend, str(one.settings_given.get("preset", "")), one.physics + by)
+    return " ".join(filter(None, words)) if one.physics else ""
 
 
 def _configuration_notes(configurations: Sequence[RunConfiguration]) -> Iterator[str]:

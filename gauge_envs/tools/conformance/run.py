@@ -123,8 +123,10 @@ def _run(lab: Lab, one: Check) -> _Run:
         outcome = Outcome(status=Status.DECLINED, missing=declined.missing)
     except RefusedSettingsError as error:
         return _Run(None, refusal=str(error))
-    # Any exception of a backend is a result, and the next check may still pass.
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    # Whatever a backend raises is a result, and the next check may still pass; a panic of Rust is no `Exception`.
+    except BaseException as error:
         is_finite = not isinstance(error, NotFiniteError)
         outcome = Outcome(status=Status.ERROR, diagnosis=f"{type(error).__name__}: {error}{raised_at(error)}")
     else:

@@ -8,15 +8,13 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from gauge_envs.evaluation.metrics.trajectory import release_offset
 from gauge_envs.evaluation.motion_kinds import RecognizedMotion
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.model import BudgetStage
-
-FloatArray = NDArray[np.float64]
 
 MAX_SHIFT_S = 10.0 / 30.0
 """Largest time shift in either direction [s]; the same as for the score's release offset."""
@@ -87,8 +85,6 @@ class NestedFits:
     Attributes:
         known: Frames with a value to compare, shape [frame_count].
         frame_count: Number of those frames.
-        motion: The recognized motion.
-        missing: Stages that do not apply, with the reason.
     """
 
     def __init__(
@@ -121,8 +117,7 @@ class NestedFits:
     def deviations(self) -> FloatArray:
         """Return the squared deviation of the unchanged simulation at each known frame, shape [frame_count]."""
         played, _ = self.motion.at(self._frames_s, np.zeros(1), np.ones(1))
-        squares: FloatArray = np.nansum(np.square(self._reference - played[0]), axis=1)
-        return squares
+        return np.nansum(np.square(self._reference - played[0]), axis=1)
 
     def continued_frames(self, fit: StageFit) -> int:
         """Return the number of frames at which a fit needs the motion past the end of the simulation."""

@@ -23,7 +23,6 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError, ParameterError, ShapeError
 from gauge_envs.evaluation.motion_kinds import Change, recognized
@@ -34,6 +33,7 @@ from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.diagnose.budget_fit import MAX_SHIFT_S, NestedFits, StageFit
 from gauge_envs.tools.diagnose.model import (
@@ -45,8 +45,6 @@ from gauge_envs.tools.diagnose.model import (
     Remainder,
     StagePart,
 )
-
-FloatArray = NDArray[np.float64]
 
 DEFAULT_ORDER = (BudgetStage.RELEASE, BudgetStage.OFFSET, BudgetStage.RATE)
 """Default order of the stages."""

@@ -23,11 +23,10 @@ from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.film.layout import PanelText
 from gauge_envs.tools.video import FileFrames
-
-FloatArray = NDArray[np.float64]
 
 PATH_STEP = 3
 """Samples between the points of a path, which are 60 a second."""
@@ -268,8 +267,7 @@ def _between(points: NDArray[np.floating], at: float) -> FloatArray:
     here = points[first].astype(np.float64)
     if share == 0.0:
         return here
-    mixed: FloatArray = (1.0 - share) * here + share * points[later]
-    return mixed
+    return (1.0 - share) * here + share * points[later]
 
 
 def _poses_at(poses: NDArray[np.floating], at: float) -> FloatArray:

@@ -36,11 +36,9 @@ from gauge_envs.scene import (
     SoftBody,
     Sphere,
 )
-from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid
+from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid, FloatArray
 from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-
-FloatArray = NDArray[np.float64]
 
 TIMELINE = "time"
 COLORS = {

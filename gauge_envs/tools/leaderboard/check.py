@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from importlib.metadata import version as installed_version
 from pathlib import Path
 
 from gauge_envs.backends import backend
@@ -14,6 +15,7 @@ from gauge_envs.experiments.task_files import task_sha256
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
+from gauge_envs.pages.text import counted
 from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
@@ -25,6 +27,7 @@ from gauge_envs.tools.leaderboard.submission import (
     Statement,
     SubmissionFiles,
     find_submissions,
+    installed_package,
     read_statement,
     relative_name,
     submission_files,
@@ -163,7 +166,7 @@ def _check_submission(
         statement=stated,
         results=tuple(sorted(results.values(), key=lambda result: order[result.id])),
         faults=tuple(faults),
-        notes=tuple(_notes(results.values())),
+        notes=(*_notes(results.values()), *_package_notes(stated)),
         reruns=tuple(reruns),
         content_sha256=content,
         unverified=tuple(_unverified(stated, {result.id for result in results.values()})),
@@ -295,6 +298,26 @@ def _notes(results: Iterable[Result]) -> Iterator[str]:
         yield (
             f"made with gauge-envs {version}, checked with {installed}: stated scores were not compared, "
             "those computed anew count"
+        )
+
+
+def _package_notes(stated: Statement) -> Iterator[str]:
+    """Yield what is known of the files of the engine's package: those of the submission, and those installed here."""
+    name = f"{stated.package} {stated.version}"
+    installed, changed = installed_package(stated.package)
+    here = f"{stated.package} as installed here"
+    if changed:
+        yield f"{here} differs from its release in {counted(len(changed), 'file')}, as {changed[0]}: install it again"
+    if not installed:
+        yield f"{here} has no list of its files, as an editable installation: its files were not compared"
+    elif installed_version(stated.package) != stated.version:
+        yield f"{name} is not installed here: its files were not compared"
+    elif not stated.package_sha256:
+        yield f'the files of {name} are not stated; add package_sha256 = "{installed}" if they are those installed here'
+    elif stated.package_sha256 != installed:
+        yield (
+            f"the files of {name} are not those installed here, {installed}: they are of another system or build, "
+            "or were changed"
         )
 
 

@@ -6,6 +6,8 @@ import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
+from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +23,10 @@ from gauge_envs.scene.timing import SAMPLES_PER_FRAME
 RERUN_SHARE = 0.01
 """Largest distance of a repeated trajectory, as a share of the distance of real trials from their mean: it moves a
 normalized score by at most 0.01. Without a published baseline, the share of the motion."""
+
+REPEATS, REPEAT_FACTOR = 5, 3.0
+"""Runs of an engine that does not repeat its bits, and the largest distance from the nearest of them, in multiples of
+the largest between them. Of further runs that scatter normally in one coordinate, 0.2 % are farther away."""
 
 
 class RerunStatus(StrEnum):
@@ -125,17 +131,34 @@ def rerun(result: Result) -> tuple[Rerun, Result | None]:
     changed = [name for name in names if result.settings.get(name, missing) != again.settings.get(name, missing)]
     if changed and result.versions == again.versions:
         return replace(different, cause=f"settings in force differ: {', '.join(sorted(changed))}"), again
-    both = np.isnan(stored) & np.isnan(repeated)
-    apart = np.where(both, 0.0, np.nan_to_num(np.abs(stored - repeated), nan=np.inf))
-    largest = float(apart.max())
-    # A score reads one phase, so a difference must not be diluted by the samples that no score reads.
-    squares = np.square(apart).sum(axis=1)
-    rmse = max(float(np.sqrt(squares[phase::SAMPLES_PER_FRAME].mean())) for phase in range(SAMPLES_PER_FRAME))
-    allowed = _allowed(result, np.where(both, 0.0, stored)[::SAMPLES_PER_FRAME])
+    largest, rmse = _distance(stored, repeated)
+    allowed = _allowed(result, np.nan_to_num(stored)[::SAMPLES_PER_FRAME])
+    if rmse > allowed:
+        runs = [repeated, *(_samples(one) for one in run_many([request] * (REPEATS - 1), isolate=None))]
+        alike = [one for one in runs if one.shape == stored.shape]
+        spread = max((_distance(one, other)[1] for one, other in combinations(alike, 2)), default=0.0)
+        if 0.0 < spread < np.inf:
+            largest, rmse = min((_distance(stored, one) for one in alike), key=itemgetter(1))
+            allowed = max(allowed, REPEAT_FACTOR * spread)
+            cause = f"runs of this engine differ by up to {spread:.3g} {blank.unit} RMS here; {cause}"
     status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
     if largest == 0.0:
         status, cause = RerunStatus.EQUAL, ""
     return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause), again
+
+
+def _samples(result: Result) -> NDArray[np.float64]:
+    return np.empty(0) if result.trajectory is None else result.trajectory.arrays(later=True)[1]
+
+
+def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:
+    """Return the largest difference of two trajectories, and the distance of the phase that is farthest."""
+    both = np.isnan(one) & np.isnan(other)
+    apart = np.where(both, 0.0, np.nan_to_num(np.abs(one - other), nan=np.inf))
+    # A score reads one phase, so a difference must not be diluted by the samples that no score reads.
+    squares = np.square(apart).sum(axis=1)
+    phases = (squares[phase::SAMPLES_PER_FRAME].mean() for phase in range(SAMPLES_PER_FRAME))
+    return float(apart.max()), float(np.sqrt(max(phases)))
 
 
 def _allowed(result: Result, frames: NDArray[np.float64]) -> float:

@@ -5,8 +5,11 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+from base64 import urlsafe_b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cache
+from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from stat import S_ISDIR, S_ISLNK, S_ISREG
 from typing import Annotated, Literal
@@ -67,6 +70,7 @@ class Statement(BaseModel):
         engine: Name of the backend, equal to the first folder and to `backend` of each result.
         package: Package whose version counts, a key of `versions` in each result.
         version: Its version, equal to the second folder.
+        package_sha256: Hash of the installed files of that package, see `installed_package`; empty if it is not stated.
         configuration: Name of the configuration, equal to the third folder.
         submitter: Person or organization.
         url: Page about the submission; empty for none.
@@ -81,6 +85,7 @@ class Statement(BaseModel):
     engine: Name
     package: Name
     version: Name
+    package_sha256: Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")] = ""
     configuration: Name
     submitter: Line
     url: Annotated[str, Field(max_length=200, pattern=r"^(https://[^\s\x00-\x1f\x7f]+)?$")] = ""
@@ -105,6 +110,36 @@ def read_statement(file: Path, name: str) -> Statement | Fault:
         return Fault(file=name, key=place, reason=reason)
     except ValueError as error:
         return Fault(file=name, reason=f"not TOML: {error}")
+
+
+@cache
+def installed_package(package: str) -> tuple[str, tuple[str, ...]]:
+    """Return a hash of the installed files of a package, and which of them differ from its release.
+
+    The RECORD of a package lists the files of its release. Packages that it pins to one version belong to it. Metadata
+    have no part. The hash is empty without a list: the package is not installed, or its installation is editable.
+    """
+    try:
+        found = distribution(package)
+    except (PackageNotFoundError, ValueError):
+        return "", ()
+    files = [(file, file.hash.value) for file in found.files or () if file.hash is not None and ".." not in file.parts]
+    if any("editable" in file.name and file.suffix == ".pth" for file, _ in files):
+        return "", ()
+    pinned = sorted({one[1] for text in found.requires or () if (one := re.fullmatch(r"([\w.-]+)==[\w.]+", text))})
+    parts = [(name, *installed_package(name)) for name in pinned]
+    lines = [f"{name} {content}\n" for name, content, _ in parts]
+    changed = [file for _, _, differing in parts for file in differing]
+    for file, released in files:
+        if not file.parts[0].endswith(".dist-info"):
+            try:
+                digest = hashlib.sha256(file.read_binary()).digest()
+            except OSError:
+                digest = b""
+            lines.append(f"{file.as_posix()} {digest.hex()}\n")
+            if released != urlsafe_b64encode(digest).rstrip(b"=").decode():
+                changed.append(file.as_posix())
+    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest() if lines else "", tuple(changed)
 
 
 @dataclass

@@ -63,7 +63,7 @@ def check_document(check: LeaderboardCheck) -> Document:
 
 def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
     said = one.statement
-    stated = ("engine", "version", "configuration", "submitter", "url")
+    stated = ("engine", "version", "package_sha256", "configuration", "submitter", "url")
     return {
         "folder": one.folder,
         **{key: getattr(said, key, None) for key in stated},

@@ -27,6 +27,9 @@ MEASURED_IN = (
 ASSIGNMENT = re.compile(r"([A-Za-z_]\w*)\s*=\s*(?:\"([^\"]*)\"|'([^']*)'|(.*?))(?=\s+[A-Za-z_]\w*\s*=|$)")
 """One setting: a name, an equals sign, and values up to the next name; quotes as in XML are allowed."""
 
+MOST_CHARACTERS = 1000
+"""Longest text of settings; the time of the pattern grows with the square of it."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Meaning:
@@ -63,7 +66,7 @@ class Meaning:
 
     def json(self) -> dict[str, Any]:
         """Return the meaning as one JSON-ready object."""
-        ready: dict[str, Any] = json_ready(
+        return json_ready(
             {
                 "engine": self.engine,
                 "asked": {"mass_kg": self.mass_kg, "timestep_s": self.settings.timestep_s},
@@ -75,7 +78,6 @@ class Meaning:
                 "versions": dict(self.versions),
             }
         )
-        return ready
 
 
 def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) -> ContactSettings:
@@ -86,6 +88,8 @@ def parsed_contact(engine: type[ContactSettings], text: str, timestep_s: float) 
         text: Names and values; values are separated by blanks or commas, and may stand in quotes.
         timestep_s: Time step [s].
     """
+    if len(text) > MOST_CHARACTERS:
+        raise ParameterError(f"{engine.engine} contact: {len(text)} characters, at most {MOST_CHARACTERS} are read")
     found: dict[str, Any] = {}
     for name, quoted, single, bare in ASSIGNMENT.findall(text.strip()):
         if name in found:

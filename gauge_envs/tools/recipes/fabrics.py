@@ -139,7 +139,7 @@ class FabricRecipe:
 
     def json(self) -> dict[str, Any]:
         """Return the recipe as one JSON-ready object, with the names of a contact's recipe."""
-        ready: dict[str, Any] = json_ready(
+        return json_ready(
             {
                 "engine": self.engine,
                 "material": self.name,
@@ -155,7 +155,6 @@ class FabricRecipe:
                 "versions": dict(self.versions),
             }
         )
-        return ready
 
 
 def fabric_engine(name: str) -> str:

@@ -121,8 +121,7 @@ class Recipe:
             "explanation": self.explanation,
             "versions": dict(self.versions),
         }
-        ready: dict[str, Any] = json_ready(values)
-        return ready
+        return json_ready(values)
 
 
 def _is_missed(aim: Aim, name: str, value: float | None) -> bool:

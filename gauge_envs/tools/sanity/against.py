@@ -22,13 +22,12 @@ import numpy as np
 from gauge_envs.files import json_ready, versions
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s
+from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s, subject_of
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.sanity.stated import GRAVITY_ROW
-from gauge_envs.tools.sanity.subject import subject_of
 
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""
@@ -112,10 +111,7 @@ class Comparison:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(
-            asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed)))
-        )
-        return values
+        return json_ready(asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed))))
 
 
 def _bare(configuration: TrainingConfiguration) -> TrainingConfiguration:

@@ -15,11 +15,10 @@ from typing import Any
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DeclinedError
 from gauge_envs.tools.sanity.alternatives import Alternative, alternatives, preset_label
-from gauge_envs.tools.sanity.measure import Measured, Measurements
+from gauge_envs.tools.sanity.measure import Measured, Measurements, Subject
 from gauge_envs.tools.sanity.model import INSIDE_WITHIN, Cause, SettingTrial, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
-from gauge_envs.tools.sanity.subject import Subject
 
 LARGEST_GROUP = 3
 """Largest number of settings that are responsible together; beyond it, the whole configuration is."""

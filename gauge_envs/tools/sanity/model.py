@@ -452,8 +452,7 @@ class PhenomenonResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        values: dict[str, Any] = json_ready(asdict(self))
-        return values
+        return json_ready(asdict(self))
 
 
 @dataclass(frozen=True, kw_only=True)

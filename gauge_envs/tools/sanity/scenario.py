@@ -9,8 +9,6 @@ from functools import cached_property
 from math import floor
 from typing import Any
 
-import numpy as np
-
 from gauge_envs.backends import Backend, Simulation, backend, backend_names, is_bundled
 from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
@@ -20,6 +18,7 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.rollout import DeclinedError, Rollout, record
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 TRIAL_VARIANT = "BouncingBall-rubber"
@@ -76,8 +75,8 @@ class Scenario:
         if not (self.released and apart_m > 0.0):
             return self.scene
         body = self.scene.body(self.released)
-        x, y, z = (np.asarray(body.pose.position_m) + body.pose.rotation.apply([0.0, 0.0, apart_m])).tolist()
-        lifted = replace(body, pose=replace(body.pose, position_m=(x, y, z)))
+        place_m = vector(body.pose.position_m + body.pose.rotation.apply([0.0, 0.0, apart_m]))
+        lifted = replace(body, pose=replace(body.pose, position_m=place_m))
         return replace(self.scene, bodies=tuple(lifted if one is body else one for one in self.scene.bodies))
 
 
@@ -125,9 +124,9 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
 
 
 def _with_interval(settings: Mapping[str, Any], longest_s: float) -> dict[str, Any]:
-    """Return settings with the drive interval for their step; unchanged when they state no step."""
+    """Return settings with the drive interval for their step; unchanged without a step that an engine takes."""
     step = settings.get("timestep_s")
-    if step is None:
+    if not isinstance(step, int | float) or not 1e-8 <= step <= 60.0:
         return dict(settings)
     return {**settings, "drive_interval_s": step * max(1, floor(longest_s / step + 1e-6))}
 

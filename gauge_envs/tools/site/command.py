@@ -25,14 +25,16 @@ def report(
     """Write results as a static site: engines, phenomena, curves, errors and 3D replays.
 
     It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
-    bit for bit. Exit code 1 when a damaged file was skipped.
+    bit for bit. corrected=false after the results leaves out engines whose physics this package corrects. Exit code 1
+    when a damaged file was skipped.
     """
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
     # Before the runs, which may take minutes.
     check_replaceable(out)
-    results, skipped = loaded_results(sources, with_scene=True)
+    files, details = arguments.split_details(sources, corrected=bool)
+    results, skipped = loaded_results(files, with_scene=True, corrected=details.get("corrected", True))
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
     words = ["gauge", "report", *(sources or ["results"]), "--out", str(out), *([] if replay else ["--no-replay"])]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.reference import reference_band
@@ -20,6 +19,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
@@ -50,8 +50,6 @@ UNCERTAINTY_NOTE = (
     "Contributions to the interval of the first score. u: standard uncertainty of the normalized score. Type A is from "
     "observations, B from other knowledge (GUM)."
 )
-
-FloatArray = NDArray[np.float64]
 
 Results = Mapping[int, Result]
 """First result of each configuration that ran, by its index."""

@@ -153,6 +153,7 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
     rows = [
         (
             join([site.swatch(one.configuration), site.labels[one.configuration]]),
+            site.comparison.configurations[one.configuration].physics,
             mean_rank_text(one.mean_rank),
             place_text(grade, one.rank),
             deciding_text(grade, one.configuration),
@@ -160,7 +161,7 @@ def _ranking(site: Site, grade: GradeComparison) -> list[Part]:
         for one in grade.ranked
         if one.mean_rank is not None
     ]
-    table = grid(("configuration", "mean rank", "rank", "rank in"), rows)
+    table = grid(("configuration", "physics", "mean rank", "rank", "rank in"), rows)
     return section(f"Against {_grade_title(grade)}", table, f"{GRADE_NOTES[BandGrade(grade.grade)].capitalize()}.")
 
 

@@ -169,7 +169,7 @@ def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list
 def _write_slurm(
     script: Path, file: Path | None, out: Path, shard: str | None, workers: int, given: Mapping[str, Any]
 ) -> None:
-    from gauge_envs.tools.sweep.slurm import slurm_script, write_slurm_script
+    from gauge_envs.tools.sweep.lanes import slurm_script, write_slurm_script
 
     if file is None or given:
         raise ParameterError(

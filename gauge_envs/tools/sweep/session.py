@@ -213,11 +213,7 @@ def _verified(task: SweepTask, result: Result) -> Result:
 
 
 class Schedule:
-    """The tasks that wait, by engine and experiment. Its methods may be called from any thread.
-
-    Args:
-        tasks: The tasks.
-    """
+    """The tasks that wait, by engine and experiment. Its methods may be called from any thread."""
 
     def __init__(self, tasks: Iterable[SweepTask]) -> None:
         self._waiting: dict[Group, deque[SweepTask]] = {}

@@ -24,9 +24,8 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
-
-FloatArray = NDArray[np.float64]
 
 LARGEST_SAMPLE_COUNT = 2**16
 
@@ -397,12 +396,12 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
     )
 
 
-def is_constant(values: NDArray[np.float64]) -> bool:
+def is_constant(values: FloatArray) -> bool:
     """Return whether values differ by rounding alone."""
     return float(np.ptp(values)) <= ROUNDING * float(np.abs(values).max())
 
 
-def _spearman(column: NDArray[np.float64], values: NDArray[np.float64]) -> float:
+def _spearman(column: FloatArray, values: FloatArray) -> float:
     """Return the rank correlation; 0 for a quantity that is the same everywhere."""
     if is_constant(values):
         return 0.0

@@ -102,11 +102,6 @@ def brightness(picture: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.asarray(cv2.transform(picture, np.full((1, 3), 1.0 / 3.0, dtype=np.float32)), dtype=np.float32)
 
 
-def noise_level(difference: NDArray[np.float32]) -> float:
-    """Return the standard deviation of the noise of a difference, from its median: most pixels do not move."""
-    return float(np.median(difference)) / 0.6745
-
-
 # --- followers --------------------------------------------------------------------------------------------------------
 
 
@@ -191,7 +186,8 @@ class PatchFollower:
     def see(self, picture: Picture) -> Sight:
         """Return where the object is in the next frame."""
         difference = self._background.difference(picture)
-        threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * noise_level(difference))
+        # Most pixels do not move, so the median gives the standard deviation of the noise.
+        threshold = max(LEAST_DIFFERENCE, NOISE_FACTOR * float(np.median(difference)) / 0.6745)
         mask = (difference > threshold).astype(np.uint8)
         mask = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
         count, labels, stats, centroids = cv2.connectedComponentsWithStats(mask, connectivity=8)
@@ -253,8 +249,7 @@ def _mean_colour(picture: Picture, labels: NDArray[np.int32], box: NDArray[np.in
     """Return the mean colour of a component, from its bounding box: left, top, width, height, area."""
     left, top, width, height = (int(value) for value in box[:4])
     part = np.s_[top : top + height, left : left + width]
-    colour: FloatArray = picture[part][labels[part] == label].mean(axis=0)
-    return colour
+    return picture[part][labels[part] == label].mean(axis=0)
 
 
 class DiskFollower:
@@ -444,8 +439,7 @@ def _centred_correlation(
         total = cv2.matchTemplate(part, mask, cv2.TM_CCORR)
         square += cv2.matchTemplate(part * part, mask, cv2.TM_CCORR) - total**2 / count
         energy += float((centred**2).sum())
-    correlation: FloatArray = product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
-    return correlation
+    return product / np.sqrt(np.maximum(square, 1e-6) * max(energy, 1e-6))
 
 
 def _refined(response: NDArray[np.floating], row: int, column: int) -> FloatArray:

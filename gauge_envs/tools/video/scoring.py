@@ -16,12 +16,16 @@ from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.interval import WINDOW, apices, displacement_px, retained, swing_angles_rad
 from gauge_envs.tools.video.laws import (
+    WINDOW,
+    apices,
+    displacement_px,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
     momentum_transfer,
+    retained,
+    swing_angles_rad,
 )
 from gauge_envs.tools.video.plane import PlaneView, frontal_task, frontal_track
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task

@@ -81,8 +81,7 @@ class Track:
     @property
     def times_s(self) -> FloatArray:
         """Times of the frames [s], shape [frame_count]."""
-        times: FloatArray = self.frames / self.fps if self.clock_s is None else self.clock_s
-        return times
+        return self.frames / self.fps if self.clock_s is None else self.clock_s
 
 
 def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFERENCE_SIZE_PX) -> Track:

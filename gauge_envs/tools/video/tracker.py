@@ -142,14 +142,12 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
         first_x = x - (CRADLE_BALLS - 1) * task.size_px
         reach = task.rest_px[1] - y + task.size_px
         away = np.hypot(columns - np.clip(columns, first_x, x), rows - y)
-        swept: NDArray[np.bool_] = (away < reach) & (rows > y - task.size_px)
-        return swept
+        return (away < reach) & (rows > y - task.size_px)
     centre, radius = np.array(task.centre_px), 1.2 * task.size_px
     if task.motion is Motion.TURN:
         assert task.pivot_px is not None
         centre, radius = np.array(task.pivot_px), PLATE_RADIUS_PX
-    inside: NDArray[np.bool_] = np.hypot(columns - centre[0], rows - centre[1]) < radius
-    return inside
+    return np.hypot(columns - centre[0], rows - centre[1]) < radius
 
 
 def _twin_events(sights: list[Sight]) -> list[Event]:

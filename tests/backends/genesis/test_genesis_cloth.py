@@ -18,7 +18,8 @@ from gauge_envs.scene import Attachment, Cloth, Contact, Motion, Pose, Region, S
 pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.genesis.pbd_settings import (
+from gauge_envs.backends.genesis.presets import unsupported_deformables
+from gauge_envs.backends.genesis.settings import (
     cloth_cell_m,
     grid_springs,
     grid_stiffnesses,
@@ -26,7 +27,6 @@ from gauge_envs.backends.genesis.pbd_settings import (
     pbd_presets,
     spring_stiffnesses,
 )
-from gauge_envs.backends.genesis.presets import unsupported_deformables
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.tools.conformance import Status, run_checks
 from gauge_envs.tools.conformance.lab import clamped, fabric, sheet

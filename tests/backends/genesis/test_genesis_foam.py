@@ -16,8 +16,8 @@ pytest.importorskip("genesis", reason="extra 'genesis' is not installed")
 from gauge_envs.backends import backend
 from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.foam import fitted_voxel_m
-from gauge_envs.backends.genesis.foam_settings import longest_mpm_timestep_s, soft_presets, sound_time_s
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_deformables
+from gauge_envs.backends.genesis.settings import longest_mpm_timestep_s, soft_presets, sound_time_s
 from gauge_envs.backends.shared.attachments import attachments_by_body, bonded_soft_bodies
 from gauge_envs.backends.shared.soft_rows import SoftRow, linear_weights
 from gauge_envs.errors import UnsupportedSceneError

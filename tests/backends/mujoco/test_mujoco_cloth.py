@@ -12,7 +12,8 @@ from scipy.integrate import solve_bvp
 
 from gauge_envs import load_experiment
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, add_cloth
+from gauge_envs.backends.mujoco.cloth import ClothPartMuJoCo, FoldWatch, add_cloth
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Attachment, Box, Cloth, Contact, Motion, Pose, Region, RigidBody, Scene
@@ -512,3 +513,49 @@ def test_conjugate_gradients_move_cloth_like_newtons_method() -> None:
     assert np.abs(swung({}) - tight).max() < 5e-5
     assert np.abs(swung({"tolerance": 1e-8}) - tight).max() < 5e-6
     assert np.abs(swung({"iterations": 1}) - tight).max() > 5e-5, "one iteration does not solve a step"
+
+
+# --- search for contacts with itself ----------------------------------------------------------------------------------
+
+
+def folded(
+    monkeypatch: pytest.MonkeyPatch, watch: str, answer: bool | None
+) -> tuple[np.ndarray, list[tuple[bool, int]]]:
+    """Nodes of a cloth whose lower half flies against the upper one; and of each interval, whether it was searched."""
+    with monkeypatch.context() as patch:
+        if answer is not None:
+            patch.setattr(FoldWatch, watch, lambda *_: answer)
+        scene = load_experiment("TextileFlinging-satin").scene
+        cloth = replace(scene.deformables[0], size_m=(0.3, 0.1))
+        scene = replace(scene, deformables=(cloth,), gravity_m_per_s2=0.0)
+        simulation = BackendMuJoCo().build(scene, {})
+        simulation.reset(0)
+        nodes = simulation.nodes("textile")
+        part = simulation._parts["textile"]
+        low = (nodes[:, 2].max() - nodes[:, 2])[part.points.free]
+        simulation.data.qvel[part.points.dofs[:, 2]] = 7.0 * low
+        simulation.data.qvel[part.points.dofs[:, 0]] = np.sin(np.pi * low / 0.3)
+        frames, searched = [], []
+        original = SimulationMuJoCo._steps
+
+        def steps(self: SimulationMuJoCo, count: int) -> None:
+            original(self, count)
+            has_search = not self.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+            searched.append((has_search, int(self.data.ncon)))
+
+        patch.setattr(SimulationMuJoCo, "_steps", steps)
+        for _ in range(90):
+            simulation.advance(SAMPLE_INTERVAL_S)
+            frames.append(simulation.nodes("textile"))
+        assert not simulation.model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_CONTACT
+    return np.array(frames), searched
+
+
+def test_a_cloth_that_cannot_touch_itself_is_not_searched_and_moves_to_the_same_bits(monkeypatch) -> None:
+    always, _ = folded(monkeypatch, "stays_apart", False)
+    ours, searched = folded(monkeypatch, "stays_apart", None)
+    assert np.array_equal(ours, always)
+    assert max(contacts for _, contacts in searched) > 0, "the cloth touches itself"
+    assert not all(has_search for has_search, _ in searched)
+    never, _ = folded(monkeypatch, "_is_apart", True)
+    assert not np.array_equal(never, always), "layers that are taken to be apart pass through each other"

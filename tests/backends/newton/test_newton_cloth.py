@@ -31,7 +31,7 @@ from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 newton = pytest.importorskip("newton")
 
 from gauge_envs.backends.newton.contacts import surface_contacts  # noqa: E402
-from gauge_envs.backends.newton.particles import ClothPartNewton, add_cloth  # noqa: E402
+from gauge_envs.backends.newton.parts import ClothPartNewton, add_cloth  # noqa: E402
 from gauge_envs.backends.newton.rigid import RigidIndex, add_bodies  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsVBD, longest_timestep_s  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts, stiffness_ratio  # noqa: E402

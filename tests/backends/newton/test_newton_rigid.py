@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -18,6 +19,7 @@ from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
     Contact,
+    ContactMode,
     ConvexUnion,
     Cylinder,
     Motion,
@@ -70,17 +72,41 @@ def test_worlds_start_apart_and_do_not_meet() -> None:
     assert results[3].trajectory == singles[0].trajectory
 
 
-def test_a_pair_that_no_body_can_speak_for_is_declined() -> None:
-    """Newton keeps friction with shapes: three bodies that all touch with three frictions are not supported."""
-    names = [("a", "b"), ("b", "c"), ("c", "a")]
-    scene = Scene(
-        bodies=tuple(solid(name, Sphere(radius_m=0.02), (0.1 * i, 0.0, 1.0)) for i, name in enumerate("abc")),
-        contacts=tuple(
-            Contact(first=(x,), second=(y,), friction=0.1 * i + 0.1, restitution=0.0) for i, (x, y) in enumerate(names)
+def test_pairs_that_no_body_can_speak_for_have_their_own_friction_and_restitution() -> None:
+    """Newton keeps constants with shapes; here three bodies touch with three, so that none has them all.
+
+    The cart brakes with (0.3 * 2 - 0.1) g, the load on it with 0.1 g. A ball rebounds from either with its own speed.
+    """
+    friction = {("cart", "floor"): 0.3, ("load", "cart"): 0.1, ("load", "floor"): 0.2}
+    restitution = {("first", "floor"): 0.8, ("second", "floor"): 0.4, ("first", "second"): 0.2}
+    solids = (
+        solid("floor", Box(size_m=(4.0, 4.0, 0.1)), (0.0, 0.0, -0.05), motion=Motion.FIXED),
+        replace(
+            solid("cart", Box(size_m=(0.4, 0.2, 0.05)), (0.0, 0.0, 0.025)), linear_velocity_m_per_s=(1.0, 0.0, 0.0)
         ),
-        duration_s=0.1,
+        replace(
+            solid("load", Box(size_m=(0.05, 0.05, 0.05)), (0.0, 0.0, 0.075)), linear_velocity_m_per_s=(1.0, 0.0, 0.0)
+        ),
+        solid("first", Sphere(radius_m=0.02), (1.0, 1.0, 0.22)),
+        solid("second", Sphere(radius_m=0.02), (-1.0, 1.0, 0.22)),
     )
-    assert "belong to a body, not to a pair" in NEWTON.supports(scene).missing[0]
+    contacts = [Contact(first=(x,), second=(y,), friction=mu, restitution=0.0) for (x, y), mu in friction.items()]
+    contacts += [
+        Contact(first=(x,), second=(y,), friction=0.0, restitution=e, mode=ContactMode.IMPACT)
+        for (x, y), e in restitution.items()
+    ]
+    scene = Scene(bodies=solids, contacts=tuple(contacts), duration_s=0.5)
+    assert NEWTON.supports(scene)
+    simulation = NEWTON.build(scene)
+    simulation.advance(0.05)  # Until the boxes press with their weight.
+    before = simulation.body_states(["cart", "load"])[:, 7]
+    simulation.advance(0.1)
+    braked = before - simulation.body_states(["cart", "load"])[:, 7]
+    assert braked / (GRAVITY_M_PER_S2 * 0.1) == pytest.approx([0.5, 0.1], rel=0.02)
+    simulation.advance(0.1)
+    fallen = np.sqrt(2.0 * GRAVITY_M_PER_S2 * 0.2)
+    rebounds = simulation.body_states(["first", "second"])[:, 9] + GRAVITY_M_PER_S2 * (0.25 - fallen / GRAVITY_M_PER_S2)
+    assert rebounds / fallen == pytest.approx([0.8, 0.4], abs=0.01)
 
 
 def test_friction_of_two_pairs_on_one_body_is_each_its_own() -> None:
@@ -164,8 +190,8 @@ def test_settings_are_checked_and_named() -> None:
 
 
 def test_what_newton_cannot_do_is_declined_with_the_reason() -> None:
-    with pytest.raises(UnsupportedSceneError, match="string"):
-        run_episode(RunRequest("WallBreaking-wood", backend="newton"))
+    with pytest.raises(UnsupportedSceneError, match="no restitution"):
+        run_episode(RunRequest("RopeWinding-rubber", backend="newton"))
 
 
 def test_out_of_the_box_restitution_has_no_effect_as_published() -> None:

@@ -86,7 +86,6 @@ def everything(world: World, scene: Scene) -> NDArray[np.float64]:
 
 DECLINED = {
     "RopeWinding": "no restitution",
-    "WallBreaking": "hangs on a string",
 }
 """Families that Newton declines, and what the reason says."""
 

@@ -19,7 +19,7 @@ wp = pytest.importorskip("warp")
 
 from gauge_envs.backends.newton.contacts import SurfaceContacts  # noqa: E402
 from gauge_envs.backends.newton.mpm import StepperMPM, add_soft_mpm, fitted_voxel_m  # noqa: E402
-from gauge_envs.backends.newton.particles import add_soft  # noqa: E402
+from gauge_envs.backends.newton.parts import add_soft  # noqa: E402
 from gauge_envs.backends.newton.settings import SettingsMPM, SettingsVBD  # noqa: E402
 from gauge_envs.backends.newton.stepper import warp_transform  # noqa: E402
 from gauge_envs.backends.newton.vbd import StepperVBD, apply_contacts  # noqa: E402

@@ -156,7 +156,6 @@ def test_step_of_foam_is_below_the_time_of_a_wave_through_a_tetrahedron() -> Non
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("FoamBending-soft", "'foam' touches other bodies"),
         ("CantileverBeam-soft", "'cube-2' is attached to 'cube-1': this backend builds no bonds"),
         ("StickStack-soft", "'rod' is a rod"),
         ("TextileBending-satin", "is cloth"),

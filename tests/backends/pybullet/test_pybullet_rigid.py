@@ -36,6 +36,7 @@ from gauge_envs.scene import (
 pytest.importorskip("pybullet")
 
 from gauge_envs.backends import backend
+from gauge_envs.backends.pybullet.deformables import SOFT_MARGIN_M
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.pybullet.simulation import SimulationPyBullet
 from gauge_envs.backends.pybullet.world import BulletWorld
@@ -490,3 +491,36 @@ def test_checks_see_a_driven_body_that_bullet_does_not_move(monkeypatch: pytest.
     results = list(run_checks("pybullet", only=["driven-*"]))
     assert [one.check for one in results if one.is_bad] == ["driven-velocity", "driven-path", "driven-flick"]
     assert results[0].measured == 0.0
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_foam_slides_by_the_law_one_margin_above_the_board(friction: float) -> None:
+    half, middle = np.radians(15.0), 0.05 + 0.02 + SOFT_MARGIN_M
+    turn = (float(np.cos(half)), 0.0, float(np.sin(half)), 0.0)
+    up, down = np.array([np.sin(2 * half), 0.0, np.cos(2 * half)]), np.array([np.cos(2 * half), 0.0, -np.sin(2 * half)])
+    board = RigidBody(
+        name="board",
+        shape=Box(size_m=(2.0, 0.5, 0.1)),
+        motion=Motion.FIXED,
+        mass_kg=1.0,
+        pose=Pose(position_m=(0.0, 0.0, 0.0), quaternion=turn),
+    )
+    foam = SoftBody(
+        name="foam",
+        shape=Box(size_m=(0.04, 0.04, 0.04)),
+        pose=Pose(position_m=tuple(middle * up), quaternion=turn),
+        mass_kg=0.0064,
+        young_modulus_pa=1e4,
+        poisson_ratio=0.3,
+    )
+    contacts = (Contact(first=("foam",), second=("board",), friction=friction, restitution=0.0),)
+    simulation = backend("pybullet").build(
+        Scene(bodies=(board,), deformables=(foam,), contacts=contacts, duration_s=1.0)
+    )
+    places = []
+    for _ in range(60):
+        simulation.advance(1 / 180)
+        places.append(simulation.nodes("foam").mean(axis=0))
+    fit = np.polyfit(np.arange(40) / 180, np.array(places)[20:] @ down, 2)
+    assert 2.0 * fit[0] == pytest.approx(GRAVITY_M_PER_S2 * (0.5 - friction * np.sqrt(0.75)), rel=1e-3)
+    assert places[-1] @ up == pytest.approx(middle, abs=1e-4)

@@ -9,11 +9,16 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from gauge_envs.envs.control.carry import CarryLimit
-from gauge_envs.envs.control.least_time import REST_M_PER_S, TOLERANCE_M, TOLERANCE_RAD, LeastTimeLimit
+from gauge_envs.envs.control.least_time import (
+    REST_M_PER_S,
+    TOLERANCE_M,
+    TOLERANCE_RAD,
+    CarryLimit,
+    LeastTimeLimit,
+    PushLimit,
+)
 from gauge_envs.envs.control.limit import Ending, LimitReport, pair_friction
 from gauge_envs.envs.control.play import play
-from gauge_envs.envs.control.push import PushLimit
 from gauge_envs.envs.control.stage import FRAME_S, acceleration_to_rest
 from gauge_envs.scene import GRAVITY_M_PER_S2
 

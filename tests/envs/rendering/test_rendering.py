@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 from opengl import needs_opengl
-from places import RIGID
+from places import RIGID, ROOT
 
 from gauge_envs import load_experiment
 from gauge_envs.envs.rendering.renderer import DEBIAN_PACKAGES, SceneRenderer
@@ -45,6 +46,19 @@ def test_pictures_change_with_the_motion_and_repeat_after_reset() -> None:
     env.reset(seed=0)
     # Software rasterizers round a pixel now and then by one level.
     assert np.abs(env.render().astype(int) - first).max() <= 2
+
+
+@needs_opengl
+def test_triton_is_loaded_before_the_first_picture(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its LLVM crashes after that of Mesa: with EGL, `render` and then PPO ended in a segmentation fault."""
+    (tmp_path / "triton.py").write_text("import sys\nassert 'mujoco.egl' not in sys.modules\n")
+    code = (
+        "import sys, gymnasium, gauge_envs\n"
+        "env = gymnasium.make('GAUGE/SlopeSlider-2-wood', render_mode='rgb_array', width=16, height=12)\n"
+        "env.reset()\nassert 'triton' not in sys.modules\nenv.render()\nassert 'triton' in sys.modules\n"
+    )
+    monkeypatch.setenv("PYTHONPATH", f"{tmp_path}:{ROOT}")
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 @needs_opengl

@@ -67,6 +67,15 @@ def test_a_layer_returns_the_terms_exactly(dynamics: JointDynamics, motor: Motor
     assert read_usd(tmp_path / "chain.usdc").scene == scene
 
 
+def test_an_axis_of_as_many_digits_as_files_state_returns_exactly(tmp_path: Path) -> None:
+    scene = chain()
+    axis = (0.0, 1.0 - 5e-10, 0.0)
+    joints, hinges = ([replace(one, axis=axis) for one in group] for group in (scene.joints, scene.body_hinges))
+    scene = replace(scene, joints=tuple(joints), body_hinges=tuple(hinges))
+    to_usd(scene, tmp_path / "chain.usda")
+    assert read_usd(tmp_path / "chain.usda").scene == scene
+
+
 def test_standard_attributes_are_in_their_units() -> None:
     stage = scene_stage(chain())
     shoulder, elbow = (stage.GetPrimAtPath(f"/World/Joints/{name}_0") for name in ("joint", "body_hinge"))

@@ -245,6 +245,22 @@ def test_wall_time_is_over_simulated_time():
     assert comparison.summaries()[0].wall_s_per_sim_s == 4.0
 
 
+def test_rankings_can_leave_out_what_this_package_corrects(tmp_path):
+    # Rapier has no corrections, and out_of_box leaves MuJoCo as it is delivered; MuJoCo's default preset is corrected.
+    for result in (made(), made(backend="rapier"), made(settings_given={"preset": "out_of_box"})):
+        write_result(result, tmp_path / result_file_name(result))
+    every, left = (
+        CliRunner().invoke(app, ["compare", str(tmp_path), "--format", "json", *words])
+        for words in ([], ["corrected=false"])
+    )
+    labels = [
+        [one["label"] for one in json.loads(run.stdout.splitlines()[0])["configurations"]] for run in (every, left)
+    ]
+    assert labels == [["mujoco", "mujoco, preset=out_of_box", "rapier"], ["mujoco, preset=out_of_box", "rapier"]]
+    assert "left out: 1 result with corrections by this package" in left.stderr
+    assert "left out" not in every.stderr
+
+
 def test_nothing_in_common():
     text = printed([made(rmse=1.0), made(PLASTIC, backend="newton", rmse=1.0)])
     assert "Ranking" not in text

@@ -117,6 +117,24 @@ def test_repeatability_is_checked_on_an_engine_that_knows_little() -> None:
     assert reset.status is Status.FAIL
 
 
+class PanicException(BaseException):
+    """What engines in Rust raise."""
+
+
+class Panics(Passed):
+    def advance(self, seconds: float) -> None:
+        raise PanicException("assertion failed: radius.is_sign_positive()")
+
+
+def test_a_panic_of_the_engine_is_a_finding_and_ctrl_c_ends_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    findings = list(run_checks(simulated_by(Panics), only=["free-fall", "slide"]))
+    assert [one.status for one in findings] == [Status.ERROR] * 2
+    assert "PanicException: assertion failed: radius" in findings[0].diagnosis
+    monkeypatch.setattr(Panics, "advance", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    with pytest.raises(KeyboardInterrupt):
+        list(run_checks(simulated_by(Panics), only=["free-fall"]))
+
+
 def test_an_exception_is_a_finding_and_the_others_go_on() -> None:
     findings = {one.check: one for one in run_checks(CannotBuild(), only=["cloth-s*", "free-fall"])}
     assert findings["free-fall"].status is Status.PASS

@@ -17,8 +17,7 @@ from gauge_envs.files import versions
 from gauge_envs.pages.document import as_markdown, as_rows
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.tools.cost import Family, Phenomenon, Tradeoff, pareto_document, tradeoff
-from gauge_envs.tools.cost.closed_form import closed_form
-from gauge_envs.tools.cost.pareto import ErrorMeasure, with_floor
+from gauge_envs.tools.cost.pareto import ErrorMeasure, closed_form, with_floor
 
 WOOD, PLASTIC = "SlopeSlider-2-wood", "SlopeSlider-2-plastic"
 STEPS_S = tuple(1 / 180 / count for count in (1, 2, 4, 8, 16))

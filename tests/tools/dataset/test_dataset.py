@@ -652,6 +652,17 @@ def test_a_damaged_store_is_named(suffix: str, content: bytes | None, tmp_path: 
     assert band_grade(name, DataSource.IMPORTED) is BandGrade.TRIALS
 
 
+@pytest.mark.parametrize("arrays", ["", "..", "../a.npz", "a\0.npz"])
+def test_a_damaged_name_of_arrays_is_named(arrays: str, tmp_path: Path) -> None:
+    name = "SlopeSlider-1-wood"
+    write_synthetic(tmp_path, name)
+    imported(tmp_path)
+    (file,) = (user_data_folder() / "trials").glob("*.json")
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"arrays": arrays}))
+    with pytest.raises(ReferenceFileError, match="is no import of this version: arrays"):
+        load_imported(name)
+
+
 def test_an_import_for_other_motions_is_named(tmp_path: Path) -> None:
     name = "FoamShearing-soft"
     (driver,) = write_synthetic(tmp_path, name).experiment.scene.drivers

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
+from base64 import urlsafe_b64encode
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -25,6 +27,7 @@ from gauge_envs.runs.result_file import load_result, result_file_name, write_res
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.leaderboard import LeaderboardCheck, check_leaderboard
 from gauge_envs.tools.leaderboard.reruns import rerun, rerun_sample
+from gauge_envs.tools.leaderboard.submission import installed_package
 from gauge_envs.tools.leaderboard.trajectory import copied_reference, rescored, start_values
 
 NAMES = ("SlopeSlider-1-wood", "SlopeSlider-2-wood", "NonsmoothContact-1-wood")
@@ -422,6 +425,88 @@ def test_a_small_difference_of_a_rerun_is_stated_and_passes(board: Path) -> None
     (again,) = (one for one in check.submissions[0].reruns if one.id == "GAUGE/SlopeSlider-2-wood")
     assert again.status.value == "close"
     assert "versions are equal, so the processor" in again.cause
+
+
+@pytest.mark.parametrize(("forge", "status"), [(lambda samples: samples, "close"), (slower, "different")])
+def test_the_bound_of_an_engine_that_does_not_repeat_is_measured(
+    forge: Callable[[np.ndarray], np.ndarray], status: str, board: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Runs end up to 4 mm apart, four times what is allowed to an engine that repeats its bits."""
+    chance = np.random.default_rng(3)
+
+    def drifting(samples: np.ndarray) -> np.ndarray:
+        return samples + np.linspace(0.0, chance.uniform(0.0, 4.0), len(samples))[:, None]
+
+    def jittery(requests: list[RunRequest], **_: Any) -> list[Result]:
+        results = []
+        for result in map(run_episode, requests):
+            assert result.trajectory is not None
+            times_s, samples = result.trajectory.arrays(later=True)
+            moved = RecordedTrajectory.of(load_experiment(result.id), times_s, drifting(samples))
+            results.append(replace(result, trajectory=moved))
+        return results
+
+    replace_samples(board, "SlopeSlider-2-wood", lambda samples: drifting(forge(samples)))
+    result = load_result(result_file(board))
+    assert rerun(result)[0].status.value == "different"
+    monkeypatch.setattr("gauge_envs.tools.leaderboard.reruns.run_many", jittery)
+    compared, _ = rerun(result)
+    assert compared.status.value == status, str(compared)
+    assert "runs of this engine differ by up to" in compared.cause
+
+
+@pytest.fixture
+def toy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The module of an installed package `toy`, which pins the package `toy-core`."""
+    for name, line in {"toy": "Requires-Dist: toy-core==1.0\nRequires-Dist: numpy>=1\n", "toy-core": ""}.items():
+        folder = tmp_path / f"{name.replace('-', '_')}-1.0.dist-info"
+        folder.mkdir()
+        (folder / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n{line}")
+        (tmp_path / f"{name}.py").write_text(f"NAME = '{name}'\n")
+        digest = urlsafe_b64encode(hashlib.sha256((tmp_path / f"{name}.py").read_bytes()).digest()).decode().rstrip("=")
+        (folder / "RECORD").write_text(f"{name}.py,sha256={digest},1\n{folder.name}/METADATA,sha256=x,1\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    installed_package.cache_clear()
+    return tmp_path / "toy-core.py"
+
+
+def test_the_hash_of_a_package_has_the_files_of_its_release(toy: Path) -> None:
+    first, changed = installed_package("toy")
+    assert len(first) == 64 and changed == ()
+    toy.write_text("GRAVITY = 0.0\n")
+    installed_package.cache_clear()
+    second, changed = installed_package("toy")
+    assert second != first and changed == ("toy-core.py",)
+    toy.unlink()
+    installed_package.cache_clear()
+    assert installed_package("toy")[1] == ("toy-core.py",)
+
+
+def test_an_editable_installation_has_no_list_of_files(toy: Path) -> None:
+    record = toy.parent / "toy-1.0.dist-info" / "RECORD"
+    record.write_text("__editable__.toy-1.0.pth,sha256=x,1\n" + record.read_text())
+    assert installed_package("toy") == ("", ())
+    assert installed_package("absent") == ("", ())
+
+
+def test_the_check_says_whether_the_files_of_the_engine_are_those_of_its_release(
+    board: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = submission(board) / "submission.toml"
+    text = file.read_text(encoding="utf-8")
+
+    def notes(stated: str, installed: tuple[str, tuple[str, ...]] = ("b" * 64, ())) -> str:
+        monkeypatch.setattr("gauge_envs.tools.leaderboard.check.installed_package", lambda _: installed)
+        file.write_text(text.replace("[left_out]", f'package_sha256 = "{stated}"\n[left_out]'), encoding="utf-8")
+        check = check_leaderboard(board)
+        assert check.ok, texts(check)
+        return "\n".join(check.submissions[0].notes)
+
+    assert notes("b" * 64) == ""
+    assert f'are not stated; add package_sha256 = "{"b" * 64}"' in notes("")
+    assert f"are not those installed here, {'b' * 64}" in notes("a" * 64)
+    assert "has no list of its files, as an editable installation" in notes("a" * 64, ("", ()))
+    assert "differs from its release in 1 file, as mujoco/x.so" in notes("b" * 64, ("b" * 64, ("mujoco/x.so",)))
 
 
 def test_an_engine_that_is_not_installed_cannot_be_run_again(board: Path) -> None:

@@ -279,6 +279,7 @@ def test_a_wrong_request_ends_with_its_reason(word: str, message: str) -> None:
         ("solref=0.02 1 solref=0.01 1", "stated twice"),
         ("timestep_s=1", "stands beside the settings"),
         ("cone=round", "cone"),
+        ("f" * 100_000, "100000 characters, at most 1000 are read"),
     ],
 )
 def test_wrong_settings_are_refused(text: str, message: str) -> None:

@@ -95,6 +95,15 @@ def test_a_baseline_compares_values_with_their_intervals(monkeypatch, tmp_path: 
     assert run(monkeypatch, report(CREEP, WALL), *known).exit_code == 3
 
 
+@pytest.mark.parametrize("number", [10**400, 0, "x"])
+def test_a_baseline_with_a_number_that_is_none_is_an_error(number: object, monkeypatch, tmp_path: Path) -> None:
+    row = {"phenomenon": "creep-wood", "verdict": "wrong", "configured": number}
+    before = tmp_path / "before.json"
+    before.write_text(json.dumps(row | {"reality": {"value": 0, "tolerance": 0}}))
+    outcome = run(monkeypatch, report(CREEP), "--baseline", str(before))
+    assert outcome.exit_code == 2 and "is not the output of gauge sanity --json" in outcome.stderr
+
+
 # --- formats ---------------------------------------------------------------------------------------------------------
 
 

@@ -367,6 +367,10 @@ def test_a_missing_file_is_a_declined_row_that_says_so(resting: Path) -> None:
             lambda folder: edit(folder, lambda m: m["scenes"][0]["contacts"][0].update(friction=0.9)),
             "contacts.0.friction is not that of this version",
         ),
+        (
+            lambda folder: edit(folder, lambda m: m["scenes"][0]["contacts"][0].update(friction=10**400)),
+            "contacts.0.friction is not that of this version",
+        ),
     ],
 )
 def test_a_manifest_of_another_scene_is_an_error(resting: Path, damage: Callable[[Path], object], message: str) -> None:

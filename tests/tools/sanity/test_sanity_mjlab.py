@@ -218,6 +218,16 @@ def test_a_robot_that_is_not_here_is_left_out(tmp_path: Path) -> None:
         ("'.*_collision'", "'['", "is not valid"),
         ("viewer: ", "viewer: [", "is no YAML"),
         ("njmax: 300", "njmax: yes", "sim.njmax is True, and a number is expected"),
+        ("[0.0, 0.0, -9.81]", "[0.0, [0.0], -9.81]", "sim.mujoco.gravity is a list, and a number is expected"),
+        (
+            "iterations: 10",
+            f"iterations: {2**63}",
+            "sim.mujoco.iterations is 9223372036854775808, which MuJoCo does not",
+        ),
+        ("contype: 1", "contype: -0.5", "contype is -0.5, which MuJoCo does not take"),
+        ("[0.03, 1]", "[a, 1]", "solref is ('a', 1), which MuJoCo does not take"),
+        ("collisions: !!python/tuple", "collisions: 3\n      x: !!python/tuple", "collisions is 3, and a list"),
+        ("spec_fn:", "articulation: {actuators: 3}\n      spec_fn:", "articulation.actuators is 3, and a list"),
     ],
 )
 def test_files_that_cannot_be_read(package: Path, tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -14,12 +14,11 @@ from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.tools.sanity import run
 from gauge_envs.tools.sanity.cause import RECOMMENDED_MUJOCO
-from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import Report, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.run import check
 from gauge_envs.tools.sanity.stacks import configuration, dialect
-from gauge_envs.tools.sanity.subject import subject_of
 
 RUNNER = CliRunner()
 

@@ -10,13 +10,13 @@ import pytest
 from robot_faults import FAULTS, good_xml
 
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.cured import applied
 from gauge_envs.tools.sanity.model import Need, PhenomenonResult, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomenon
-from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.model_rows import ROWS, growth
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import never_touches
+from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.stated import robot_row, stated_rows
 

@@ -354,6 +354,9 @@ def test_what_cannot_be_read_says_why(target: object, error: type[GaugeError], m
         configuration(target)  # type: ignore[arg-type]  # one of them is of a wrong type on purpose
 
 
+GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": %s}}'
+
+
 @pytest.mark.parametrize(
     ("name", "text", "message"),
     [
@@ -368,6 +371,12 @@ def test_what_cannot_be_read_says_why(target: object, error: type[GaugeError], m
         ("a.toml", "backend = ", "a.toml: Invalid value"),
         ("a.json", "{", "a.json: Expecting property name"),
         ("a.json", "[1]", "the file: "),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = 0', "'timestep_s' .*greater than or equal to"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = [1]', "'timestep_s' .*valid number"),
+        ("a.json", GENESIS % ("[]", "0"), "sim.dt is a list, and a number is expected"),
+        ("a.json", GENESIS % ("1" * 400, "0"), "sim.dt is 'a number of many digits', and a number is expected"),
+        ("a.json", GENESIS % ("0.01", "[3]"), "rigid.integrator is a list, and a number is expected"),
+        ("a.json", GENESIS.replace("9.81", '"down"') % ("0.01", "0"), "sim.gravity is 'down', and a number"),
         ("a.xml", "<mujoco><option speed='3'/></mujoco>", "MuJoCo cannot load it: .*speed"),
     ],
 )

@@ -17,14 +17,13 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import Motion
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.cured import applied
-from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.measure import Measurements, subject_of
 from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
 from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 from gauge_envs.tools.sanity.phenomena import phenomena
+from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
 from gauge_envs.tools.sanity.stated import capacity_row, stated_rows
-from gauge_envs.tools.sanity.subject import subject_of
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")

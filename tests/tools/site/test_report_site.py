@@ -27,7 +27,7 @@ from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.scene.jitter import Jitter
 from gauge_envs.tools.site import save_site
-from gauge_envs.tools.site.replay import quantized, replay_data
+from gauge_envs.tools.site.build import quantized, replay_data
 from gauge_envs.tools.site.reproduce import run_command
 
 SETTINGS = {"timestep_s": 1 / 900}

@@ -36,5 +36,4 @@ def engine_settings(name: str) -> type[ContactSettings]:
     if name not in CLASSES:
         raise UnknownNameError("engine", name, CLASSES)
     module, attribute = CLASSES[name]
-    found: type[ContactSettings] = getattr(import_module(f"{__name__}.{module}"), attribute)
-    return found
+    return getattr(import_module(f"{__name__}.{module}"), attribute)

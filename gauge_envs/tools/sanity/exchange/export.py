@@ -16,14 +16,13 @@ from collections.abc import Iterator, Sequence
 from importlib.resources import files
 from inspect import getsource
 from pathlib import Path
-from xml.etree import ElementTree
 
 import numpy as np
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.mjcf_writer import exact_xml, start_notes
+from gauge_envs.backends.mujoco.mjcf_writer import described_xml, start_notes
 from gauge_envs.errors import ParameterError, ResultFileError
-from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular
+from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_texts
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.writer import scene_stage
@@ -60,14 +59,8 @@ def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
     if not chosen:
         raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge list phenomena")
     _check_folder(folder)
-    written = []
     with os_errors(lambda cause: ResultFileError(f"{folder}: cannot be written: {cause}: choose another folder")):
-        for name, text in _texts(chosen):
-            path = folder / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8", newline="\n")
-            written.append(path)
-    return written
+        return write_texts(folder, _texts(chosen))
 
 
 def _check_folder(folder: Path) -> None:
@@ -109,14 +102,9 @@ def _mjcf(scene: ExportedScene) -> str:
     ]
     if scene.scenario.scene.drivers:
         notes.append(f"Driven bodies have free joints and follow {DRIVERS}.")
-    notes.append(SOURCE)
-    root = exact_xml(simulation)
-    root.set("model", scene.name)
-    comment = ElementTree.Comment("\n    " + "\n    ".join(notes) + "\n  ")
-    comment.tail = "\n\n  "
-    root.insert(0, comment)
+    text = described_xml(simulation, scene.name, [*notes, SOURCE])
     simulation.close()
-    return ElementTree.tostring(root, encoding="unicode") + "\n"
+    return text
 
 
 def _usd(scene: ExportedScene) -> str:

@@ -25,13 +25,14 @@ from gauge_envs.errors import TargetError, TrajectoryFileError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
 from gauge_envs.runs.rollout import DivergedError, Rollout
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Sphere
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity.exchange.export import MOST_MANIFEST_BYTES
 from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, FORMAT, MANIFEST, MOTION, VERSION, ExportedScene, scenes
 from gauge_envs.tools.sanity.measure import Measured, curve_of, judged, result_of
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import GRAVITY_ID, selection
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.phenomena.impact import CLEAR_MM
 from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stated import gravity_row
@@ -118,7 +119,7 @@ def _difference(expected: Any, found: Any, place: str = "") -> str | None:
         parts = ((key, expected[key], found[key]) for key in expected)
     elif isinstance(expected, list) and isinstance(found, list) and len(expected) == len(found):
         parts = ((str(i), one, other) for i, (one, other) in enumerate(zip(expected, found, strict=True)))
-    elif isinstance(expected, float) and isinstance(found, int | float):
+    elif isinstance(expected, float) and isinstance(found, int | float) and abs(found) < 1e300:
         return None if math.isclose(expected, found, rel_tol=SAME_NUMBER, abs_tol=1e-12) else place
     else:
         return None if type(expected) is type(found) and expected == found else place
@@ -226,8 +227,7 @@ def _gravity(rollout: Rollout) -> tuple[float, float, float] | None:
             fits.append(2.0 * np.polyfit(rollout.times_s[1 : flight.stop], place[1 : flight.stop], 2)[0])
     if not fits:
         return None
-    x, y, z = np.mean(fits, axis=0).tolist()
-    return x, y, z
+    return vector(np.mean(fits, axis=0))
 
 
 # --- motion files ----------------------------------------------------------------------------------------------------

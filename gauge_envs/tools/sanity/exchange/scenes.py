@@ -61,7 +61,7 @@ class ExportedScene:
         scene = self.scenario.scene
         files = body_files(scene)
         constants = _body_constants(scene)
-        described: dict[str, Any] = json_ready(
+        return json_ready(
             {
                 "name": self.name,
                 "experiment": self.scenario.id,
@@ -82,7 +82,6 @@ class ExportedScene:
                 "phenomena": [_phenomenon(one) for one in self.phenomena],
             }
         )
-        return described
 
 
 @cache

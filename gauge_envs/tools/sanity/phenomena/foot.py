@@ -16,8 +16,9 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SLIDE_S, creeping, real_friction, real_slides, sliding
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -73,14 +74,13 @@ def foot_scene(
         seconds: Duration of the experiment [s].
     """
     turn = Rotation.from_euler("y", slope_deg, degrees=True)
-    x, y, z = turn.apply([0.0, 0.0, lift_m]).tolist()
     return Scene(
         bodies=(
             RigidBody(
                 name=FOOT,
                 shape=foot.shape,
                 motion=Motion.DYNAMIC,
-                pose=Pose.from_rotation((x, y, z), turn),
+                pose=Pose.from_rotation(vector(turn.apply([0.0, 0.0, lift_m])), turn),
                 mass_kg=foot.mass_kg,
             ),
             RigidBody(

@@ -15,9 +15,17 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
+from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
-from gauge_envs.tools.sanity.phenomena.facts import RECORDINGS, facts, position_scatter_mm, recorded, rigid_law
+from gauge_envs.tools.sanity.phenomena.base import (
+    RECORDINGS,
+    Phenomenon,
+    Trace,
+    facts,
+    position_scatter_mm,
+    recorded,
+    rigid_law,
+)
 from gauge_envs.tools.sanity.scenario import Scenario
 
 HOLD_S, SETTLED_S = 1.0, 0.5
@@ -225,13 +233,11 @@ def slide(material: str) -> Phenomenon:
 def _turned(scene: Scene) -> Scene:
     """Return the scene turned about the vertical through the origin."""
     turn = Rotation.from_euler("z", TURN_DEG, degrees=True)
-    return replace(scene, bodies=tuple(replace(body, pose=_turned_pose(body.pose, turn)) for body in scene.bodies))
 
+    def turned(pose: Pose) -> Pose:
+        return Pose.from_rotation(vector(turn.apply(pose.position_m)), turn * pose.rotation)
 
-def _turned_pose(pose: Pose, turn: Rotation) -> Pose:
-    x, y, z = turn.apply(pose.position_m).tolist()
-    w, i, j, k = (turn * pose.rotation).as_quat(scalar_first=True).tolist()
-    return replace(pose, position_m=(x, y, z), quaternion=(w, i, j, k))
+    return replace(scene, bodies=tuple(replace(body, pose=turned(body.pose)) for body in scene.bodies))
 
 
 def turned_slide(material: str) -> Phenomenon:

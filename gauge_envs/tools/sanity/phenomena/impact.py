@@ -14,9 +14,9 @@ from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Hinge, Scene, Sphere
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import FloatArray, Phenomenon, Trace
-from gauge_envs.tools.sanity.phenomena.facts import PUBLISHED_TRIALS, facts
+from gauge_envs.tools.sanity.phenomena.base import PUBLISHED_TRIALS, Phenomenon, Trace, facts
 from gauge_envs.tools.sanity.scenario import Scenario
 
 # --- rebound ---------------------------------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Compound, Part, Pose, Sphere, mass_properties
+from gauge_envs.scene.geometry import vector
 
 COPIES = 4
 """Number of feet of the rigid body."""
@@ -81,8 +82,7 @@ class FootGeometry:
         parts = []
         for turn, sole in zip(self._turns, self.soles_m, strict=True):
             for part in self.parts:
-                x, y, z = (turn.apply(part.pose.position_m) + sole).tolist()
-                pose = Pose.from_rotation((x, y, z), turn * part.pose.rotation)
+                pose = Pose.from_rotation(vector(turn.apply(part.pose.position_m) + sole), turn * part.pose.rotation)
                 parts.append(Part(shape=part.shape, pose=pose))
         return Compound(parts=tuple(parts))
 

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, QhullError
 from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
-from gauge_envs.tools.sanity.phenomena.facts import facts
+from gauge_envs.tools.sanity.phenomena.base import facts
 from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
@@ -265,7 +265,7 @@ def _feet(robot: Robot) -> Finding:
             lame.append(min(geoms, key=lambda geom: lows[geom]))
     if not lame and ground > lowest + within:
         lame = [geom for geom, low in lows.items() if low <= lowest + within]
-    floor = int(next(g for g in robot.pairs.geoms[ground_row(robot)] if g not in lows))
+    floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
     changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
     names = ", ".join(robot.geom_name(geom) for geom in lame)
@@ -280,11 +280,6 @@ def _feet(robot: Robot) -> Finding:
 def _geoms(robot: Robot, body: int) -> list[int]:
     first = int(robot.model.body_geomadr[body])
     return list(range(first, first + int(robot.model.body_geomnum[body])))
-
-
-def ground_row(robot: Robot) -> int:
-    """Return a row of the pairs of geoms in which a foot meets the ground."""
-    return robot.foot_rows[0]
 
 
 @row("robot-friction")

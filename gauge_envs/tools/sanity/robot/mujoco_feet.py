@@ -109,6 +109,8 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, f
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     stance = stance_of(model, np.asarray(up))
+    if not np.isfinite(stance.positions_m).all():
+        raise NoFootError("the poses of the model's geoms are not finite")
     robot_of = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
     robots = {robot_of[geom] for geom in touching}
     joints, bodies = driven(model)
@@ -297,8 +299,7 @@ def _vertices_m(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:
     """Return the vertices of the mesh of a geom in the frame of the geom [m], shape [vertex_count, 3]."""
     mesh = model.geom_dataid[geom]
     first = model.mesh_vertadr[mesh]
-    vertices: NDArray[np.float64] = model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
-    return vertices
+    return model.mesh_vert[first : first + model.mesh_vertnum[mesh]].astype(np.float64)
 
 
 def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:

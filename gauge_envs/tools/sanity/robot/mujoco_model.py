@@ -28,6 +28,7 @@ from gauge_envs.backends.mujoco.model_settings import (
 )
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, read_foot
 from gauge_envs.tools.sanity.robot.robot import Robot, never_touches
@@ -105,7 +106,6 @@ def mujoco_configuration(
         inapplicable[Need.CONTACT] = "the robot is fixed to the world and touches nothing in 200 random poses"
     if (normal := robot.plane_normal) is not None and has_robot and np.abs(normal).max() > ALONG_AN_AXIS:
         inapplicable[Need.SPACE] = "the robot moves in a plane along an axis of the world, where slide-* judges it"
-    x, y, z = model.opt.gravity.tolist()
     return TrainingConfiguration(
         name=name,
         source=source,
@@ -116,7 +116,7 @@ def mujoco_configuration(
         contact_groups=groups,
         notes=(*_contact_notes(groups), *_option_notes(model)),
         inapplicable=inapplicable,
-        gravity_m_per_s2=(x, y, z),
+        gravity_m_per_s2=vector(model.opt.gravity),
         up=up,
         is_model=True,
         foot_geometry=foot,
@@ -160,13 +160,11 @@ def _used_constants(model: mujoco.MjModel, pairs: ContactPairs, pair: tuple[str,
         rows = np.flatnonzero((pairs.geoms == wanted).all(axis=1))
         if not len(rows):
             raise TargetError(f"geoms {pair[0]!r} and {pair[1]!r} cannot collide in this model: choose two that can")
-        row: NDArray[np.float64] = pairs.constants[rows[0]]
-        return row
+        return pairs.constants[rows[0]]
     rows = np.flatnonzero(pairs.kinds == pairs.kinds.min())
     effective = effective_constants(model, pairs.constants[rows])
     _, first, counts = np.unique(effective, axis=0, return_index=True, return_counts=True)
-    most: NDArray[np.float64] = pairs.constants[rows[first[counts.argmax()]]]
-    return most
+    return pairs.constants[rows[first[counts.argmax()]]]
 
 
 def _groups(

@@ -211,11 +211,18 @@ class Table:
             return value
         raise self._wrong(key, value, "a text")
 
+    def entries(self, key: str) -> tuple[Any, ...]:
+        """Return a list of values of any kind; an empty one when it is absent."""
+        value = self.value(key) or ()
+        if isinstance(value, list | tuple):
+            return tuple(value)
+        raise self._wrong(key, value, "a list")
+
     def texts(self, key: str) -> tuple[str, ...]:
         """Return a list of texts; an empty one when it is absent."""
-        value = self.value(key) or ()
-        if isinstance(value, list | tuple) and all(isinstance(one, str) for one in value):
-            return tuple(value)
+        value = self.entries(key)
+        if all(isinstance(one, str) for one in value):
+            return value
         raise self._wrong(key, value, "a list of texts")
 
     def choice(self, key: str, known: Collection[str]) -> str | None:
@@ -241,12 +248,15 @@ class Table:
                 value = float(value)
             except ValueError:
                 raise self._wrong(key, value, "a number") from None
-        if isinstance(value, bool) or not isinstance(value, int | float) or math.isnan(value):
+        if isinstance(value, bool) or not isinstance(value, int | float):
             raise self._wrong(key, value, "a number")
         try:
-            return float(value)
+            number = float(value)
         except OverflowError:
             raise self._wrong(key, "a number of many digits", "a number") from None
+        if math.isnan(number):
+            raise self._wrong(key, value, "a number")
+        return number
 
     def _resolved(self, value: Any, name: str) -> Any:
         """Return the value that a reference stands for; other values unchanged."""

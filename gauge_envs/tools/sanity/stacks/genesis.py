@@ -24,7 +24,7 @@ def _choice(*names: str) -> Kind:
 
     def read(table: Table, key: str) -> str | None:
         value = table.value(key)
-        return value if value is None or isinstance(value, str) else dict(enumerate(names)).get(int(value))
+        return value if value is None or isinstance(value, str) else dict(enumerate(names)).get(table.whole(key) or 0)
 
     return Kind(read, str)
 
@@ -106,18 +106,19 @@ def options_settings(options: Mapping[str, Any], precision: int) -> dict[str, An
         options: Options by the names of `gs.Scene`'s arguments without `_options`: `sim`, `rigid`.
         precision: Bits of floating-point numbers.
     """
-    simulation, rigid = options.get("sim") or {}, options.get("rigid") or {}
+    simulation, rigid = (Table(options.get(part) or {}, source="options", path=part) for part in ("sim", "rigid"))
     # The rigid solver inherits the simulation's step, which substeps divide, or has a shorter one of its own.
-    shared_s = (simulation.get("dt") or DEFAULT_STEP_S) / (simulation.get("substeps") or 1)
-    step_s = float(min(rigid.get("dt") or shared_s, shared_s))
-    read = {name: value for name, value, _ in GENESIS.read({"rigid": Table(rigid, source="options")})}
+    shared_s = (simulation.number("dt") or DEFAULT_STEP_S) / (simulation.number("substeps") or 1)
+    step_s = min(rigid.number("dt") or shared_s, shared_s)
+    read = {name: value for name, value, _ in GENESIS.read({"rigid": rigid})}
     is_elliptic = read["friction_cone"] == "elliptic"
     if read["contact_resolution"] is None:
         is_signorini = is_elliptic and read["constraint_solver"] == "Newton"
         read["contact_resolution"] = "signorini" if is_signorini else "convex"
     read["tolerance"] = read["tolerance"] or (1e-5 if precision == 32 else 1e-8)
     read["impratio"] = read["impratio"] or (100.0 if is_elliptic else 1.0)
-    timeconst_s = rigid.get("constraint_timeconst", DEFAULT_TIMECONST_S) or 0.0
+    is_stated = "constraint_timeconst" in rigid.values
+    timeconst_s = (rigid.number("constraint_timeconst") or 0.0) if is_stated else DEFAULT_TIMECONST_S
     contact = _contact_settings(timeconst_s, 1.0, DEFAULT_IMPEDANCE, step_s)
     return {"preset": "out_of_box", "precision": precision, "timestep_s": step_s, **read, **contact}
 
@@ -144,7 +145,8 @@ def _configuration(
 ) -> TrainingConfiguration:
     settings = options_settings(options, precision)
     contact = dict(next((group.settings for group in groups if group.is_used), {}))
-    gravity = tuple(map(float, (options.get("sim") or {}).get("gravity") or DEFAULT_GRAVITY))
+    simulation = Table(options.get("sim") or {}, source=source, path="sim")
+    gravity = simulation.numbers("gravity", 3) or DEFAULT_GRAVITY
     rigid = options.get("rigid") or {}
     inapplicable = {} if any(gravity) else {Need.GRAVITY: "the scene has no gravity"}
     if rigid.get("enable_collision") is False or rigid.get("disable_constraint"):

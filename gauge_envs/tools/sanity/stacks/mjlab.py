@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -125,7 +126,8 @@ def _delay_s(table: Table, step_s: float) -> float | None:
     """
     terms = [one for group in ("actor", "policy") for one in table.part(f"observations.{group}.terms").values.values()]
     entities = [one for one in table.part("scene.entities").values.values() if isinstance(one, Mapping)]
-    actuators = [one for entity in entities for one in (entity.get("articulation") or {}).get("actuators") or ()]
+    parts = [Table(entity, source="entity").part("articulation") for entity in entities]
+    actuators = [one for part in parts for one in part.entries("actuators")]
     seen, acted = (
         [lag for one in several if isinstance(one, Mapping) and isinstance(lag := one.get("delay_max_lag"), int)]
         for several in (terms, actuators)
@@ -209,7 +211,7 @@ def _entity(file: Path, table: Table) -> mujoco.MjSpec:
         raise TargetError(f"{file}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
     for key in list(spec.keys):
         spec.delete(key)
-    for policy in table.value("collisions") or ():
+    for policy in table.entries("collisions"):
         _apply_collisions(spec, Table(policy, source="collisions"))
     return spec
 
@@ -222,15 +224,23 @@ def _apply_collisions(spec: mujoco.MjSpec, policy: Table) -> None:
             if policy.value("disable_other_geoms") is not False:
                 geom.contype = geom.conaffinity = 0
             continue
-        for name in GEOM_NUMBERS:
+        for name in (*GEOM_NUMBERS, *GEOM_CONSTANTS):
             value = _for_geom(policy.value(name), geom.name)
-            if isinstance(value, int | float):
-                setattr(geom, name, value)
-        for name in GEOM_CONSTANTS:
-            value = _for_geom(policy.value(name), geom.name)
-            if isinstance(value, Sequence) and all(isinstance(one, int | float) for one in value):
-                constants = getattr(geom, name)
-                constants[: len(value)] = value[: len(constants)]
+            with _taken(f"{policy.source}: {name}", value):
+                if name in GEOM_NUMBERS and isinstance(value, int | float):
+                    setattr(geom, name, value)
+                elif name in GEOM_CONSTANTS and isinstance(value, list | tuple):
+                    constants = getattr(geom, name)
+                    constants[: len(value)] = value[: len(constants)]
+
+
+@contextmanager
+def _taken(place: str, value: Any) -> Iterator[None]:
+    """Raise an error for people where MuJoCo does not take a value."""
+    try:
+        yield
+    except (TypeError, ValueError):
+        raise TargetError(f"{place} is {value!r}, which MuJoCo does not take") from None
 
 
 def _for_geom(value: Any, geom: str) -> Any:
@@ -253,9 +263,10 @@ def _set_options(model: mujoco.MjModel, table: Table) -> None:
     for one in MJLAB.settings:
         value = one.kind.read(table, one.key) if one.place == "MujocoCfg" and one.key not in FLAGS else None
         if value is not None:
-            setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
-    gravity = table.value("gravity")
-    if isinstance(gravity, list | tuple) and len(gravity) == 3:
+            with _taken(f"{table.source}: {table.name(one.key)}", value):
+                setattr(options, one.key, int(NAMED[one.key][value]) if one.key in NAMED else value)
+    gravity = table.numbers("gravity", 3)
+    if gravity is not None:
         options.gravity[:] = gravity
     for name, (start, kind) in FLAGS.items():
         for flag in table.texts(name):

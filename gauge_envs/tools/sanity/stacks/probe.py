@@ -133,8 +133,7 @@ def _read_stack(file: _ProbeFile, path: Path) -> TrainingConfiguration:
     elif not isinstance(found, Mapping):
         raise TargetError(f"{path}: data.{key}: expected an object")
     read = getattr(import_module(f"gauge_envs.tools.sanity.stacks.{stack}"), f"{stack}_configuration")
-    configuration: TrainingConfiguration = read(found, name=str(path), source=file.source)
-    return configuration
+    return read(found, name=str(path), source=file.source)
 
 
 def _is_probe_file(target: Any) -> bool:

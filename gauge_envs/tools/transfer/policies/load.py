@@ -27,6 +27,7 @@ from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import CHILD_MEMORY, MEGABYTE, child_command, os_errors, read_regular
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.transfer.policies import onnx_child
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 
@@ -34,8 +35,6 @@ MOST_ONNX_BYTES = 512 * MEGABYTE
 
 MOST_ONNX_CPU_S = 86400
 """Limit of the processor time of all actions of an ONNX policy [s]."""
-
-FloatArray = NDArray[np.float64]
 
 
 def load_policies(
@@ -170,7 +169,7 @@ def checked_policy(name: str, policy: Policy, env: ControlEnv) -> Policy:
     space = env.action_space
     assert isinstance(space, spaces.Box)
 
-    def act(observation: NDArray[np.float64]) -> NDArray[np.float32]:
+    def act(observation: FloatArray) -> NDArray[np.float32]:
         try:
             action = np.asarray(policy(observation), dtype=np.float32)
         except PolicyError:
@@ -207,12 +206,12 @@ class ObservationStatistics:
         epsilon: Number that is added to the variance.
     """
 
-    mean: NDArray[np.float64]
-    variance: NDArray[np.float64]
+    mean: FloatArray
+    variance: FloatArray
     clip: float
     epsilon: float
 
-    def apply(self, observation: NDArray[np.float64]) -> NDArray[np.float32]:
+    def apply(self, observation: FloatArray) -> NDArray[np.float32]:
         """Return a normalized observation, shape [n], with the formula and precision of `VecNormalize`."""
         scaled = (observation - self.mean) / np.sqrt(self.variance + self.epsilon)
         return np.clip(scaled, -self.clip, self.clip).astype(np.float32)
@@ -255,11 +254,11 @@ class _Array:
     def __setstate__(self, state: Any) -> None:
         self._state = state
 
-    def numbers(self) -> NDArray[np.float64]:
+    def numbers(self) -> FloatArray:
         """Return the numbers."""
         try:
             _, shape, kind, is_fortran, data = self._state
-            numbers: NDArray[np.float64] = kind.array(data).astype(np.float64)
+            numbers: FloatArray = kind.array(data).astype(np.float64)
             return numbers.reshape(shape, order="F" if is_fortran else "C")
         except (TypeError, AttributeError) as error:
             raise ValueError(f"an array is damaged: {error}") from error

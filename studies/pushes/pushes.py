@@ -1,0 +1,456 @@
+"""Real pushes of a cube on every engine: friction, travel, yaw and slip, and what the scatter of pushes leaves.
+
+    python pushes.py slide                      friction of the table from the slide after the push: slides.csv
+    python pushes.py fit                        friction and restitution of the hand on even trials: fits.csv
+    python pushes.py run ENGINE                 odd trials, each on its own path: a row of engines.csv
+    python pushes.py bounds                     what is unknown, in MuJoCo: bounds.csv
+    python pushes.py start                      travel from starts within 0.1 mm, in MuJoCo: starts.csv
+    python pushes.py point                      push through one point against the limit surface: point.csv
+    python pushes.py picture                    pushes.png and travels.csv
+
+Even trials are for fits, odd trials judge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from build_pushes import (
+    HEIGHTS_M,
+    NAME,
+    START_S,
+    Push,
+    Pushes,
+    driver_values,
+    pieces_m,
+    read_pushes,
+)
+from limit_surface import turn_of_push
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends import backend_for
+from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.scene import Box, Contact, ContactMode, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene, Sphere
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.profiles import SampledProfile, TrapezoidProfile
+from gauge_envs.scene.scene import GRAVITY_M_PER_S2
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+
+HERE = Path(__file__).parent
+EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
+PUSH_S = (-0.1, 0.33)
+"""Common times between which the hand pushes."""
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Track:
+    """Motion of the cube beside that of the hand, S samples.
+
+    Attributes:
+        cube_mm: Centre of the cube, shape [S, 3].
+        turn_deg: Rotation vector of the cube from its start, shape [S, 3].
+        hand_mm: Origin of the body of the hand, shape [S, 3].
+    """
+
+    cube_mm: FloatArray
+    turn_deg: FloatArray
+    hand_mm: FloatArray
+
+    def measures(self, times_s: FloatArray) -> dict[str, float]:
+        """Return travel, largest pitch and last yaw of the cube, and its slip along the hand to the left."""
+        first, last = (int(np.argmax(times_s >= time_s)) for time_s in PUSH_S)
+        apart = (self.cube_mm - self.hand_mm)[:, 1]
+        return {
+            "travel_mm": float(self.cube_mm[-1, 0] - self.cube_mm[0, 0]),
+            "aside_mm": float(self.cube_mm[-1, 1] - self.cube_mm[first, 1]),
+            "slip_mm": float(apart[last] - apart[first]),
+            "pitch_deg": float(self.turn_deg[:, 1].max()),
+            "yaw_deg": float(self.turn_deg[-1, 2]),
+        }
+
+
+def sample_times_s(scene: Scene) -> FloatArray:
+    """Return the common times of the samples of an episode."""
+    return START_S + SAMPLE_INTERVAL_S * np.arange(round(scene.duration_s / SAMPLE_INTERVAL_S) + 1)
+
+
+def recorded(push: Push, times_s: FloatArray) -> Track:
+    """Return a recorded push at common times."""
+    turn_deg = np.degrees(push.at(push.cube_turn, times_s))
+    return Track(1e3 * push.at(push.cube_m, times_s), turn_deg, 1e3 * push.at(push.hand_path, times_s)[:, :3])
+
+
+def trial_scene(scene: Scene, pushes: Pushes, trial: int, front_m: FloatArray | None = None) -> Scene:
+    """Return the scene with the start and the path of a trial, and optionally with another front of the hand."""
+    times_s, values = driver_values(pushes, trial)
+    start_m = vector(pushes.hand_path(np.array([START_S]), trial)[0, :3])
+    cube = scene.body("cube")
+    place_m = (*(1e-3 * pushes.cubes_mm()[trial, 0, :2]).tolist(), cube.pose.position_m[2])
+    (driver,) = scene.drivers
+    motions = tuple(
+        replace(
+            motion,
+            point_m=start_m,
+            profiles=(SampledProfile(times_s=tuple(times_s.tolist()), values=tuple(values[:, column].tolist())),),
+        )
+        for motion, column in zip(driver.motions, (3, 0, 1, 2), strict=True)
+    )
+    hand = scene.body("hand")
+    bodies = {
+        "cube": replace(cube, pose=replace(cube.pose, position_m=place_m)),
+        "hand": replace(hand, pose=replace(hand.pose, position_m=start_m)),
+    }
+    return replace(
+        scene,
+        bodies=tuple(bodies.get(body.name, body) for body in scene.bodies),
+        drivers=(replace(driver, motions=motions),),
+    )
+
+
+def simulated(engine: str, scene: Scene, settings: Mapping[str, Any] | None = None) -> Track:
+    """Return a simulated push."""
+    simulation = backend_for(engine, None).build(scene, dict(settings or {}))
+    simulation.reset(0)
+    count = len(sample_times_s(scene))
+    paths = DriverPaths(scene, scene.duration_s)
+    states = np.empty((count, 2, 13))
+    for index in range(count):
+        if index:
+            paths.advance(simulation, index - 1)
+        states[index] = simulation.body_states(("cube", "hand"))
+    simulation.close()
+    turns = Rotation.from_quat(states[:, 0, 3:7], scalar_first=True).as_rotvec(degrees=True)
+    return Track(1e3 * states[:, 0, :3], turns, 1e3 * states[:, 1, :3])
+
+
+def scored(
+    engine: str,
+    trials: Sequence[int],
+    constants: Mapping[str, float] | None = None,
+    *,
+    mode: ContactMode = ContactMode.SUSTAINED,
+    **changes: Any,
+) -> list[dict[str, float]]:
+    """Return measures and errors of simulated trials, and the measures of the recorded ones as `real_*`.
+
+    Args:
+        engine: Name of the backend.
+        trials: Numbers of the trials.
+        constants: Constants that replace those of the task.
+        mode: Behaviour of the contact of hand and cube.
+        changes: Replaced fields of a body, by name of the body.
+    """
+    pushes = read_pushes()
+    scene = load_experiment(NAME, dict(constants or {})).scene
+    bodies = tuple(replace(body, **changes.get(body.name, {})) for body in scene.bodies)
+    contacts = tuple(replace(one, mode=mode) if "hand" in one.first + one.second else one for one in scene.contacts)
+    scene = replace(scene, bodies=bodies, contacts=contacts)
+    times_s = sample_times_s(scene)
+    pushing = (times_s > PUSH_S[0]) & (times_s < PUSH_S[1])
+    rows = []
+    for trial in trials:
+        real = recorded(pushes.trials[trial], times_s)
+        found = simulated(engine, trial_scene(scene, pushes, trial))
+        error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
+        measures, expected = found.measures(times_s), real.measures(times_s)
+        rows.append(
+            {
+                "trial": float(trial),
+                "rmse_mm": float(np.sqrt(np.mean(error_mm**2))),
+                "push_rmse_mm": float(np.sqrt(np.mean(error_mm[pushing] ** 2))),
+                **measures,
+                **{f"real_{name}": value for name, value in expected.items()},
+            }
+        )
+    return rows
+
+
+def column(rows: Sequence[Mapping[str, float]], name: str) -> FloatArray:
+    """Return one measure of all rows."""
+    return np.array([row[name] for row in rows])
+
+
+def bootstrap(values: FloatArray, *, seed: int = 0) -> tuple[float, float]:
+    """Return the 95 % interval of the mean over trials."""
+    draws = np.random.default_rng(seed).choice(values, (10_000, len(values))).mean(axis=1)
+    low, high = np.percentile(draws, [2.5, 97.5])
+    return float(low), float(high)
+
+
+def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
+    """Return the table row of some trials: means, with the 95 % interval of RMSE and error of travel."""
+    error_mm = column(rows, "travel_mm") - column(rows, "real_travel_mm")
+    ends = {"rmse_mm": bootstrap(column(rows, "rmse_mm")), "travel_error_mm": bootstrap(error_mm)}
+    found = {"rmse_mm": float(column(rows, "rmse_mm").mean()), "travel_error_mm": float(error_mm.mean())}
+    both = {
+        f"{name}_{end}": value for name, pair in ends.items() for end, value in zip(("low", "high"), pair, strict=True)
+    }
+    names = ("push_rmse_mm", "travel_mm", "aside_mm", "slip_mm", "pitch_deg", "yaw_deg")
+    means = {name: float(column(rows, name).mean()) for name in names}
+    stds = {f"{name}_std": float(column(rows, name).std(ddof=1)) for name in ("travel_mm", "yaw_deg")}
+    return found | both | {"travel_error_std_mm": float(error_mm.std(ddof=1))} | means | stds
+
+
+def write(name: str, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write a table beside this script."""
+    with (HERE / name).open("w", encoding="utf-8", newline="") as stream:
+        writer = csv.DictWriter(stream, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        for row in rows:
+            writer.writerow({key: f"{cell:.3f}" if isinstance(cell, float) else cell for key, cell in row.items()})
+
+
+def slide_friction(times_s: FloatArray, positions_m: FloatArray, *, last_m: float = 0.006) -> tuple[float, float]:
+    """Return the coefficient of friction of a slide to rest, and its standard error.
+
+    A free body on a level table ends with x = x_end - mu g (t_end - t)^2 / 2, fitted to the last part of its path.
+
+    Args:
+        times_s: Times, shape [T].
+        positions_m: Positions along the slide, at rest at the end, shape [T].
+        last_m: Length of the part that is fitted.
+    """
+    left_m = np.median(positions_m[-20:]) - positions_m
+    first = int(np.flatnonzero(left_m > last_m)[-1]) + 1
+    part = slice(first, first + 25)
+
+    def misfit(parameters: FloatArray) -> FloatArray:
+        friction, end_s, end_mm = parameters
+        left_s = np.maximum(end_s - times_s[part], 0.0)
+        return end_mm - 500.0 * friction * GRAVITY_M_PER_S2 * left_s**2 - 1e3 * positions_m[part]
+
+    fit = least_squares(misfit, [0.3, times_s[first] + 0.06, 1e3 * positions_m[-1]], x_scale=[0.1, 0.01, 1.0])
+    variance = 2.0 * fit.cost / (len(fit.fun) - 3) * np.linalg.inv(fit.jac.T @ fit.jac)
+    return float(fit.x[0]), float(np.sqrt(variance[0, 0]))
+
+
+def slide(options: argparse.Namespace) -> None:
+    """Write the friction of each slide, and print both halves."""
+    rows = []
+    for trial, push in enumerate(read_pushes().trials):
+        late = push.times_s > 0.3
+        friction, error = slide_friction(push.times_s[late], push.cube_m[late, 0])
+        rows.append({"trial": trial, "half": "judge" if trial % 2 else "fit", "friction": friction, "error": error})
+    write("slides.csv", rows)
+    for half in ("fit", "judge"):
+        values = np.array([row["friction"] for row in rows if row["half"] == half])
+        print(half, values.mean(), bootstrap(values), "std", values.std(ddof=1))
+
+
+def fit(options: argparse.Namespace) -> None:
+    """Write the errors of even trials over friction of the hand, and over its restitution in the preset of impacts.
+
+    The friction of the hand is where the cube tips as far as the recorded ones; the interval is over the trials.
+    """
+    frictions = (0.05, 0.2, 0.4, 0.6, 0.7, 0.8, 0.9, 1.0, 1.2)
+    cases = [("sustained", value, 0.0) for value in frictions] + [("impact", 0.2, value) for value in (0.0, 0.2, 0.4)]
+    rows, tips_deg = [], []
+    for mode, friction, restitution in cases:
+        constants = {"hand.friction": friction, "hand.restitution": restitution}
+        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode))
+        tips_deg.append(column(found, "pitch_deg") - column(found, "real_pitch_deg"))
+        rows.append({"mode": mode, "friction": friction, "restitution": restitution, **summary(found)})
+        print(rows[-1])
+    write("fits.csv", rows)
+    tips = np.array(tips_deg[: len(frictions)])
+    chosen = np.random.default_rng(0).integers(0, len(EVEN), (2000, len(EVEN)))
+    # The tipping grows with friction but for its noise; the largest friction that tips too little bounds the zero.
+    zeros = [_zero(frictions, tips[:, one].mean(axis=1)) for one in (np.arange(len(EVEN)), *chosen)]
+    print("friction of the hand", zeros[0], np.percentile(zeros[1:], [2.5, 97.5]))
+
+
+def _zero(places: Sequence[float], values: FloatArray) -> float:
+    """Return where values that grow cross zero, linear between places."""
+    above = int(np.argmax(values > 0.0))
+    part = slice(max(above - 1, 0), above + 1)
+    return float(np.interp(0.0, values[part], places[part]))
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the row of an engine, and that of the recorded pushes."""
+    file = HERE / "engines.csv"
+    rows: list[Mapping[str, Any]] = []
+    if file.is_file():
+        with file.open(encoding="utf-8", newline="") as stream:
+            rows = [row for row in csv.DictReader(stream) if row["engine"] not in (options.engine, "recorded")]
+    found = scored(options.engine, ODD)
+    rows.append({"engine": options.engine, **summary(found)})
+    names = [name for name in found[0] if name.startswith("real_")]
+    real = [row | {name.removeprefix("real_"): row[name] for name in names} for row in found]
+    nothing = {"rmse_mm": 0.0, "push_rmse_mm": 0.0}
+    rows.append({"engine": "recorded", **summary([row | nothing for row in real])})
+    write("engines.csv", sorted(rows, key=lambda row: row["engine"]))
+    travel = np.corrcoef(column(found, "travel_mm"), column(found, "real_travel_mm"))[0, 1]
+    print(rows[-2], "correlation of travel", travel)
+
+
+def bounds(options: argparse.Namespace) -> None:
+    """Write what unknown shape, friction and inertia do to odd trials."""
+    front_m = read_pushes().front_m()
+    scene = load_experiment(NAME).scene
+    edge_m, mass_kg = 0.075, scene.body("cube").mass_kg
+
+    def hand(**keywords: Any) -> dict[str, Any]:
+        pieces = pieces_m(keywords.pop("front_m", front_m), **keywords)
+        return {"hand": {"shape": union(pieces)}}
+
+    short, long = HEIGHTS_M[:-1], np.append(HEIGHTS_M, HEIGHTS_M[-1] - 0.0025)
+    cases: dict[str, tuple[dict[str, float], dict[str, Any]]] = {
+        "as stated": ({}, {}),
+        "width 2 mm": ({}, hand(width_m=0.002)),
+        "width 20 mm": ({}, hand(width_m=0.02)),
+        "width 75 mm": ({}, hand(width_m=0.075)),
+        "front 0.3 mm back": ({}, hand(front_m=front_m - 0.0003)),
+        "tip 2.5 mm shorter": ({}, hand(front_m=front_m[:-1], heights_m=short)),
+        "tip 2.5 mm longer": ({}, hand(front_m=np.append(front_m, 2 * front_m[-1] - front_m[-2]), heights_m=long)),
+        "no fingers below the joint": ({}, {"hand": {"shape": union(pieces_m(front_m)[:1])}}),
+        "hollow cube": ({}, {"cube": {"inertia_kg_m2": 5.0 / 18.0 * mass_kg * edge_m**2}}),
+        **{f"cube.friction {value}": ({"cube.friction": value}, {}) for value in (0.25, 0.29)},
+        **{f"hand.friction {value}": ({"hand.friction": value}, {}) for value in (0.05, 0.5, 1.2)},
+        "turned by 1.9 degrees": (
+            {},
+            {name: {"pose": turned(scene.body(name).pose, 1.9)} for name in ("cube", "hand")},
+        ),
+    }
+    rows = []
+    for name, (constants, changes) in cases.items():
+        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, **changes))})
+        print(rows[-1])
+    write("bounds.csv", rows)
+
+
+def start(options: argparse.Namespace) -> None:
+    """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
+    scene = load_experiment(NAME).scene
+    times_s, cube = sample_times_s(scene), scene.body("cube")
+    rows = []
+    for seed in range(20):
+        shift_m = np.append(np.random.default_rng(seed).normal(0.0, 1e-4, 2), 0.0)
+        moved = replace(cube, pose=replace(cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))))
+        bodies = tuple(moved if body.name == "cube" else body for body in scene.bodies)
+        rows.append({"seed": seed, **simulated("mujoco", replace(scene, bodies=bodies)).measures(times_s)})
+    write("starts.csv", rows)
+    travels_mm = column(rows, "travel_mm")
+    print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
+
+
+def turned(pose: Pose, angle_deg: float) -> Pose:
+    """Return a pose that is turned about the vertical."""
+    return Pose.from_rotation(pose.position_m, Rotation.from_euler("z", angle_deg, degrees=True) * pose.rotation)
+
+
+def union(pieces: Sequence[FloatArray]) -> ConvexUnion:
+    """Return the shape of some convex pieces."""
+    return ConvexUnion(pieces_m=tuple(tuple(vector(point) for point in piece) for piece in pieces))
+
+
+def point_push_scene(offset_m: float, friction: float, *, half_edge_m: float = 0.0375, path_m: float = 0.02) -> Scene:
+    """Return a scene in which a slow low ball pushes a cube beside the middle of its face, without slip."""
+    radius_m, duration_s = 0.005, 2.0
+    cube = RigidBody(
+        name="cube",
+        shape=Box(size_m=(2.0 * half_edge_m,) * 3),
+        motion=Motion.DYNAMIC,
+        pose=Pose(position_m=(0.0, 0.0, half_edge_m)),
+        mass_kg=0.0884,
+    )
+    table = RigidBody(
+        name="table", shape=Plane(), motion=Motion.FIXED, pose=Pose(position_m=(0.0, 0.0, 0.0)), mass_kg=0.0
+    )
+    hand = RigidBody(
+        name="hand",
+        shape=Sphere(radius_m=radius_m),
+        motion=Motion.KINEMATIC,
+        pose=Pose(position_m=(-half_edge_m - radius_m, offset_m, radius_m + 0.001)),
+        mass_kg=1.0,
+    )
+    profile = TrapezoidProfile(start_s=0.0, duration_s=duration_s, accelerate_s=0.2, brake_s=0.2, amount=path_m)
+    motion = DriverMotion(kind="translate", axis=(1.0, 0.0, 0.0), profiles=(profile,))
+    return Scene(
+        bodies=(cube, table, hand),
+        duration_s=duration_s,
+        contacts=(
+            Contact(first=("cube",), second=("table",), friction=friction, restitution=0.0),
+            Contact(first=("cube",), second=("hand",), friction=2.0, restitution=0.0),
+        ),
+        drivers=(Driver(body="hand", motions=(motion,), provenance="nominal"),),
+    )
+
+
+def point(options: argparse.Namespace) -> None:
+    """Write the rotation of a cube that a point pushes, by the law and in an engine."""
+    rows = []
+    for offset_m in (0.005, 0.01, 0.02):
+        law_deg = float(np.degrees(turn_of_push(offset_m, 0.02, 0.0375)))
+        for friction in (0.1, 0.2, 0.4):
+            found = simulated(options.engine, point_push_scene(offset_m, friction)).turn_deg[-1, 2]
+            rows.append({"offset_mm": 1e3 * offset_m, "friction": friction, "law_deg": law_deg, "engine_deg": found})
+            print(rows[-1])
+    write("point.csv", rows)
+
+
+def picture(options: argparse.Namespace) -> None:
+    """Draw the front of the hand and the speed of the cube, and write and draw the travel of each trial."""
+    import matplotlib.pyplot as plt
+
+    pushes = read_pushes()
+    times_s = sample_times_s(load_experiment(NAME).scene)
+    figure, (front, speed, travel) = plt.subplots(1, 3, figsize=(11.0, 3.6), layout="constrained")
+    for push in pushes.trials:
+        front.plot(1e3 * push.front_m(), 1e3 * HEIGHTS_M, color="0.75", linewidth=0.8)
+    for first, color in ((0, "tab:blue"), (1, "tab:red")):
+        front.plot(1e3 * pushes.front_m(first), 1e3 * HEIGHTS_M, color=color, label=("even", "odd")[first])
+    front.set(xlabel="forward [mm]", ylabel="up [mm]", title="Front of the hand, from 20 pushes")
+    front.legend()
+    task = load_experiment(NAME).scene
+    found = [simulated("mujoco", trial_scene(task, pushes, trial)) for trial in range(len(pushes.trials))]
+    real = [recorded(push, times_s) for push in pushes.trials]
+    for tracks, color, label in ((real, "tab:red", "real"), (found, "tab:blue", "MuJoCo")):
+        speeds = np.gradient([track.cube_mm[:, 0] for track in tracks], SAMPLE_INTERVAL_S, axis=1)
+        speed.plot(times_s, speeds.mean(axis=0), color=color, label=label)
+        low, high = np.percentile(speeds, [16, 84], axis=0)
+        speed.fill_between(times_s, low, high, color=color, alpha=0.2, linewidth=0)
+    speed.set(xlabel="time [s]", ylabel="speed of the cube [mm/s]", title="Mean and 68 % of 20 trials")
+    speed.legend()
+    pairs = [[track.measures(times_s)["travel_mm"] for track in tracks] for tracks in (real, found)]
+    write(
+        "travels.csv",
+        [{"trial": trial, "real_mm": a, "mujoco_mm": b} for trial, (a, b) in enumerate(zip(*pairs, strict=True))],
+    )
+    draws = np.random.default_rng(0).integers(0, len(real), (10_000, len(real)))
+    correlations = [np.corrcoef(np.array(pairs)[:, one])[0, 1] for one in draws]
+    print("correlation", np.corrcoef(pairs)[0, 1], np.percentile(correlations, [2.5, 97.5]))
+    travel.plot(*pairs, "o", color="0.2", markersize=4)
+    travel.axline((97.0, 97.0), slope=1.0, color="0.7", zorder=0)
+    travel.set(xlabel="real travel [mm]", ylabel="travel in MuJoCo [mm]", title="Each trial on its own path")
+    travel.set_aspect("equal")
+    figure.savefig(HERE / "pushes.png", dpi=110)
+
+
+def main() -> None:
+    """Run one command."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    for function in (slide, fit, run, bounds, start, point, picture):
+        command = commands.add_parser(function.__name__)
+        command.set_defaults(function=function)
+        if function in (run, point):
+            command.add_argument("engine", **({} if function is run else {"nargs": "?", "default": "mujoco"}))
+    options = parser.parse_args()
+    options.function(options)
+
+
+if __name__ == "__main__":
+    main()
