@@ -106,6 +106,10 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("CubeToss-acrylic"),
         Entry("ElbowToss-blocks"),
         Entry("SiliconeBeam-52g-silicone", 0.5),
+        Entry("JointPendulum-viscous", 1.7),
+        Entry("DoublePendulum-bars", 2.0),
+        Entry("TorquePendulum-ak80"),
+        Entry("ServoArm-so101", 20.0),
     ),
 }
 
