@@ -13,6 +13,9 @@ from gauge_envs.scene.geometry import FloatArray, Pose
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
+PARTS = 8
+"""Number of values of a command from which the mean of an interval is."""
+
 Interval = tuple[Pose, FloatArray, FloatArray]
 
 
@@ -155,7 +158,7 @@ def _between(before: FloatArray, after: FloatArray, interval_s: float) -> tuple[
 
 
 def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL_S) -> FloatArray:
-    """Return the commands of a scene's motors [rad or N m], those in the middle of each interval.
+    """Return the commands of a scene's motors [rad or N m], the mean of each interval.
 
     Args:
         scene: The scene.
@@ -165,6 +168,6 @@ def motor_commands(scene: Scene, count: int, interval_s: float = SAMPLE_INTERVAL
     Returns:
         Shape [count, motor_count], in the order of `Scene.motors`.
     """
-    times_s = (np.arange(count) + 0.5) * interval_s
-    columns = [[motor.command.value(time - motor.delay_s) for time in times_s.tolist()] for _, motor in scene.motors]
-    return np.array(columns).reshape(len(columns), count).T.copy()
+    times_s = interval_s * (np.arange(count)[:, None] + (np.arange(PARTS) + 0.5) / PARTS)
+    columns = [motor.command.values_at(times_s - motor.delay_s).mean(axis=1) for _, motor in scene.motors]
+    return np.stack(columns, axis=1) if columns else np.zeros((count, 0))

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
+from gauge_envs.backends.shared.rigid import centre_velocity, has_terms, hinge_frame, linked_hinges, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
@@ -26,7 +26,6 @@ from gauge_envs.scene import (
     Cylinder,
     Ellipsoid,
     Hinge,
-    JointDynamics,
     Motion,
     Plane,
     Pose,
@@ -36,7 +35,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import joint_sign, other_end, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
 from gauge_envs.scene.motors import Servo
 
@@ -225,7 +224,7 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
     }
     hinges = world_hinges(scene)
-    linked = _linked(scene, settings)
+    linked = linked_hinges(scene, settings.hinges == "articulation")
     below = [name for name, joined in linked.items() if isinstance(joined, BodyHinge)]
     parts: dict[str, Part] = {}
     for body in (*(one for one in scene.bodies if one.name not in below), *map(scene.body, below)):
@@ -261,35 +260,11 @@ def _add_joints(scene: Scene, parts: Mapping[str, Part], linked: Mapping[str, Hi
     joints = [
         Joint(parts[name].component, hinge, joint_sign(hinge, name))
         for name, hinge in linked.items()
-        if hinge is not None and _has_terms(hinge)
+        if hinge is not None and has_terms(hinge)
     ]
     for one in joints:
         one.set_drive()
     return joints
-
-
-def _has_terms(hinge: Hinge | BodyHinge) -> bool:
-    return hinge.motor is not None or hinge.dynamics != JointDynamics()
-
-
-def _linked(scene: Scene, settings: SettingsPhysX) -> dict[str, Hinge | BodyHinge | None]:
-    """Return the hinges of the bodies that become links of articulations, parents first; None for a free root.
-
-    Two bodies whose hinge turns freely are joined by a constraint, unless they hang on the world.
-    """
-    hung = world_hinges(scene)
-    linked: dict[str, Hinge | BodyHinge | None] = {}
-    for tree in hinge_trees(scene.body_hinges):
-        below = parent_hinges(tree, scene.hung)
-        name, hinge = next(iter(below.items()))
-        root = other_end(hinge, name)
-        if root in hung or any(map(_has_terms, tree)):
-            linked[root] = hung.get(root)
-            linked.update(below)
-    for name, hanging in hung.items():
-        if settings.hinges == "articulation" or _has_terms(hanging):
-            linked.setdefault(name, hanging)
-    return linked
 
 
 def row_of(link: physx.PhysxArticulationLinkComponent) -> int:
