@@ -175,11 +175,12 @@ class _Problem:
         )
 
     def best_start(self) -> FloatArray:
-        """Return the first guesses, with the stiffness of a servo that follows best of seven."""
+        """Return the first guesses: of seven stiffnesses of a servo, and two angles at rest, what follows best."""
         guesses = []
+        middle = float(np.mean(np.concatenate([part.position_rad for part in self.parts])))
         for scale in (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,):
             own = [{SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0) for name in self.names]
-            guesses.append(np.repeat([*own, *[0.0] * self.zero], self.joints))
+            guesses += [np.repeat([*own, *zero], self.joints) for zero in ([[0.0], [middle]] if self.zero else [[]])]
         return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
 
     def solved(self, first: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:

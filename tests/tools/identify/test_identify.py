@@ -48,7 +48,10 @@ def found_in(log: Log, *names: str) -> Identified:
     return identify(backend("mujoco"), scene, [log], names, settings=STEP)
 
 
-@pytest.mark.parametrize(("dry", "viscous"), [(0.02, 0.0), (0.0, 0.01), (0.01, 0.005)])
+@pytest.mark.parametrize(
+    ("dry", "viscous"),
+    [(0.01, 0.005), pytest.param(0.02, 0.0, marks=pytest.mark.slow), pytest.param(0.0, 0.01, marks=pytest.mark.slow)],
+)
 def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> None:
     found = found_in(swing(dry=dry, viscous=viscous, armature=0.004, zero_rad=0.1), DRY, VISCOUS, ARMATURE)
     truth = {DRY: dry, VISCOUS: viscous, ARMATURE: 0.004}
@@ -61,6 +64,7 @@ def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> N
     assert error == pytest.approx(NOISE_RAD, rel=0.2)
 
 
+@pytest.mark.slow
 def test_a_viscous_joint_does_not_fit_as_a_dry_one() -> None:
     (error,) = found_in(swing(dry=0.0, viscous=0.02, armature=0.004), DRY, ARMATURE).error_rad["swing"]
     assert error > 5.0 * NOISE_RAD
