@@ -79,6 +79,8 @@ class SimulationMuJoCo(Simulation):
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
+        actuators = {id(hinge): model.actuator(name).id for name, hinge in hinges_by_body(scene).items() if hinge.motor}
+        self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
         self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
@@ -116,6 +118,10 @@ class SimulationMuJoCo(Simulation):
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set the commands of the motors; see `World.command`."""
+        self.data.ctrl[self._motors] = values
 
     def advance(self, seconds: float) -> None:
         """Step the model."""
