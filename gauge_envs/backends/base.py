@@ -28,7 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.errors import BackendError, UnsupportedSceneError
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene import Hinge, Pose, Scene
+from gauge_envs.scene.motors import Servo, TorqueMotor
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,20 @@ class World(ABC):
         raise BackendError(
             f"{type(self).__name__} applies no force or torque to {body!r}: it does not implement World.apply_wrench"
         )
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors of the scene's joints follow from now on. Only scenes with motors need this method.
+
+        It is called before every `advance`, which holds the values.
+
+        Args:
+            values: Angle from the start [rad] of a servo, torque [N m] of a torque motor, shape [motor_count], in the
+                order of `Scene.motors`.
+
+        Raises:
+            BackendError: The engine has no motors.
+        """
+        raise BackendError(f"{type(self).__name__} moves no joint: it does not implement World.command")
 
     def fault(self) -> str | None:
         """Return why the engine itself gave up the state since the last reset, or None.
@@ -293,6 +308,11 @@ class Worlds(ABC):
             pose = Pose(position_m=tuple(values[:3]), quaternion=tuple(values[3:7]))
             self.worlds[number].drive(body, pose, motion[7:13], motion[13:])
 
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow in all worlds, shape [motor_count]; see `World.command`."""
+        for world in self.worlds:
+            world.command(values)
+
     def nodes(self, name: str) -> NDArray[np.float64]:
         """Return the nodes of a deformable body in all worlds [m], shape [world_count, node_count, 3]."""
         return np.stack([world.nodes(name) for world in self.worlds])
@@ -429,6 +449,31 @@ class Feature(StrEnum):
     """`Scene.body_hinges`."""
     STATED_INERTIA = "stated inertia"
     """`RigidBody.inertia_kg_m2`."""
+    CHAINS = "chains"
+    """Bodies that hinges join, of which one has a hinge to the world."""
+    DRY_FRICTION = "dry joint friction"
+    """`JointDynamics.dry_friction_n_m`."""
+    VISCOUS_FRICTION = "viscous joint friction"
+    """`JointDynamics.viscous_friction_n_m_s_per_rad`."""
+    ARMATURE = "armature"
+    """`JointDynamics.armature_kg_m2`."""
+    SERVO = "servo"
+    """`Servo` on a joint."""
+    TORQUE_MOTOR = "torque motor"
+    """`TorqueMotor` on a joint."""
+
+
+JOINT_FEATURES = frozenset(
+    {
+        Feature.CHAINS,
+        Feature.DRY_FRICTION,
+        Feature.VISCOUS_FRICTION,
+        Feature.ARMATURE,
+        Feature.SERVO,
+        Feature.TORQUE_MOTOR,
+    }
+)
+"""Features of joints."""
 
 
 class Backend(ABC):
@@ -588,6 +633,20 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     for hinge in scene.body_hinges[:1]:
         joined = f"{hinge.first!r} and {hinge.second!r}"
         missing[Feature.BODY_HINGES] = f"{joined} are joined by a hinge, which this backend does not build"
+    joined_bodies = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    for name in joined_bodies & {*scene.hung}:
+        missing[Feature.CHAINS] = f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
+    for moved in scene.hinges:
+        name = moved.body if isinstance(moved, Hinge) else moved.second
+        for feature, value, what in (
+            (Feature.DRY_FRICTION, moved.dynamics.dry_friction_n_m, "dry friction"),
+            (Feature.VISCOUS_FRICTION, moved.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
+            (Feature.ARMATURE, moved.dynamics.armature_kg_m2, "armature"),
+            (Feature.SERVO, isinstance(moved.motor, Servo), "a position servo"),
+            (Feature.TORQUE_MOTOR, isinstance(moved.motor, TorqueMotor), "a torque motor"),
+        ):
+            if value:
+                missing[feature] = f"the joint of {name!r} has {what}, which this backend does not build"
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
             missing[Feature.STATED_INERTIA] = f"{body.name!r} states its inertia, which this backend does not read"

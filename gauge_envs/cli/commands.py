@@ -31,6 +31,7 @@ COMMANDS = {
     "sanity judge": ("sanity", "Report which physics a simulator gets wrong, from its motion in exported scenes."),
     "recipe": ("recipes", "Give contact settings of an engine for a measured behaviour, and what they reach."),
     "recipe fabrics": ("recipes", "Show the six fabrics in every engine's constants, and what is lost."),
+    "recipe joint": ("identify", "Give friction, armature and gains of joints from logs, with intervals."),
     "transfer": ("transfer", "Replay trained policies in other engines: how much of their reward do they keep?"),
     "transfer envelope": ("transfer", "Show what uncertain constants and starts do to a reward or a score."),
     "backend": ("", "Check physics engines."),

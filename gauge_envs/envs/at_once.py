@@ -25,7 +25,7 @@ from gauge_envs.evaluation.worlds import copied_array, device_array, host_array,
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
-from gauge_envs.scene.driver_path import DriverPathOfWorlds
+from gauge_envs.scene.driver_path import DriverPathOfWorlds, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -51,6 +51,7 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._markers = MarkersOfWorlds(observers, worlds) if observers else None
         frames = experiment.frame_count + first.later_limit
         self._drivers = [DriverPathOfWorlds(driver, scenes, frames) for driver in scenes[0].drivers]
+        self._commands = motor_commands(scenes[0], frames * SAMPLES_PER_FRAME)
         self._driven = tuple(driver.body for driver in scenes[0].drivers)
         # Time comes first, so that a sample of all worlds is one block of memory.
         sample_count, width = first.sample_shape
@@ -140,6 +141,8 @@ class EpisodesAtOnce(EpisodesOneByOne):
                 motions = driver.interval(sample, rates[:, first : first + driver.motion_count])
                 self.worlds.drive(driver.body, motions, self._every)
                 first += driver.motion_count
+            if self._commands.size:
+                self.worlds.command(self._commands[sample])
             self.worlds.advance(SAMPLE_INTERVAL_S)
             g = self._observed(frame + 1 if sample % SAMPLES_PER_FRAME == SAMPLES_PER_FRAME - 1 else None, running)
             # A whole block is copied faster than chosen rows.

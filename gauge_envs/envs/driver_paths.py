@@ -8,7 +8,7 @@ import numpy as np
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.scene import Scene
-from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.driver_path import DriverPath, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 
@@ -24,10 +24,13 @@ class DriverPaths:
     def __init__(self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S) -> None:
         frame_count = 2 + math.ceil(seconds * FRAME_RATE_HZ)
         self._interval_s = interval_s
+        self._commands = motor_commands(scene, math.ceil(seconds / interval_s) + 1, interval_s)
         self._paths = [DriverPath(driver, scene, frame_count, interval_s=interval_s) for driver in scene.drivers]
 
     def advance(self, simulation: Simulation, index: int) -> None:
-        """Drive all kinematic bodies through an interval, counted from 0, and simulate it."""
+        """Drive all kinematic bodies and joints through an interval, counted from 0, and simulate it."""
         for path in self._paths:
             simulation.drive(path.body, *path.interval(index, np.zeros(path.motion_count)))
+        if self._commands.size:
+            simulation.command(self._commands[index])
         simulation.advance(self._interval_s)

@@ -28,7 +28,7 @@ from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarke
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
-from gauge_envs.scene.driver_path import DriverPath
+from gauge_envs.scene.driver_path import DriverPath, motor_commands
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 NO_RATES = np.zeros(0)
@@ -124,6 +124,7 @@ class Episode:
         self._last_view: View | None = None
         driven_frames = experiment.frame_count + self._later_frames
         self._drivers = [DriverPath(driver, scene, driven_frames) for driver in scene.drivers]
+        self._commands = motor_commands(scene, driven_frames * SAMPLES_PER_FRAME)
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in experiment.recorded]
@@ -218,7 +219,7 @@ class Episode:
         """
         first = self._simulated_frame * SAMPLES_PER_FRAME
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
-        if not self._drivers and after_sample is None:
+        if not self._drivers and not self._commands.size and after_sample is None:
             rows[:] = self.observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
             return
         for sample, row in enumerate(rows):
@@ -228,12 +229,14 @@ class Episode:
                 after_sample(sample)
 
     def _drive(self, sample: int, rates: NDArray[np.float64]) -> None:
-        """Prescribe the motion of the driven bodies for a sample, counted from the start."""
+        """Prescribe the motion of the driven bodies, and command the motors, for a sample, counted from the start."""
         offset = 0
         for path in self._drivers:
             end = offset + path.motion_count
             self._world.drive(path.body, *path.interval(sample, rates[offset:end]))
             offset = end
+        if self._commands.size:
+            self._world.command(self._commands[sample])
 
     def play(self, simulation: Simulation, *, after_sample: Callable[[int], None] | None = None) -> None:
         """Run the episode without actions, on a world that is a simulation of its own and at its start.

@@ -17,11 +17,13 @@ from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file, task_path
 from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import carried
+from gauge_envs.scene.profiles import SampledProfile
 
 AnyExperiment = TypeVar("AnyExperiment", bound=Experiment)
+AnyJoint = TypeVar("AnyJoint", Hinge, Hinge | Tether, BodyHinge)
 
 
 def shots_of(experiment: Experiment) -> SingleShots | None:
@@ -60,7 +62,22 @@ def _started(scene: Scene, shots: SingleShots, trial: int) -> Scene:
     hinges = tuple(
         carried(hinge, scene.body(hinge.first).pose, started[hinge.first].pose) for hinge in scene.body_hinges
     )
-    return replace(scene, bodies=tuple(started.values()), body_hinges=hinges)
+    commands = shots.commands(trial)
+    return replace(
+        scene,
+        bodies=tuple(started.values()),
+        joints=tuple(
+            _commanded(joint, commands[joint.body]) if joint.body in commands else joint for joint in scene.joints
+        ),
+        body_hinges=tuple(_commanded(one, commands[one.second]) if one.second in commands else one for one in hinges),
+    )
+
+
+def _commanded(joint: AnyJoint, command: SampledProfile) -> AnyJoint:
+    """Return a joint whose motor, if any, has a recorded command."""
+    if isinstance(joint, Tether) or joint.motor is None:
+        return joint
+    return replace(joint, motor=replace(joint.motor, command=command))
 
 
 # --- single-shot trials -----------------------------------------------------------------------------------------------

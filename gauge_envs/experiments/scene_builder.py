@@ -12,6 +12,7 @@ import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
 from gauge_envs.errors import ParameterError, TaskFileError, first_fault, nearest
+from gauge_envs.experiments.tables import JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_format import JointSpec, Placement, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import (
@@ -153,7 +154,19 @@ class SceneBuilder:
                 raise ParameterError(f"{self.variant.name}: {error}") from None
             raise TaskFileError(self.path, "(file)", str(error)) from None
 
+    def _check_hinges(self) -> None:
+        """Check that each body with constants of a joint has one hinge that they belong to."""
+        hinged = [joint.body for joint in self.spec.joints if joint.axis] + [h.bodies[1] for h in self.spec.body_hinges]
+        owners = {self.spec_name(name) for name in hinged}
+        for name, constants in self.constants.items():
+            stated = constants.keys() & JointConstants.model_fields.keys()
+            if stated and (name not in owners or hinged.count(name) > 1):
+                reason = f"{min(stated)} is a constant of one hinge, and {name!r} has {hinged.count(name)}"
+                which = "a hinge to the world is of its body, one between bodies of its second body"
+                raise TaskFileError(self.path, f"constants.{name}", f"{reason}: {which}")
+
     def _scene(self) -> Scene:
+        self._check_hinges()
         bodies = tuple(body for name in self.present if name in self.spec.bodies for body in self._bodies(name))
         names = [*(body.name for body in bodies), *(n for n in self.present if n not in self.spec.bodies)]
         drivers = []
@@ -173,9 +186,12 @@ class SceneBuilder:
             deformables=tuple(self._deformable(name) for name in self.present if name not in self.spec.bodies),
             joints=tuple(self._joint(joint) for joint in self.spec.joints),
             body_hinges=tuple(
-                BodyHinge(first=one.bodies[0], second=one.bodies[1], anchor_m=one.anchor_m, axis=one.axis)
+                BodyHinge(
+                    first=first, second=second, anchor_m=one.anchor_m, axis=one.axis, **self._terms(second, one.motor)
+                )
                 for one in self.spec.body_hinges
-                if all(self._is_present(name) for name in one.bodies)
+                for first, second in [one.bodies]
+                if self._is_present(first) and self._is_present(second)
             ),
             attachments=tuple(
                 one for one in self.spec.attachments if self._is_present(one.deformable) and self._is_present(one.to)
@@ -218,9 +234,9 @@ class SceneBuilder:
         if placement.angular_velocity_deg_per_s is None:
             return linear or rest, rest
         angular = np.radians(placement.angular_velocity_deg_per_s)
-        is_hinged = any(joint.body == name and joint.kind == "hinge" for joint in self.spec.joints)
-        if linear is None and is_hinged and placement.hangs_from_m is not None:
-            linear = vector(np.cross(angular, np.subtract(pose.position_m, placement.hangs_from_m)))
+        hinge = next((joint for joint in self.spec.joints if joint.body == name and joint.kind == "hinge"), None)
+        if linear is None and hinge is not None:
+            linear = vector(np.cross(angular, np.subtract(pose.position_m, self._joint(hinge).anchor_m)))
         return linear or rest, vector(angular)
 
     def _deformable(self, name: str) -> Deformable:
@@ -238,11 +254,22 @@ class SceneBuilder:
 
     def _joint(self, joint: JointSpec) -> Hinge | Tether:
         placement = self.placements[joint.body]
-        if placement.hangs_from_m is None or placement.length_m is None:
-            raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} lacks hangs_from_m")
+        anchor_m = placement.hangs_from_m or joint.anchor_m
+        if anchor_m is None or (placement.hangs_from_m and joint.anchor_m):
+            needed = "hangs_from_m, or its hinge an anchor_m, and not both"
+            raise TaskFileError(self.path, "joints", f"the start of {joint.body!r} needs {needed}")
         if joint.axis is not None:
-            return Hinge(body=joint.body, anchor_m=placement.hangs_from_m, axis=joint.axis)
-        return Tether(body=joint.body, anchor_m=placement.hangs_from_m, length_m=placement.length_m)
+            terms = self._terms(joint.body, joint.motor)
+            return Hinge(body=joint.body, anchor_m=anchor_m, axis=joint.axis, **terms)
+        assert placement.length_m is not None
+        return Tether(body=joint.body, anchor_m=anchor_m, length_m=placement.length_m)
+
+    def _terms(self, body: str, motor: MotorSpec | None) -> dict[str, Any]:
+        """Return `dynamics` and `motor` of the hinge whose constants a body states."""
+        try:
+            return hinge_terms(self.constants.get(self.spec_name(body), {}), motor)
+        except ValueError as error:
+            raise TaskFileError(self.path, f"constants.{body}", str(error)) from None
 
     def _contacts(self, names: Sequence[str]) -> Iterator[Contact]:
         for contact in self.contacts:

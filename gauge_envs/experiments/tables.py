@@ -1,20 +1,23 @@
-"""Tables that task files and experiment files share: shapes and drivers.
+"""Tables that task files and experiment files share: shapes, drivers and terms of joints.
 
-A shape is read as the scene's own class. A profile has a class here, as files state angles in degrees.
+A shape is read as the scene's own class. A profile of a driver has a class here, as files state angles in degrees.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
 
 from gauge_envs.references.tables import FileModel, UnitVector
-from gauge_envs.scene import Box, ConvexUnion, Cylinder, Plane, Pose, Sphere
-from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, Profile, SampledProfile, TrapezoidProfile
+from gauge_envs.scene import Box, ConvexUnion, Cylinder, JointDynamics, Plane, Pose, Sphere
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
+from gauge_envs.scene.motors import Servo, TorqueMotor
+from gauge_envs.scene.profiles import CosineProfile, Profile, SampledProfile, TrapezoidProfile
 
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -207,3 +210,49 @@ class DriverSpec(FileModel):
     def build(self, body: str, start: Pose, provenance: str) -> Driver:
         """Return the driver of a body that starts at a pose."""
         return Driver(body=body, motions=tuple(one.build(start) for one in self.motions), provenance=provenance)
+
+
+JOINT_DYNAMICS = JointDynamics.__dataclass_fields__.keys()
+
+
+class JointConstants(FileModel):
+    """Constants of a hinge and its motor, as in `scene.JointDynamics`, `scene.motors.Servo` and `TorqueMotor`."""
+
+    dry_friction_n_m: NonNegative | None = None
+    viscous_friction_n_m_s_per_rad: NonNegative | None = None
+    armature_kg_m2: NonNegative | None = None
+    kp_n_m_per_rad: Positive | None = None
+    kv_n_m_s_per_rad: NonNegative | None = None
+    torque_limit_n_m: Positive | None = None
+    delay_s: NonNegative | None = None
+
+
+class MotorSpec(FileModel):
+    """Motor of a hinge, which states its gains, limit and delay beside it.
+
+    Attributes:
+        kind: Position servo or torque motor.
+        command: Angle from the start [rad] or torque [N m] over time; without it 0.
+    """
+
+    kind: Literal["servo", "torque"]
+    command: Profile = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
+
+
+def hinge_terms(constants: Mapping[str, float | None], motor: MotorSpec | None) -> dict[str, Any]:
+    """Return the fields `dynamics` and `motor` of a hinge, from its constants and others, which do not count."""
+    stated: dict[str, Any] = {
+        name: value for name in JointConstants.model_fields if (value := constants.get(name)) is not None
+    }
+    terms: dict[str, Any] = {
+        "dynamics": JointDynamics(**{name: stated.pop(name) for name in JOINT_DYNAMICS & stated.keys()})
+    }
+    if motor is not None:
+        kind = Servo if motor.kind == "servo" else TorqueMotor
+        if kind is Servo and "kp_n_m_per_rad" not in stated:
+            raise ValueError("a servo needs the constant kp_n_m_per_rad")
+        own = {name: stated.pop(name) for name in kind.__dataclass_fields__.keys() & stated.keys()}
+        terms["motor"] = kind(command=motor.command, **own)
+    if stated:
+        raise ValueError(f"{min(stated)}: the hinge has no motor with that constant; state its motor, or remove it")
+    return terms

@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction
+from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import outside_reason, toml_document
@@ -26,7 +26,7 @@ from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
-from gauge_envs.scene import Contact, ContactMode, Markers, Motion, Scene
+from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
@@ -42,6 +42,13 @@ class PairSpec(FileModel):
     friction: NonNegative | None = None
     restitution: Fraction | None = None
     mode: ContactMode | None = None
+
+
+class FileHingeSpec(JointConstants):
+    """Terms of the hinge to the world of a body, or of one between bodies whose second body it is."""
+
+    body: str
+    motor: MotorSpec | None = None
 
 
 class FileMarkersSpec(MarkersSpec):
@@ -94,6 +101,7 @@ class ExperimentFile(FileModel):
         recorded: Bodies whose positions are observed, by prim path or name; empty if markers are observed.
         markers: Markers on deformable bodies that replace those of the layer.
         contacts: Constants of single pairs.
+        joints: Friction, armature and motors of hinges, which replace those of the layer.
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
@@ -111,6 +119,7 @@ class ExperimentFile(FileModel):
     recorded: tuple[str, ...] = ()
     markers: FileMarkersSpec | None = None
     contacts: tuple[PairSpec, ...] = ()
+    joints: tuple[FileHingeSpec, ...] = ()
     drivers: tuple[DriverSpec, ...] = ()
     band: FileBandSpec | None = None
     baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
@@ -247,6 +256,8 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
         scene = _with_pair(path, f"contacts.{index}", scene, names, pair)
+    for index, spec in enumerate(definition.joints):
+        scene = _with_terms(path, f"joints.{index}", scene, names(f"joints.{index}.body", spec.body), spec)
     scene = replace(scene, drivers=(*scene.drivers, *_drivers(path, names, scene, definition.drivers)))
     if definition.markers is not None:
         scene = replace(scene, markers=_markers(path, layer, names, definition.markers))
@@ -307,6 +318,24 @@ def _with_pair(path: Path, key: str, scene: Scene, names: Names, pair: PairSpec)
     if not found:
         raise AssetError(path, f"{key}.bodies", f"{' and '.join(sorted(wanted))} do not collide in the USD layer")
     return replace(scene, contacts=tuple(contacts))
+
+
+def _with_terms(path: Path, key: str, scene: Scene, body: str, spec: FileHingeSpec) -> Scene:
+    """Return the scene with the terms of the hinge that turns a body."""
+    turned = [hinge for hinge in scene.hinges if body == (hinge.body if isinstance(hinge, Hinge) else hinge.second)]
+    if len(turned) != 1:
+        raise AssetError(
+            path, f"{key}.body", f"{body} is the body, or the second one, of {len(turned)} hinges, not one"
+        )
+    try:
+        terms: dict[str, Any] = {"motor": None} | hinge_terms(spec.model_dump(exclude={"body", "motor"}), spec.motor)
+    except ValueError as error:
+        raise TaskFileError(path, key, str(error)) from None
+    return replace(
+        scene,
+        joints=tuple(replace(one, **terms) if one is turned[0] else one for one in scene.joints),
+        body_hinges=tuple(replace(one, **terms) if one is turned[0] else one for one in scene.body_hinges),
+    )
 
 
 def _drivers(path: Path, names: Names, scene: Scene, specs: Sequence[DriverSpec]) -> list[Driver]:

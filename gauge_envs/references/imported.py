@@ -31,8 +31,9 @@ from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, read_content
 from gauge_envs.references.user_data import trials_folder
-from gauge_envs.scene.drivers import Driver, SampledProfile
+from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 MOST_RECORD_BYTES = 8 * MEGABYTE

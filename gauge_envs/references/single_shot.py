@@ -2,7 +2,8 @@
 
 A variant beyond the benchmark may have `scoring/single_shot/<variant>.npz` with the recordings and a sidecar
 `<variant>.toml` with their source and nuisances. `scoring/README.md` describes both files. The recordings are corrected
-by the nuisances when they are read. Bodies that hang on the recorded body by hinges are recorded by their angles.
+by the nuisances when they are read. Bodies that hang on the recorded body, or on the world, by hinges are recorded by
+their angles, and their motors by their commands.
 """
 
 from __future__ import annotations
@@ -23,9 +24,13 @@ from gauge_envs.references.bands import Band, SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, UnitVector, faults_of, read_content, read_toml, scoring_folder
 from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive, Vector
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 Half = Literal["fit", "judge"]
+
+WORLD = "world"
+"""What a chain of hung bodies hangs on where no body is recorded by its pose."""
 
 QUATERNION_UNIT = 1.0 / 32767.0
 """Value of one count of a stored quaternion."""
@@ -74,7 +79,7 @@ class HungBody(FileModel):
 
     Attributes:
         body: Name of the body.
-        on: Name of the body that it hangs on: the recorded body, or one that is listed before.
+        on: What it hangs on: the recorded body or the world, or a body that is listed before.
         anchor_on_m: Point of the axis in the frame of the other body [m].
         anchor_m: The same point in the frame of this body [m].
         axis: Direction about which a positive angle turns this body, in both frames.
@@ -103,42 +108,60 @@ class ShotSidecar(FileModel):
     """What is known about the recordings of a variant.
 
     Attributes:
-        body: Name of the recorded body.
+        body: Name of the body that is recorded by its pose; `world` if all bodies hang on the world.
         trial_count: Number of trials.
-        rate_hz: Frames a second of the recordings.
-        position_unit_m: Value of one count of a stored position.
+        trials: Names of the trials in the source, if they have any.
+        rate_hz: Frames a second of the recordings; None on the world, where each trial has an interval.
+        position_unit_m: Value of one count of a stored position; None on the world.
+        angle_unit_rad: Value of one count of a stored angle [rad].
+        command: Whether a command is an angle or a torque; None without motors.
+        command_unit: Value of one count of a command of a motor [rad or N m]; None without motors.
+        position_noise_m: Standard deviation of a position that follows from the angles [m]; on the world only.
         fit: Rule of the half that constants and nuisances may be fitted on; the other half judges.
         source: Where the recordings are from, one sentence.
         source_sha256: Hash of the file that the script has read.
         licence: File in the same folder with the licence of the recordings.
-        nuisances: Errors of the recordings.
-        hung: Bodies that hang on the recorded body, in the order of the recorded angles.
+        nuisances: Errors of the recordings; None on the world.
+        hung: Bodies that hang on the recorded body or the world, in the order of the recorded angles.
         copies: Trials that repeat an earlier one.
     """
 
     body: str
     trial_count: PositiveInt
-    rate_hz: Positive
-    position_unit_m: Positive
+    trials: tuple[str, ...] = ()
+    rate_hz: Positive | None = None
+    position_unit_m: Positive | None = None
+    angle_unit_rad: Positive = ANGLE_UNIT_RAD
+    command: Literal["angle", "torque"] | None = None
+    command_unit: Positive | None = None
+    position_noise_m: Positive | None = None
     fit: Literal["even"]
     source: str
     source_sha256: str = Field(pattern="^[0-9a-f]{64}$")
     licence: str
-    nuisances: ShotNuisances
+    nuisances: ShotNuisances | None = None
     hung: tuple[HungBody, ...] = ()
     copies: tuple[CopiedTrial, ...] = ()
 
     @property
     def bodies(self) -> tuple[str, ...]:
         """Names of all recorded bodies."""
-        return (self.body, *(one.body for one in self.hung))
+        posed = () if self.body == WORLD else (self.body,)
+        return (*posed, *(one.body for one in self.hung))
 
     @model_validator(mode="after")
     def _order(self) -> ShotSidecar:
         for place, one in enumerate(self.hung):
-            known = self.bodies[: place + 1]
+            known = (self.body, *(earlier.body for earlier in self.hung[:place]))
             if one.on not in known or one.body in known:
                 raise ValueError(f"hung.{place}: a new body on one of {', '.join(known)} is expected")
+        posed = (self.rate_hz, self.position_unit_m, self.nuisances)
+        if self.body == WORLD and (any(posed) or not self.position_noise_m or not self.hung):
+            raise ValueError("on the world: state position_noise_m and hung bodies, and nothing of poses")
+        if self.nuisances is None:
+            return self
+        if not all(posed):
+            raise ValueError("rate_hz, position_unit_m and nuisances go together")
         errors = (self.nuisances.angle_noise_deg, self.nuisances.start_angle_rate_std_rad_per_s)
         if any((error is None) == bool(self.hung) for error in errors):
             raise ValueError("nuisances: errors of angles go together with hung bodies")
@@ -162,6 +185,12 @@ ARRAYS: dict[str, tuple[int | str, ...]] = {
     "start_angular_velocity_body": ("N", 3),
 }
 """Arrays of a file of N recordings with T frames in all; `first` are the first rows of each, and T."""
+
+WORLD_ARRAYS: dict[str, tuple[int | str, ...]] = {"first": ("N+1",), "interval_s": ("N",)}
+"""Arrays instead, where all bodies hang on the world; the intervals are those between the frames of each trial [s]."""
+
+COMMAND_ARRAYS: dict[str, tuple[int | str, ...]] = {"command": ("T", "H")}
+"""Array in addition, where motors turn the hung bodies; a command is that of the interval after its frame."""
 
 ANGLE_ARRAYS: dict[str, tuple[int | str, ...]] = {"angle": ("T", "H"), "start_angle_rate": ("N", "H")}
 """Arrays in addition, where H bodies hang on the recorded one."""
@@ -258,10 +287,10 @@ class SingleShots:
 
         Args:
             trial: Number of the trial.
-            body: Name of the body; None for the one that is recorded by its pose.
+            body: Name of the body; None for the first one.
         """
-        hung = self.sidecar.hung
-        if body is not None and body not in self.sidecar.bodies:
+        hung, body = self.sidecar.hung, body or self.sidecar.bodies[0]
+        if body not in (WORLD, *self.sidecar.bodies):
             known = ", ".join(self.sidecar.bodies)
             raise ParameterError(f"GAUGE/{self.variant}: {body!r} is not recorded; recorded are: {known}")
         place = next((place for place, one in enumerate(hung) if one.body == body), None)
@@ -274,6 +303,11 @@ class SingleShots:
             raise ParameterError(f"GAUGE/{self.variant}: trial {trial} does not exist: choose 0 to {len(self) - 1}")
         data, nuisances = self.arrays, self.sidecar.nuisances
         rows = slice(*(int(row) for row in data["first"][trial : trial + 2]))
+        if nuisances is None or self.sidecar.position_unit_m is None or self.sidecar.rate_hz is None:
+            times_s = data["interval_s"][trial] * np.arange(rows.stop - rows.start)
+            still = np.zeros(3)
+            upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(times_s), 1))
+            return SingleShot(WORLD, trial, trial, times_s, np.zeros((len(times_s), 3)), upright, still, still)
         positions_m = self.sidecar.position_unit_m * nuisances.length_scale * data["position"][rows].astype(np.float64)
         positions_m[:, 2] += nuisances.height_offset_m
         quaternions = QUATERNION_UNIT * data["quaternion"][rows].astype(np.float64)
@@ -295,7 +329,7 @@ class SingleShots:
         """Return the trial of a body that hangs on another one."""
         hung, trial = self.sidecar.hung[place], on.trial
         rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
-        angles_rad = ANGLE_UNIT_RAD * self.arrays["angle"][rows, place].astype(np.float64)
+        angles_rad = self.sidecar.angle_unit_rad * self.arrays["angle"][rows, place].astype(np.float64)
         carrier = on.rotations
         rotations = carrier * Rotation.from_rotvec(np.outer(angles_rad, hung.axis))
         arms_m, offsets_m = carrier.apply(hung.anchor_on_m), rotations.apply(hung.anchor_m)
@@ -311,6 +345,19 @@ class SingleShots:
             angular_velocity_rad_per_s=angular,
         )
 
+    def commands(self, trial: int) -> dict[str, SampledProfile]:
+        """Return what the motors of a trial follow, by the body that each turns: torques, or angles from the start."""
+        unit, shot = self.sidecar.command_unit, self.shot(trial)
+        if unit is None:
+            return {}
+        rows = slice(*(int(row) for row in self.arrays["first"][trial : trial + 2]))
+        values = unit * self.arrays["command"][rows].astype(np.float64)
+        if self.sidecar.command == "angle":
+            values -= self.sidecar.angle_unit_rad * self.arrays["angle"][rows.start]
+        middles_s = tuple((shot.times_s + 0.5 * shot.times_s[1]).tolist())
+        columns = zip(self.sidecar.hung, values.T, strict=True)
+        return {one.body: SampledProfile(times_s=middles_s, values=tuple(column.tolist())) for one, column in columns}
+
     def band(self, trial: int, frame_count: int) -> Band:
         """Return the band of one trial: positions of all bodies at the frames, and the uncertainty of measuring them.
 
@@ -322,7 +369,9 @@ class SingleShots:
         shots = [self.shot(trial, body) for body in bodies]
         times_s = np.arange(frame_count) / FRAME_RATE_HZ
         mean = 1e3 * np.concatenate([shot.poses_at(times_s)[0] for shot in shots], axis=1)
-        sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
+        sigma = 1e3 * (self.sidecar.position_noise_m or 0.0)
+        if nuisances is not None:
+            sigma = 1e3 * float(np.hypot(nuisances.position_noise_m, nuisances.rest_height_std_m))
         repeats = f" (the same recording as trial {self.copies[trial]})" if trial in self.copies else ""
         return Band(
             grade=BandGrade.TRIALS,
@@ -350,11 +399,13 @@ def _read(file: Path, variant: str) -> SingleShots | None:
     if not file.is_file():
         return None
     sidecar = read_toml(file.with_suffix(".toml"), ShotSidecar)
-    expected_shapes = ARRAYS | ANGLE_ARRAYS if sidecar.hung else ARRAYS
+    expected_shapes = WORLD_ARRAYS if sidecar.body == WORLD else ARRAYS
+    expected_shapes = expected_shapes | ANGLE_ARRAYS if sidecar.hung else expected_shapes
+    expected_shapes = expected_shapes | COMMAND_ARRAYS if sidecar.command_unit else expected_shapes
     with faults_of(file):
         arrays = npz_arrays(read_content(file, MOST_BYTES), expected_shapes, MOST_BYTES)
     shapes = {name: array.shape for name, array in arrays.items()}
-    count, frames = sidecar.trial_count, len(arrays.get("position", ()))
+    count, frames = sidecar.trial_count, len(arrays.get("angle", arrays.get("position", ())))
     counts = {"N": count, "N+1": count + 1, "T": frames, "H": len(sidecar.hung)}
     expected = {
         name: tuple(entry if isinstance(entry, int) else counts[entry] for entry in shape)

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
 from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
+from gauge_envs.scene.motors import Motor
 
 
 class Motion(StrEnum):
@@ -126,31 +127,61 @@ class Rod:
 
 
 @dataclass(frozen=True, kw_only=True)
+class JointDynamics:
+    """Friction of a joint and inertia of its drive; a joint without any turns freely.
+
+    Attributes:
+        dry_friction_n_m: Coulomb torque [N m]: opposes the rotation, and holds the joint against less than it.
+        viscous_friction_n_m_s_per_rad: Torque per rate that opposes the rotation [N m s/rad].
+        armature_kg_m2: Inertia of a rotor, times its gear ratio squared, which turns with the joint [kg m^2].
+    """
+
+    dry_friction_n_m: NonNegative = 0.0
+    viscous_friction_n_m_s_per_rad: NonNegative = 0.0
+    armature_kg_m2: NonNegative = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Hinge:
-    """Frictionless joint with which a body rotates about a world axis through a world point."""
+    """Joint with which a body rotates about a world axis through a world point.
+
+    Attributes:
+        body: Name of a dynamic body.
+        anchor_m: World position of a point of the axis [m].
+        axis: World direction of the axis, a unit vector. A positive angle rotates the body about it.
+        dynamics: Friction and inertia of the joint.
+        motor: Motor of the joint, if any.
+    """
 
     body: str
     anchor_m: Vector
     axis: Vector
+    # Hashes of scenes whose joints have none stay.
+    dynamics: JointDynamics = field(default=JointDynamics(), repr=False)
+    motor: Motor | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class BodyHinge:
-    """Frictionless joint with which two dynamic bodies rotate about a common axis, relative to each other.
+    """Joint with which two dynamic bodies rotate about a common axis, relative to each other.
 
-    The two bodies do not collide with each other.
+    The two bodies do not collide with each other. One body of those that hinges join may have a `Hinge` to the world.
 
     Attributes:
         first: Name of a dynamic body.
         second: Name of the other one. A positive angle of the hinge rotates it about the axis, relative to the first.
         anchor_m: World position of a point of the axis at the start [m]; it is fixed in both bodies.
         axis: World direction of the axis at the start, a unit vector; it is fixed in both bodies.
+        dynamics: Friction and inertia of the joint.
+        motor: Motor of the joint, if any.
     """
 
     first: str
     second: str
     anchor_m: Vector
     axis: Vector
+    dynamics: JointDynamics = field(default=JointDynamics(), repr=False)
+    motor: Motor | None = field(default=None, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)

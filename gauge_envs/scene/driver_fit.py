@@ -11,8 +11,9 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ShapeError
-from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Pose, Vector, pose_distance, vector
+from gauge_envs.scene.profiles import SampledProfile
 
 SAME_POSE = 1e-9
 """Largest distance between sampled poses and those of the fitted motions [m, rad]."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.scene.bodies import BodyHinge, Motion, RigidBody
+from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
 
 UNIT = 1e-6
@@ -96,14 +97,20 @@ def hinge_angle_rad(frames: HingeFrames, first: Rotation, second: Rotation) -> F
     return np.asarray((angle + np.pi) % (2.0 * np.pi) - np.pi)
 
 
-def parent_hinges(hinges: Iterable[BodyHinge]) -> dict[str, BodyHinge]:
+def parent_hinges(hinges: Iterable[BodyHinge], hung: Collection[str] = ()) -> dict[str, BodyHinge]:
     """Return the hinge through which each body hangs on another one in its tree, by the name of the body.
 
-    The root of a tree is the first body of its first hinge, in the order of the scene.
+    The root of a tree is its body on a hinge to the world, or the first body of its first hinge, in the order of the
+    scene.
+
+    Args:
+        hinges: Hinges between bodies.
+        hung: Names of the bodies on hinges to the world.
     """
     parents: dict[str, BodyHinge] = {}
     for tree in hinge_trees(hinges):
-        reached = {tree[0].first}
+        members = [name for hinge in tree for name in (hinge.first, hinge.second)]
+        reached = {next((name for name in members if name in hung), members[0])}
         waiting = list(tree)
         while waiting:
             hinge = next(one for one in waiting if {one.first, one.second} & reached)
@@ -136,13 +143,16 @@ def hinge_trees(hinges: Iterable[BodyHinge]) -> list[tuple[BodyHinge, ...]]:
     return [tuple(group) for group in groups]
 
 
-def hinge_fault(hinges: Iterable[BodyHinge], bodies: Mapping[str, RigidBody], held: Collection[str]) -> str | None:
+def hinge_fault(
+    hinges: Iterable[BodyHinge], bodies: Mapping[str, RigidBody], held: Collection[str], hung: Collection[str]
+) -> str | None:
     """Return what is wrong with the hinges between bodies of a scene, and what would be right; None if nothing is.
 
     Args:
         hinges: The hinges.
         bodies: Rigid bodies of the scene, by name.
-        held: Names of bodies that have a joint to the world or are attached to a deformable body.
+        held: Names of bodies that are on a string or attached to a deformable body.
+        hung: Names of the bodies on hinges to the world, one for each hinge.
     """
     group: dict[str, str] = {}
     for hinge in hinges:
@@ -154,7 +164,7 @@ def hinge_fault(hinges: Iterable[BodyHinge], bodies: Mapping[str, RigidBody], he
                 motion = bodies[name].motion.value
                 return f"{title}: {name!r} is {motion}. Join dynamic bodies, or use a Hinge to the world"
             if name in held:
-                return f"{title}: {name!r} has a joint to the world or an attachment as well: remove one of them"
+                return f"{title}: {name!r} has a string or an attachment as well: remove one of them"
         length = float(np.linalg.norm(hinge.axis))
         if not abs(length - 1.0) <= UNIT:
             return f"{title}: its axis {hinge.axis} is not a unit vector: normalize it"
@@ -165,7 +175,22 @@ def hinge_fault(hinges: Iterable[BodyHinge], bodies: Mapping[str, RigidBody], he
         torn = _torn(hinge, bodies[hinge.first], bodies[hinge.second])
         if torn is not None:
             return f"{title}: {torn}"
+    roots = [_root(group, name) for name in hung]
+    twice = next((name for name, root in zip(hung, roots, strict=True) if roots.count(root) > 1), None)
+    if twice is not None:
+        return f"{twice!r} and bodies that hinges join to it have two hinges to the world: remove one of them"
     return None
+
+
+def joint_sign(hinge: Hinge | BodyHinge, child: str) -> float:
+    """Return 1 where the angle of a hinge turns a body relative to what it hangs on, and -1 where the other way."""
+    return -1.0 if isinstance(hinge, BodyHinge) and child == hinge.first else 1.0
+
+
+def joint_fields(joint: Hinge | BodyHinge | Tether) -> dict[str, Any]:
+    """Return the fields of a joint, without friction, armature and motor if it has none."""
+    without = {"dynamics": asdict(JointDynamics()), "motor": None}
+    return {name: value for name, value in asdict(joint).items() if name not in without or value != without[name]}
 
 
 def _root(group: Mapping[str, str], name: str) -> str:

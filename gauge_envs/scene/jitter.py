@@ -81,7 +81,7 @@ def jittered(scene: Scene, jitter: Jitter, *, seed: int) -> Scene:
     hinges = {joint.body: joint for joint in scene.joints if isinstance(joint, Hinge)}
     tethers = {joint.body: joint for joint in scene.joints if isinstance(joint, Tether)}
     attached = {attachment.deformable for attachment in scene.attachments} | {a.to for a in scene.attachments}
-    groups = _Groups(scene, {*attached, *parent_hinges(scene.body_hinges)}, {*hinges, *tethers}, jitter)
+    groups = _Groups(scene, {*attached, *parent_hinges(scene.body_hinges, scene.hung)}, {*hinges, *tethers}, jitter)
     moved = 0
     bodies: list[RigidBody] = []
     for body in scene.bodies:
@@ -121,7 +121,7 @@ def _joined(bodies: Sequence[RigidBody], scene: Scene) -> tuple[tuple[RigidBody,
     """Return the bodies and the hinges between them after both have moved with the roots of their trees."""
     now = {body.name: body for body in bodies}
     roots: dict[str, str] = {}
-    for name, hinge in parent_hinges(scene.body_hinges).items():
+    for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items():
         parent = other_end(hinge, name)
         roots[name] = roots.get(parent, parent)
         now[name] = moved_along(scene.body(name), scene.body(roots[name]), now[roots[name]])

@@ -36,6 +36,7 @@ from gauge_envs.scene.meshes import body_mass_properties
 
 if TYPE_CHECKING:
     from gauge_envs.scene.drivers import Driver
+    from gauge_envs.scene.motors import Motor
 
 
 GRAVITY_M_PER_S2 = 9.80665
@@ -69,7 +70,8 @@ class Scene:
         ParameterError: A start velocity is not finite, belongs to a body that is not dynamic or is attached to a
             deformable body, or does not rotate a hinged body about its hinge.
         ParameterError: A hinge joins bodies that are unknown or not dynamic, closes a loop, has no unit axis, or joins
-            a body that has a joint to the world or an attachment; or its bodies start with velocities that tear it.
+            a body that has a string or an attachment; its bodies start with velocities that tear it, or hang on the
+            world by two hinges.
         ParameterError: A contact lists the two bodies of a hinge.
         ParameterError: Two contacts list the same pair.
         ParameterError: There is air and no cloth.
@@ -97,10 +99,26 @@ class Scene:
             if not body.starts_at_rest:
                 self._check_start_velocity(body)
         if self.body_hinges:
-            held = {joint.body for joint in self.joints} | {attachment.to for attachment in self.attachments}
-            fault = hinge_fault(self.body_hinges, self._by_name, held)
+            held = {joint.body for joint in self.joints if isinstance(joint, Tether)}
+            held |= {attachment.to for attachment in self.attachments}
+            fault = hinge_fault(self.body_hinges, self._by_name, held, self.hung)
             if fault is not None:
                 raise ParameterError(fault)
+
+    @property
+    def hung(self) -> list[str]:
+        """Names of the bodies on hinges to the world, one for each hinge."""
+        return [joint.body for joint in self.joints if isinstance(joint, Hinge)]
+
+    @property
+    def hinges(self) -> list[Hinge | BodyHinge]:
+        """All hinges: those to the world first, in the order of the scene."""
+        return [*(joint for joint in self.joints if isinstance(joint, Hinge)), *self.body_hinges]
+
+    @cached_property
+    def motors(self) -> tuple[tuple[Hinge | BodyHinge, Motor], ...]:
+        """Hinges that have a motor, with it, in the order of `hinges`."""
+        return tuple((hinge, hinge.motor) for hinge in self.hinges if hinge.motor is not None)
 
     def _check_start_velocity(self, body: RigidBody) -> None:
         linear, angular = np.array(body.linear_velocity_m_per_s), np.array(body.angular_velocity_rad_per_s)

@@ -67,7 +67,7 @@ ENGINES = (
     Engine(
         name="pybullet",
         module="pybullet",
-        lacks=("cloth", "air", "rod"),
+        lacks=("cloth", "air", "rod", "joint-armature"),
         long=(
             *LONG,
             *("restore-*", "reset-*", "copy", "swing-*", "foam-*"),

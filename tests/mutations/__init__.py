@@ -12,6 +12,7 @@ have them. Faults that only an engine itself can have, such as a wrong inertia, 
 
 from mutations import (
     deformable_scenes,
+    joint_scenes,
     mujoco_model,
     reports,
     rigid_scenes,
@@ -28,6 +29,7 @@ FAULTS: dict[str, Fault] = {
     **stepping.FAULTS,
     **wrenches.FAULTS,
     **mujoco_model.FAULTS,
+    **joint_scenes.FAULTS,
     **deformable_scenes.FAULTS,
 }
 """Faults by id: those of rigid scenes first, those of deformable scenes last."""

@@ -69,7 +69,7 @@ def _hanging(change: Callable[[Any, str], None]) -> Callable[[Any, Scene], None]
     """Return a change of the bodies that hang on other bodies in MuJoCo's model, which gets each of their names."""
 
     def change_all(model: Any, scene: Scene) -> None:
-        for name in parent_hinges(scene.body_hinges):
+        for name in parent_hinges(scene.body_hinges, scene.hung):
             change(model, name)
 
     return change_all
@@ -98,7 +98,7 @@ class _HangingWeightless(Passed):
 
     def reset(self, seed: int) -> None:
         super().reset(seed)
-        for name in parent_hinges(self.scene.body_hinges):
+        for name in parent_hinges(self.scene.body_hinges, self.scene.hung):
             weight = self.scene.body(name).mass_kg * self.scene.gravity_m_per_s2
             self.inner.apply_wrench(name, np.array([0.0, 0.0, weight, 0.0, 0.0, 0.0]))
 
@@ -108,7 +108,7 @@ class _HingeBackwards(Passed):
 
     def reset(self, seed: int) -> None:
         super().reset(seed)
-        for name in parent_hinges(self.scene.body_hinges):
+        for name in parent_hinges(self.scene.body_hinges, self.scene.hung):
             self.inner.data.qvel[self.inner.model.joint(name).dofadr[0]] *= -1.0
 
 

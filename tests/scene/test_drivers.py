@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from gauge_envs.scene import Pose
-from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 
 
 def profiles() -> list:

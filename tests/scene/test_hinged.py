@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
-from gauge_envs.scene import BodyHinge, Box, Contact, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import BodyHinge, Box, Contact, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames, hinge_trees, parent_hinges
@@ -27,6 +27,11 @@ def hinge(first: str, second: str, x: float, axis: tuple[float, float, float] = 
     return BodyHinge(first=first, second=second, anchor_m=(x, 0.0, 0.5), axis=axis)
 
 
+def wall(body: str) -> Hinge:
+    dynamics = JointDynamics(dry_friction_n_m=0.01)
+    return Hinge(body=body, anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0), dynamics=dynamics)
+
+
 PAIR = Scene(bodies=(block("a", 0.0), block("b", 0.12)), body_hinges=(hinge("a", "b", 0.06),), duration_s=1.0)
 
 
@@ -38,7 +43,8 @@ PAIR = Scene(bodies=(block("a", 0.0), block("b", 0.12)), body_hinges=(hinge("a",
         ({"body_hinges": (hinge("a", "a", 0.06),)}, "closes a loop"),
         ({"body_hinges": (hinge("a", "b", 0.06), hinge("b", "a", 0.06))}, "closes a loop"),
         ({"bodies": (block("a", 0.0), block("b", 0.12, motion=Motion.FIXED))}, "'b' is fixed"),
-        ({"joints": (Hinge(body="a", anchor_m=(0.0, 0.0, 1.0), axis=(0.0, 1.0, 0.0)),)}, "joint to the world"),
+        ({"joints": (Tether(body="a", anchor_m=(0.0, 0.0, 1.0), length_m=0.5),)}, "has a string or an attachment"),
+        ({"joints": (wall("a"), wall("b"))}, "two hinges to the world"),
         (
             {"contacts": (Contact(first=("a",), second=("b",), friction=0.3, restitution=0.0),)},
             "remove the pair from the contact",
@@ -124,3 +130,16 @@ def test_random_starts_keep_the_hinge_closed() -> None:
         assert gap_m(scene) < 1e-12
         assert scene.body("a").pose != PAIR.body("a").pose
         assert not scene.body("b").starts_at_rest
+
+
+def test_random_starts_of_a_chain_swing_it_about_its_hinge_to_the_world() -> None:
+    chain = replace(PAIR, joints=(wall("b"),))
+    for seed in range(5):
+        scene = jittered(chain, Jitter(angular_velocity_rad_per_s=0.5), seed=seed)
+        assert scene.joints == chain.joints
+        assert gap_m(scene) < 1e-12
+        turns = [scene.body(name).pose.rotation.as_rotvec() for name in "ab"]
+        np.testing.assert_allclose(turns[0], turns[1], atol=1e-12)
+        assert np.linalg.norm(np.cross(turns[0], (0.0, 1.0, 0.0))) < 1e-12 < np.linalg.norm(turns[0])
+        before, after = (one.body("b").pose.to_body(np.array([0.0, 0.0, 1.0])) for one in (chain, scene))
+        np.testing.assert_allclose(after, before, atol=1e-12)

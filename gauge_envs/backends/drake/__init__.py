@@ -8,7 +8,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.drake.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
 from gauge_envs.scene import Scene
@@ -37,8 +37,9 @@ class BackendDrake(BundledBackend):
     corrections = (
         "the dissipation of a contact is derived from the restitution, of which Drake has no coefficient",
         "a string is a spring that this package computes",
+        "dry friction of a joint is an actuator that brakes with a largest torque",
     )
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""

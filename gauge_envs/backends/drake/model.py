@@ -19,7 +19,13 @@ from pydrake.multibody.plant import (
     CoulombFriction,
     DiscreteContactApproximation,
 )
-from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, RotationalInertia, SpatialInertia
+from pydrake.multibody.tree import (
+    FixedOffsetFrame,
+    PdControllerGains,
+    RevoluteJoint,
+    RotationalInertia,
+    SpatialInertia,
+)
 from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull
@@ -27,7 +33,7 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.shared.rigid import hinges_by_body
-from gauge_envs.errors import ParameterError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
     Box,
@@ -43,8 +49,9 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.hinged import other_end, start_rate_rad_per_s
+from gauge_envs.scene.hinged import joint_sign, other_end, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.scene.motors import Servo
 
 APPROXIMATIONS = {"tamsi": "kTamsi", "sap": "kSap", "similar": "kSimilar", "lagged": "kLagged"}
 SURFACES = {
@@ -60,6 +67,9 @@ CORNER_RADIUS_M = 1e-6
 
 POINTS_PER_FACE = 5
 """Contact points of a face in point contact, which share its stiffness: four corners and one of the whole shape."""
+
+BRAKE_RATE_RAD_PER_S = 1e-5
+"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
 
 UNMOVED_KG = 1e9
 """Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
@@ -77,12 +87,16 @@ class Model:
         diagram: The diagram of plant and scene graph.
         plant: The multibody plant.
         bodies: Drake's body of each dynamic or driven body, by name.
+        free: Drake's instance of the bodies that move freely or on hinges.
+        motors: Drake's actuator of each motor of the scene, with the sign of its joint.
         start: Discrete state at the start: positions, then velocities.
     """
 
     diagram: Any
     plant: Any
     bodies: dict[str, Any]
+    free: Any
+    motors: list[tuple[Any, float]]
     start: NDArray[np.float64]
 
 
@@ -121,13 +135,22 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
             inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m))
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
     hinges = hinges_by_body(scene)
-    for name, hinge in hinges.items():
-        _add_hinge(plant, scene, bodies, name, hinge)
+    actuators = {id(hinge): _add_hinge(plant, scene, bodies, name, hinge) for name, hinge in hinges.items()}
+    if settings.approximation == "tamsi" and any(
+        plant.get_joint_actuator(index).has_controller() for index in plant.GetJointActuatorIndices()
+    ):
+        raise UnsupportedSceneError(
+            "Drake's approximation 'tamsi' leaves out controllers of joints, which are servos and dry friction here: "
+            "choose another preset"
+        )
     geometries = _add_geometries(plant, scene, bodies, settings)
     plant.Finalize()
     _filter(scene_graph, scene, geometries)
     diagram = builder.Build()
-    return Model(diagram=diagram, plant=plant, bodies=bodies, start=_start(plant, scene, bodies, hinges))
+    signs = {id(hinge): joint_sign(hinge, name) for name, hinge in hinges.items()}
+    motors = [(actuators[id(hinge)], signs[id(hinge)]) for hinge, _ in scene.motors]
+    start = _start(plant, scene, bodies, hinges)
+    return Model(diagram=diagram, plant=plant, bodies=bodies, free=free, motors=motors, start=start)
 
 
 def _approximation(name: str) -> DiscreteContactApproximation:
@@ -140,8 +163,11 @@ def _approximation(name: str) -> DiscreteContactApproximation:
     return getattr(DiscreteContactApproximation, known[name])
 
 
-def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hinge: Hinge | BodyHinge) -> None:
-    """Add a frictionless hinge of a body, about the z axes of two frames at its anchor."""
+def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hinge: Hinge | BodyHinge) -> Any:
+    """Add the hinge of a body, about the z axes of two frames at its anchor, and return the actuator of its motor.
+
+    Dry friction is an actuator that brakes, and whose largest torque is the friction.
+    """
     anchor = RigidTransform(RotationMatrix.MakeFromOneVector(np.asarray(hinge.axis), 2), np.asarray(hinge.anchor_m))
     parent = other_end(hinge, name) if isinstance(hinge, BodyHinge) else None
     frames = []
@@ -149,9 +175,22 @@ def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hing
         place = anchor if one is None else rigid_transform(scene.body(one).pose).inverse() @ anchor
         holder = plant.world_body() if one is None else bodies[one]
         frames.append(plant.AddFrame(FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)))
-    plant.AddJoint(
-        RevoluteJoint(name=name, frame_on_parent=frames[0], frame_on_child=frames[1], axis=[0, 0, 1], damping=0.0)
+    damping = hinge.dynamics.viscous_friction_n_m_s_per_rad
+    joint = plant.AddJoint(
+        RevoluteJoint(name=name, frame_on_parent=frames[0], frame_on_child=frames[1], axis=[0, 0, 1], damping=damping)
     )
+    dry, armature, motor = hinge.dynamics.dry_friction_n_m, hinge.dynamics.armature_kg_m2, hinge.motor
+    if dry:
+        brake = plant.AddJointActuator(f"{name}/brake", joint, dry)
+        brake.set_controller_gains(PdControllerGains(p=0.0, d=dry / BRAKE_RATE_RAD_PER_S))
+    if not armature and motor is None:
+        return None
+    actuator = plant.AddJointActuator(name, joint)
+    actuator.set_default_rotor_inertia(armature)
+    if isinstance(motor, Servo):
+        actuator.set_controller_gains(PdControllerGains(p=motor.kp_n_m_per_rad, d=motor.kv_n_m_s_per_rad))
+        actuator.set_effort_limit(motor.torque_limit_n_m or np.inf)
+    return actuator
 
 
 def _add_geometries(plant: Any, scene: Scene, bodies: dict[str, Any], settings: SettingsDrake) -> Groups:

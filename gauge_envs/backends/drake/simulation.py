@@ -63,6 +63,8 @@ class SimulationDrake(PlacedWorld, Simulation):
     def _load(self) -> None:
         self._context.SetDiscreteState(self._state)
         self._apply_forces()
+        if self._model.plant.num_actuators():
+            self.command(np.zeros(len(self._model.motors)))
 
     def _place(self, name: str, pose: Pose, velocity: NDArray[np.float64]) -> None:
         """Write the pose of a driven body to the state, and keep what `body_states` returns until the next step."""
@@ -81,6 +83,15 @@ class SimulationDrake(PlacedWorld, Simulation):
         """Apply a force through the centre of mass and a torque; see `World.apply_wrench`."""
         self._wrenches[body] = np.array(wrench, dtype=float)
         self._apply_forces()
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        plant = self._model.plant
+        torques, angles = np.zeros(plant.num_actuators()), np.zeros(2 * plant.num_actuators())
+        for (actuator, sign), value in zip(self._model.motors, values, strict=True):
+            (angles if actuator.has_controller() else torques)[actuator.input_start()] = sign * value
+        plant.get_actuation_input_port().FixValue(self._plant_context, torques)
+        plant.get_desired_state_input_port(self._model.free).FixValue(self._plant_context, angles)
 
     def advance(self, seconds: float) -> None:
         """Step the plant; driven bodies start each step at their pose, with their mean velocity in the step."""

@@ -18,9 +18,10 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.rigid import world_hinges
+from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import (
+    BodyHinge,
     Box,
     Contact,
     ContactMode,
@@ -34,7 +35,9 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
+from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.scene.motors import Servo
 
 CONTACT_LIMIT = 30
 """Largest number of contacts of a scene: each needs a bit of Genesis's collision masks."""
@@ -224,11 +227,18 @@ def document(
     _add(root, "compiler", angle="radian", autolimits="false")
     asset, world = _add(root, "asset"), _add(root, "worldbody")
     layers = layers_of_bodies(scene, settings)
-    hinges = world_hinges(scene)
-    for index, body in enumerate(scene.bodies):
-        parent, pose = world, body.pose
+    hinges = hinges_by_body(scene)
+    elements: dict[str, ElementTree.Element] = {}
+    # Bodies that hang on others are inside them, so they come after them.
+    hanging = [name for name, hinge in hinges.items() if isinstance(hinge, BodyHinge)]
+    places = [body.name for body in scene.bodies]
+    for body in (*(body for body in scene.bodies if body.name not in hanging), *map(scene.body, hanging)):
+        parent, pose, index = world, body.pose, places.index(body.name)
         if body.motion is not Motion.FIXED:
-            parent, pose = _add_body(world, index, body, hinges.get(body.name), settings), ORIGIN
+            hinge = hinges.get(body.name)
+            on = scene.body(other_end(hinge, body.name)) if isinstance(hinge, BodyHinge) else None
+            parent, pose = _add_body(elements[on.name] if on else world, index, body, hinge, on, settings), ORIGIN
+            elements[body.name] = parent
         copies = list(layers.get(body.name, {}).items())
         friction = (coupled or {}).get(body.name)
         if friction is not None:
@@ -239,6 +249,13 @@ def document(
             else:
                 copies.insert(0, coupling)
         _add_geoms(parent, asset, index, body, pose, copies)
+    servos = [(name, hinge.motor) for name, hinge in hinges.items() if isinstance(hinge.motor, Servo)]
+    actuators = _add(root, "actuator") if servos else root
+    for name, servo in servos:
+        limit = servo.torque_limit_n_m
+        limits = {} if limit is None else {"forcelimited": "true", "forcerange": (-limit, limit)}
+        gains = {"kp": servo.kp_n_m_per_rad, "kv": servo.kv_n_m_s_per_rad}
+        _add(actuators, "position", joint=body_label(places.index(name)), **gains, **limits)
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -263,18 +280,31 @@ def _add(parent: ElementTree.Element, tag: str, **attributes: Any) -> ElementTre
 
 
 def _add_body(
-    world: ElementTree.Element, index: int, body: RigidBody, hinge: Hinge | None, settings: SettingsGenesis
+    world: ElementTree.Element,
+    index: int,
+    body: RigidBody,
+    hinge: Hinge | BodyHinge | None,
+    on: RigidBody | None,
+    settings: SettingsGenesis,
 ) -> ElementTree.Element:
+    """Add a body to the world, or to the element of the body that it hangs on."""
     pose, label = body.pose, body_label(index)
     if hinge is None:
         pose = Pose(position_m=(APART_M * index, 0.0, HEIGHT_M))
-    element = _add(world, "body", name=label, pos=pose.position_m, quat=pose.quaternion)
+    place = pose.relative_to(on.pose) if on else pose
+    element = _add(world, "body", name=label, pos=place.position_m, quat=place.quaternion)
     if hinge is None:
         _add(element, "freejoint", name=label)
     else:
         anchor, axis = pose.to_body(np.asarray(hinge.anchor_m)), pose.rotation.inv().apply(hinge.axis)
-        armature = settings.hinge_armature_kg_m2
-        _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, armature=armature)
+        terms: dict[str, Any] = {"armature": settings.hinge_armature_kg_m2 + hinge.dynamics.armature_kg_m2}
+        if hinge.dynamics.viscous_friction_n_m_s_per_rad:
+            terms["damping"] = hinge.dynamics.viscous_friction_n_m_s_per_rad
+        if hinge.dynamics.dry_friction_n_m:
+            # Genesis solves dry friction with the impedance of the joint's limits.
+            stiff = {"solreflimit": (2.0 * settings.timestep_s, 1.0), "solimplimit": (0.9999, 0.9999, 0.001)}
+            terms |= {"frictionloss": hinge.dynamics.dry_friction_n_m, **stiff}
+        _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, **terms)
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)
         # A sphere's inertia is the same in every frame, so a torque needs no rotation.

@@ -14,8 +14,9 @@ from gauge_envs.backends.genesis.document import body_label, document, layers_of
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
-from gauge_envs.backends.shared.rigid import world_hinges
-from gauge_envs.scene import Motion, Scene
+from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.scene import BodyHinge, Motion, Scene
+from gauge_envs.scene.hinged import other_end, start_rate_rad_per_s
 
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
@@ -170,7 +171,7 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
-        disable_constraint=not collides,
+        disable_constraint=not collides and not any(hinge.dynamics.dry_friction_n_m for hinge in scene.hinges),
         integrator=getattr(gs.integrator, settings.integrator),
         constraint_solver=getattr(gs.constraint_solver, settings.constraint_solver),
         iterations=settings.iterations,
@@ -193,12 +194,16 @@ def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], 
     """Return coordinates and velocities of the rigid solver at a scene's start, shapes [q_count] and [dof_count]."""
     coordinates = np.zeros(model.solver.n_qs)
     velocities = np.zeros(model.solver.n_dofs)
-    hinges = world_hinges(scene)
+    hinges = hinges_by_body(scene)
     for name, link in model.links.items():
         body = scene.body(name)
         angular = np.asarray(body.angular_velocity_rad_per_s)
         if name in hinges:
-            velocities[link.dof_start] = angular @ np.asarray(hinges[name].axis)
+            hinge = hinges[name]
+            rate = angular @ np.asarray(hinge.axis)
+            if isinstance(hinge, BodyHinge):
+                rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, name)))
+            velocities[link.dof_start] = rate
             continue
         coordinates[link.q_start : link.q_start + 7] = [*body.pose.position_m, *body.pose.quaternion]
         # Genesis's angular velocity is in the body frame.

@@ -16,10 +16,19 @@ from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.model import Model, borrow_model, return_model, start_coordinates
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states, tether_pull
+from gauge_envs.backends.shared.rigid import (
+    DrivenMotion,
+    PlacedWorld,
+    body_state,
+    hinges_by_body,
+    placed_states,
+    tether_pull,
+)
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether
+from gauge_envs.scene.hinged import joint_sign
+from gauge_envs.scene.motors import Servo
 
 
 class _Lent:
@@ -62,6 +71,12 @@ class _WorldGenesis(PlacedWorld):
         self._scene, self._lent, self._index = scene, lent, index
         self.start = start_coordinates(scene, lent.model)
         self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
+        names = {id(hinge): name for name, hinge in hinges_by_body(scene).items()}
+        self._motors = [
+            (isinstance(motor, Servo), lent.model.links[name].dof_start, joint_sign(hinge, name))
+            for hinge, motor in scene.motors
+            for name in (names[id(hinge)],)
+        ]
 
     def begin(self) -> None:
         """Put driven bodies to their starts, without wrenches."""
@@ -97,6 +112,13 @@ class _WorldGenesis(PlacedWorld):
         )
         solver.set_dofs_velocity(np.array([[*twist[:3], *to_body.apply(twist[3:])]]), freedoms, world)
         solver.control_dofs_force(np.array([[*force, *torque]]), freedoms, world)
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        solver = self._lent.model.solver
+        for (is_servo, freedom, sign), value in zip(self._motors, values.tolist(), strict=True):
+            control = solver.control_dofs_position if is_servo else solver.control_dofs_force
+            control(np.array([[sign * value]]), [freedom], [self._index])
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""

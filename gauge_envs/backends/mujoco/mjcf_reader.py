@@ -35,11 +35,12 @@ from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import AssetError, ShapeError
 from gauge_envs.files import MEGABYTE, child_refusal, read_regular
-from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import other_end, parent_hinges
+from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
 
 if TYPE_CHECKING:
@@ -188,7 +189,7 @@ def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelF
     _check_bodies(path, model, scene)
     _check_nodes(path, model, built, scene)
     bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
-    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges).items()}
+    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()}
     placed = replace(
         scene,
         bodies=bodies,
@@ -223,6 +224,8 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             wanted = "hinge" if body.name in hinged else "free"
             raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
         hinge = hinged.get(body.name)
+        if hinge and hinge.motor and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0:
+            raise AssetError(path, body.name, "its joint has a motor and needs an actuator with its name")
         if isinstance(hinge, BodyHinge):
             parent = other_end(hinge, body.name)
             if model.body(model.body(body.name).parentid[0]).name != parent:
@@ -358,6 +361,22 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: 
         mujoco.mj_kinematics(one, data)
         found.append((data.joint(body).xanchor, data.joint(body).xaxis))
     (anchor, axis), expected = found
+    joint, stated, motor = model.joint(body), hinge.dynamics, hinge.motor
+    dynamics = JointDynamics(
+        dry_friction_n_m=same_or(float(joint.frictionloss[0]), stated.dry_friction_n_m),
+        viscous_friction_n_m_s_per_rad=same_or(float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad),
+        armature_kg_m2=same_or(float(joint.armature[0]), stated.armature_kg_m2),
+    )
+    if isinstance(motor, Servo):
+        actuator = model.actuator(body)
+        limit = float(actuator.forcerange[1]) if actuator.forcelimited[0] else None
+        motor = replace(
+            motor,
+            kp_n_m_per_rad=same_or(float(actuator.gainprm[0]), motor.kp_n_m_per_rad),
+            kv_n_m_s_per_rad=same_or(-float(actuator.biasprm[2]), motor.kv_n_m_s_per_rad),
+            torque_limit_n_m=limit and same_or(limit, motor.torque_limit_n_m or limit),
+        )
+    hinge = replace(hinge, dynamics=dynamics, motor=motor)
     if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
         return hinge
     return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))

@@ -38,12 +38,17 @@ KINDS = re.compile(
 
 
 def start_notes(simulation: SimulationMuJoCo) -> list[str]:
-    """Return instructions for a start with velocities; empty for a start at rest."""
+    """Return instructions for a start with velocities and for motors; empty for a start at rest without motors."""
+    motors = [f"{simulation.model.actuator(index).name!r}" for index in range(simulation.model.nu)]
+    notes = [
+        f"Motors {', '.join(motors)}: this file holds no commands and delays; write them to ctrl." for _ in motors[:1]
+    ]
     if not simulation.model.nkey:
-        return []
+        return notes
     return [
+        *notes,
         f"Start velocities: keyframe {START_KEY!r}. Call mj_resetDataKeyframe(model, data, key) with its id before the "
-        "first step."
+        "first step.",
     ]
 
 
@@ -218,6 +223,7 @@ def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[E
     yield from zip(root.findall("contact/pair"), spec.pairs, strict=True)
     yield from zip(root.findall("keyframe/key"), spec.keys, strict=True)
     yield from zip(root.findall("equality/*"), spec.equalities, strict=True)
+    yield from zip(root.findall("actuator/*"), spec.actuators, strict=True)
     for element in root.findall("deformable/flex"):
         flex = spec.flex(element.get("name", ""))
         yield from ((one, flex) for one in (element, *element))
@@ -232,6 +238,7 @@ def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[E
 ALIASES = {
     "mesh": {"vertex": "uservert"},
     "spatial": {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"},
+    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"},
     "inertial": {"pos": "ipos", "diaginertia": "inertia"},
     "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
 }

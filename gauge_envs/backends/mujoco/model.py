@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import product
 
 import mujoco
@@ -33,14 +33,18 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
+from gauge_envs.scene.motors import Servo
 
 START_KEY = "start"
 """Name of the keyframe whose `qvel` holds the start velocities; a scene at rest has no keyframe."""
 
 EXPLICIT_PAIR_LIMIT = 1000
 """Largest number of explicit geom pairs of a contact; contacts with more use MuJoCo's broad phase."""
+
+STIFF_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
+"""MuJoCo's `solimp` of strings and of dry friction in joints."""
 
 INTEGRATORS = constants_of(
     "mjtIntegrator",
@@ -150,6 +154,7 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(spec, joint, settings)
+    _add_motors(spec, hinges)
     parts = add_deformables(spec, scene, settings)
     for index, contact in enumerate(scene.contacts):
         if parts.keys() & {*contact.first, *contact.second}:
@@ -187,7 +192,7 @@ def start_velocities(scene: Scene, model: mujoco.MjModel) -> NDArray[np.float64]
 
 def parents_first(scene: Scene) -> list[RigidBody]:
     """Return the bodies of a scene in its order, but those that hang on other bodies after them."""
-    hanging = parent_hinges(scene.body_hinges)
+    hanging = parent_hinges(scene.body_hinges, scene.hung)
     free = [body for body in scene.bodies if body.name not in hanging]
     return [*free, *(scene.body(name) for name in hanging)]
 
@@ -253,9 +258,7 @@ def _add_body(
     if body.motion is Motion.FIXED:
         return geoms
     if hinge is not None:
-        anchor = body.pose.to_body(np.asarray(hinge.anchor_m))
-        axis = body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True)
-        frame.add_joint(type=mujoco.mjtJoint.mjJNT_HINGE, name=body.name, pos=anchor, axis=axis)
+        _add_hinge(frame, body, hinge, settings)
     else:
         frame.add_freejoint(name=body.name)
     if body.motion is Motion.KINEMATIC:
@@ -279,6 +282,24 @@ def _add_body(
     return geoms
 
 
+def _add_hinge(frame: mujoco.MjsBody, body: RigidBody, hinge: Hinge | BodyHinge, settings: SettingsMuJoCo) -> None:
+    """Add the joint of a hinged body, which has the name of the body."""
+    joint = frame.add_joint(
+        type=mujoco.mjtJoint.mjJNT_HINGE,
+        name=body.name,
+        pos=body.pose.to_body(np.asarray(hinge.anchor_m)),
+        axis=body.pose.rotation.apply(np.asarray(hinge.axis), inverse=True),
+        frictionloss=hinge.dynamics.dry_friction_n_m,
+        damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
+        armature=hinge.dynamics.armature_kg_m2,
+    )
+    if hinge.dynamics.dry_friction_n_m:
+        # With MuJoCo's own impedance of 0.9 a joint that dry friction holds creeps by a degree in a second, and
+        # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
+        joint.solimp_friction = STIFF_IMPEDANCE
+        joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+
+
 def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
     """Return the volume of each geom of a shape [m^3]."""
     if isinstance(shape, ConvexUnion):
@@ -290,6 +311,28 @@ def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:
     ]
 
 
+def _add_motors(spec: mujoco.MjSpec, hinges: Mapping[str, Hinge | BodyHinge]) -> None:
+    """Add the motors of joints, whose control is their command: an angle from the start, or a torque.
+
+    Args:
+        spec: The editable model.
+        hinges: The hinges, by name of the joint.
+    """
+    for name, hinge in hinges.items():
+        motor = hinge.motor
+        if motor is None:
+            continue
+        actuator = spec.add_actuator(name=name, target=name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        actuator.gear[0] = joint_sign(hinge, name)
+        if isinstance(motor, Servo):
+            actuator.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+            actuator.gainprm[0] = motor.kp_n_m_per_rad
+            actuator.biasprm[1:3] = [-motor.kp_n_m_per_rad, -motor.kv_n_m_s_per_rad]
+            if motor.torque_limit_n_m is not None:
+                actuator.forcelimited = mujoco.mjtLimited.mjLIMITED_TRUE
+                actuator.forcerange = [-motor.torque_limit_n_m, motor.torque_limit_n_m]
+
+
 def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -> None:
     name = f"{tether.body}/tether"
     spec.worldbody.add_site(name=f"{name}/anchor", pos=tether.anchor_m)
@@ -297,7 +340,7 @@ def _add_tether(spec: mujoco.MjSpec, tether: Tether, settings: SettingsMuJoCo) -
     tendon = spec.add_tendon(name=name, limited=True, range=[0.0, tether.length_m])
     # Twice the time step is the stiffest stable limit.
     tendon.solref_limit = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
-    tendon.solimp_limit = [0.9999, 0.9999, 0.001, 0.5, 2.0]
+    tendon.solimp_limit = STIFF_IMPEDANCE
     tendon.wrap_site(f"{name}/anchor")
     tendon.wrap_site(f"{name}/end")
 

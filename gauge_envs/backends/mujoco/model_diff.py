@@ -38,6 +38,10 @@ OBJECTS: Mapping[str, tuple[mujoco.mjtObj | None, tuple[str, ...]]] = {
             *("solref", "solimp"),
         ),
     ),
+    "actuator": (
+        mujoco.mjtObj.mjOBJ_ACTUATOR,
+        ("trnid", "gear", "gaintype", "gainprm", "biastype", "biasprm", "dyntype", "ctrlrange", "forcerange"),
+    ),
     "pair": (None, ("dim", "friction", "margin", "gap", "solref", "solreffriction", "solimp")),
 }
 """Arrays of a compiled model that a file defines, by kind of object; a change is reported with the object's name.

@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation, Worlds
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
@@ -44,7 +44,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True

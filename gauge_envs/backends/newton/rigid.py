@@ -50,8 +50,9 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
+from gauge_envs.scene.motors import Motor, Servo
 
 WORLD = -1
 """Newton's body index of the world."""
@@ -76,6 +77,13 @@ ROWS_PER_WELD = 6
 SOLIMP_SHAPE = (0.5, 2.0)
 """Midpoint and power of the impedance curve, MuJoCo's defaults; they have no effect on a constant impedance."""
 
+STIFF_FRICTION = {
+    "mujoco:solimpfriction": wp.types.vector(5, wp.float32)(0.9999, 0.9999, 0.001, *SOLIMP_SHAPE),
+    "mujoco:solreffriction": wp.vec2(1e-3, 1.0),
+}
+"""Impedance of dry friction in joints: with the default of 0.9, a joint that it holds creeps by a degree in a second.
+MuJoCo Warp raises the time constant to two time steps."""
+
 NO_FRICTION = 2e-5
 """Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
 
@@ -99,10 +107,13 @@ class RigidIndex:
 
     Attributes:
         bodies: Index of each body, by name; -1 for fixed bodies, whose shapes belong to the world.
+        motors: For each motor of the scene, whether it is a servo, the index of its joint's coordinate (of a servo) or
+            freedom (of a torque motor), and the sign of the joint.
         shapes: Indices of the shapes of each body, by name.
     """
 
     bodies: dict[str, int] = field(default_factory=dict)
+    motors: list[tuple[bool, int, float]] = field(default_factory=list)
     shapes: dict[str, list[int]] = field(default_factory=dict)
 
 
@@ -123,7 +134,7 @@ def add_bodies(
     index = RigidIndex()
     joined: dict[str, int] = {}
     for tree in hinge_trees(scene.body_hinges):
-        below = parent_hinges(tree)
+        below = parent_hinges(tree, scene.hung)
         root = next(other_end(hinge, name) for name, hinge in below.items())
         joined |= _add_articulation(builder, scene, (root, *below), hinges)
     for body in scene.bodies:
@@ -141,6 +152,12 @@ def add_bodies(
                 builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
         index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, solids)
+    bodies = {id(hinge): name for name, hinge in hinges.items()}
+    for moved, motor in scene.motors:
+        name, is_servo = bodies[id(moved)], isinstance(motor, Servo)
+        joint = builder.joint_child.index(index.bodies[name])
+        starts = builder.joint_q_start if is_servo else builder.joint_qd_start
+        index.motors.append((is_servo, starts[joint], joint_sign(moved, name)))
     return index
 
 
@@ -190,14 +207,26 @@ def _add_articulation(
             parent_xform=in_parent,
             child_xform=wp.transform_inverse(warp_transform(body.pose)) * anchor,
             axis=wp.vec3(*hinge.axis),
-            armature=0.0,
-            friction=0.0,
+            armature=hinge.dynamics.armature_kg_m2,
+            friction=hinge.dynamics.dry_friction_n_m,
+            damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
             label=name,
+            custom_attributes=STIFF_FRICTION if hinge.dynamics.dry_friction_n_m else {},
+            **_servo_arguments(hinge.motor),
         )
         joints.append(joint)
         builder.joint_qd[-1] = rate
     builder.add_articulation(joints, label=names[0])
     return places
+
+
+def _servo_arguments(motor: Motor | None) -> dict[str, Any]:
+    """Return the arguments of a joint with a servo; those of others are Newton's."""
+    if not isinstance(motor, Servo):
+        return {}
+    limit = {} if motor.torque_limit_n_m is None else {"effort_limit": motor.torque_limit_n_m}
+    gains = {"target_ke": motor.kp_n_m_per_rad, "target_kd": motor.kv_n_m_s_per_rad}
+    return {"actuator_mode": newton.JointTargetMode.POSITION, **gains, **limit}
 
 
 def _set_velocity(builder: newton.ModelBuilder, index: int, body: RigidBody) -> None:

@@ -147,6 +147,25 @@ class Stepper(ABC):
             f"{type(self.solver).__name__} applies no force or torque here: choose a preset with SolverMuJoCo"
         )
 
+    def command(self, motors: Sequence[tuple[bool, int, float]], values: NDArray[np.float64]) -> None:
+        """Set what motors follow from the next step on.
+
+        Args:
+            motors: As in `RigidIndex.motors`.
+            values: As in `World.command`.
+        """
+        for is_servo, array in ((True, self._control.joint_target_q), (False, self._control.joint_f)):
+            chosen = [
+                (index, sign * value)
+                for (kind, index, sign), value in zip(motors, values.tolist(), strict=True)
+                if kind is is_servo
+            ]
+            if chosen:
+                table = array.numpy()
+                for index, value in chosen:
+                    table[index] = value
+                array.assign(table)
+
     def advance(self, seconds: float) -> None:
         """Replay the recorded step."""
         self._send_commands()
@@ -205,7 +224,8 @@ class Stepper(ABC):
         found: dict[int, wp.array] = {}
         for root in (*self._states, self.solver):
             found |= {id(array): array for array in _arrays_in(root, depth=3)}
-        return [*found.values(), self._elapsed, self._start, self._velocity, self._acceleration]
+        commands = [] if self._control.joint_f is None else [self._control.joint_target_q, self._control.joint_f]
+        return [*found.values(), *commands, self._elapsed, self._start, self._velocity, self._acceleration]
 
     def _restore_arrays(self, snapshot: Snapshot) -> None:
         for array, values in zip(self._arrays(), snapshot, strict=True):

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gauge_envs.backends.base import Feature, Simulation
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
@@ -37,7 +37,7 @@ class BackendPhysX(BundledBackend):
         {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
     corrections = ("a cylinder is a capsule or a ball in a prism",)
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
+from gauge_envs.backends.shared.rigid import centre_velocity, has_terms, hinge_frame, linked_hinges, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
@@ -35,12 +35,17 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
+from gauge_envs.scene.hinged import joint_sign, other_end, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties, prism
+from gauge_envs.scene.motors import Servo
 
 with warnings.catch_warnings():
     # SAPIEN warns that no Vulkan driver is installed. Only its renderer needs one, which this package never starts.
     warnings.simplefilter("ignore")
     from sapien import physx, pysapien
+
+BRAKE_RATE_RAD_PER_S = 1e-5
+"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
 
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
@@ -138,6 +143,54 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of an articulation with friction or a motor. PhysX has one drive for each.
+
+    The drive is the dry friction, as a brake with a largest torque; without it the servo; without both the viscous
+    friction. The other terms are torques that this package computes.
+
+    Attributes:
+        link: SAPIEN's link that the joint turns.
+        hinge: The hinge.
+        sign: Sign of the joint.
+    """
+
+    link: physx.PhysxArticulationLinkComponent
+    hinge: Hinge | BodyHinge
+    sign: float
+
+    @property
+    def joint(self) -> physx.PhysxArticulationJoint:
+        """SAPIEN's joint."""
+        return self.link.joint
+
+    def set_drive(self) -> None:
+        """Give the drive its constants, and the joint its armature."""
+        terms, motor = self.hinge.dynamics, self.hinge.motor
+        dry, viscous = terms.dry_friction_n_m, terms.viscous_friction_n_m_s_per_rad
+        self.joint.armature = np.array([terms.armature_kg_m2])
+        if dry:
+            self.joint.set_drive_properties(0.0, dry / BRAKE_RATE_RAD_PER_S, dry)
+        elif isinstance(motor, Servo):
+            limit = {} if motor.torque_limit_n_m is None else {"force_limit": motor.torque_limit_n_m}
+            self.joint.set_drive_properties(motor.kp_n_m_per_rad, motor.kv_n_m_s_per_rad, **limit)
+        else:
+            self.joint.set_drive_properties(0.0, viscous)
+
+    def torque_n_m(self, command: float, angle_rad: float, rate_rad_per_s: float) -> float:
+        """Set the target of the drive, and return the torque of what is no drive [N m]; all in PhysX's direction."""
+        terms, motor = self.hinge.dynamics, self.hinge.motor
+        viscous = terms.viscous_friction_n_m_s_per_rad
+        if isinstance(motor, Servo) and not terms.dry_friction_n_m:
+            self.joint.set_drive_target(self.sign * command)
+            return -viscous * rate_rad_per_s
+        torque = -viscous * rate_rad_per_s if terms.dry_friction_n_m else 0.0
+        if isinstance(motor, Servo):
+            return torque + motor.torque_n_m(self.sign * command, angle_rad, rate_rad_per_s)
+        return torque + self.sign * command
+
+
+@dataclass(frozen=True, eq=False)
 class Model:
     """A scene in PhysX.
 
@@ -146,12 +199,14 @@ class Model:
         system: PhysX's scene.
         world: SAPIEN's scene, which keeps all bodies alive.
         parts: Bodies by name.
+        joints: Joints with friction or a motor.
     """
 
     lease: EngineLease
     system: physx.PhysxCpuSystem
     world: pysapien.Scene
     parts: dict[str, Part]
+    joints: list[Joint]
 
 
 def physx_pose(pose: Pose) -> pysapien.Pose:
@@ -169,10 +224,12 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         c: physx.PhysxMaterial(c.friction, c.friction, c.restitution) for each in groups.values() for c in each
     }
     hinges = world_hinges(scene)
-    parts = {}
-    for body in scene.bodies:
+    linked = linked_hinges(scene, settings.hinges == "articulation")
+    below = [name for name, joined in linked.items() if isinstance(joined, BodyHinge)]
+    parts: dict[str, Part] = {}
+    for body in (*(one for one in scene.bodies if one.name not in below), *map(scene.body, below)):
         hinge = hinges.get(body.name)
-        component = _component(world, body, hinge if settings.hinges == "articulation" else None)
+        component = _link(world, scene, body, linked[body.name], parts) if body.name in linked else _component(body)
         for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
             shape.contact_offset, shape.rest_offset = settings.contact_offset_m, settings.rest_offset_m
             shape.patch_radius, shape.min_patch_radius = settings.patch_radius_m, settings.min_patch_radius_m
@@ -188,13 +245,31 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         elif hinge is not None:
             _add_hinge(component, body, hinge)
         if body.motion is Motion.DYNAMIC and not body.starts_at_rest:
-            _set_velocity(component, body, centre_m, hinge)
+            _set_velocity(component, scene, body, centre_m, linked.get(body.name))
+    return Model(lease, system, world, parts, _add_joints(scene, parts, linked))
+
+
+def _add_joints(scene: Scene, parts: Mapping[str, Part], linked: Mapping[str, Hinge | BodyHinge | None]) -> list[Joint]:
+    """Add strings and the hinges that are constraints, and return the joints of links with friction or a motor."""
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(parts[joint.body].component, joint)
     for joined in scene.body_hinges:
-        _add_body_hinge(parts, scene, joined)
-    return Model(lease, system, world, parts)
+        if joined not in linked.values():
+            _add_body_hinge(parts, scene, joined)
+    joints = [
+        Joint(parts[name].component, hinge, joint_sign(hinge, name))
+        for name, hinge in linked.items()
+        if hinge is not None and has_terms(hinge)
+    ]
+    for one in joints:
+        one.set_drive()
+    return joints
+
+
+def row_of(link: physx.PhysxArticulationLinkComponent) -> int:
+    """Return the place of a link's joint among those of its articulation."""
+    return [joint.child_link for joint in link.articulation.active_joints].index(link)
 
 
 def _turned(pose: Pose) -> Pose:
@@ -208,22 +283,35 @@ def _add(world: pysapien.Scene, component: physx.PhysxRigidBaseComponent, pose: 
     world.add_entity(entity)
 
 
-def _component(world: pysapien.Scene, body: RigidBody, hinge: Hinge | None) -> physx.PhysxRigidBaseComponent:
-    """Return a body without shapes: static, dynamic, driven, or a link that a hinge connects to a fixed base."""
+def _component(body: RigidBody) -> physx.PhysxRigidBaseComponent:
+    """Return a static, dynamic or driven body without shapes."""
     if body.motion is Motion.FIXED:
         return physx.PhysxRigidStaticComponent()
+    component = physx.PhysxRigidDynamicComponent()
+    component.kinematic = body.motion is Motion.KINEMATIC
+    return component
+
+
+def _link(
+    world: pysapien.Scene, scene: Scene, body: RigidBody, hinge: Hinge | BodyHinge | None, parts: Mapping[str, Part]
+) -> physx.PhysxArticulationLinkComponent:
+    """Return a link without shapes, which a hinge connects to a fixed base or to its parent, unless it is a root."""
     if hinge is None:
-        component = physx.PhysxRigidDynamicComponent()
-        component.kinematic = body.motion is Motion.KINEMATIC
-        return component
-    base = physx.PhysxArticulationLinkComponent()
-    base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
+        return physx.PhysxArticulationLinkComponent()
     frame = hinge_frame(hinge)
-    _add(world, base, frame)
+    in_parent = pysapien.Pose()
+    if isinstance(hinge, BodyHinge):
+        parent = other_end(hinge, body.name)
+        base, in_parent = parts[parent].component, physx_pose(frame.relative_to(scene.body(parent).pose))
+    else:
+        base = physx.PhysxArticulationLinkComponent()
+        base.mass, base.inertia = ROOT_MASS_KG, np.ones(3)
+        _add(world, base, frame)
     link = physx.PhysxArticulationLinkComponent(base)
-    base.joint.type = "fixed"
+    if not isinstance(hinge, BodyHinge):
+        base.joint.type = "fixed"
     link.joint.type = "revolute_unwrapped"
-    link.joint.pose_in_parent = pysapien.Pose()
+    link.joint.pose_in_parent = in_parent
     link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
     link.joint.limit = np.array([[-np.inf, np.inf]])
     link.joint.friction = 0.0
@@ -382,12 +470,24 @@ def _add_tether(component: physx.PhysxRigidBodyComponent, tether: Tether) -> Non
 
 
 def _set_velocity(
-    component: physx.PhysxRigidBodyComponent, body: RigidBody, centre_m: ArrayLike, hinge: Hinge | None
+    component: physx.PhysxRigidBodyComponent,
+    scene: Scene,
+    body: RigidBody,
+    centre_m: ArrayLike,
+    hinge: Hinge | BodyHinge | None,
 ) -> None:
     """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
     angular = np.array(body.angular_velocity_rad_per_s)
-    if isinstance(component, physx.PhysxArticulationLinkComponent) and hinge is not None:
-        component.articulation.set_qvel(np.array([angular @ np.asarray(hinge.axis)]))
-        return
-    component.angular_velocity = angular
-    component.linear_velocity = centre_velocity(body, centre_m)
+    if hinge is not None:
+        rate = angular @ np.asarray(hinge.axis)
+        if isinstance(hinge, BodyHinge):
+            rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))
+        rates = component.articulation.qvel
+        rates[row_of(component)] = rate
+        component.articulation.set_qvel(rates)
+    elif isinstance(component, physx.PhysxArticulationLinkComponent):
+        component.articulation.root_angular_velocity = angular
+        component.articulation.root_linear_velocity = centre_velocity(body, centre_m)
+    else:
+        component.angular_velocity = angular
+        component.linear_velocity = centre_velocity(body, centre_m)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.physx.model import Model, build_model, physx_pose
+from gauge_envs.backends.physx.model import Model, build_model, physx_pose, row_of
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.errors import BackendError
@@ -35,6 +36,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._is_new = True
         self._wrenches: dict[str, NDArray[np.float64]] = {}
         self._driven: dict[str, DrivenMotion] = {}
+        self._commands = np.zeros(len(self._scene.motors))
         self.placed = placed_states(self._scene)
 
     def _open(self) -> Model:
@@ -66,6 +68,10 @@ class SimulationPhysX(PlacedWorld, Simulation):
         self._is_new = False
         self._wrenches[body] = np.array(wrench)
 
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        self._commands = np.array(values)
+
     def advance(self, seconds: float) -> None:
         """Step the scene."""
         model = self._open()
@@ -76,9 +82,22 @@ class SimulationPhysX(PlacedWorld, Simulation):
                 model.parts[name].component.set_kinematic_target(physx_pose(motion.pose(step * step_s)))
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
+            if model.joints:
+                self._turn_joints(model)
             model.system.step()
         for name in self._driven:
             self.placed.pop(name, None)
+
+    def _turn_joints(self, model: Model) -> None:
+        """Set the targets of drives, and the torques of motors and friction that are no drives, for one step."""
+        commands = {id(hinge): value for (hinge, _), value in zip(self._scene.motors, self._commands, strict=True)}
+        torques: dict[int, tuple[Any, NDArray[np.float64]]] = {}
+        for one in model.joints:
+            tree, row = one.link.articulation, row_of(one.link)
+            _, values = torques.setdefault(id(tree), (tree, np.zeros(tree.dof)))
+            values[row] = one.torque_n_m(commands.get(id(one.hinge), 0.0), tree.qpos[row], tree.qvel[row])
+        for tree, values in torques.values():
+            tree.set_qf(values)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities, in single precision for moving bodies; see `World.body_states`."""

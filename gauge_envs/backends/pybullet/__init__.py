@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.pybullet.contacts import surfaces
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
@@ -46,8 +46,10 @@ class BackendPyBullet(BundledBackend):
     corrections = (
         "a metre has 100 units, because margins and thresholds of Bullet are absolute",
         "a string is a chain of three joints",
+        "a servo is a torque that this package computes in each step, because Bullet's gains are not in SI units",
     )
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    # Bullet's joints have no inertia of their own.
+    features = (JOINT_FEATURES - {Feature.ARMATURE}) | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""

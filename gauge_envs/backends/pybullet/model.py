@@ -14,9 +14,9 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushin
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
-from gauge_envs.backends.shared.rigid import centre_velocity
+from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
@@ -31,6 +31,7 @@ class WorldPyBullet(BulletWorld):
     Attributes:
         ropes: The ropes in PyBullet, by name.
         soft: PyBullet's numbers of the soft bodies, by name.
+        joints: PyBullet's numbers of the multibody and the link of each hinge, and the sign of the joint, by its `id`.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -50,6 +51,7 @@ class WorldPyBullet(BulletWorld):
         self._set_parameters()
         self.handles.clear()
         self.copies.clear()
+        self.joints: dict[int, tuple[int, int, float]] = {}
         self._surfaces = surfaces(self.scene)
         self._coned = pushing_bodies(self.scene) if self.settings.cone_friction else set()
         self.ropes = {
@@ -57,9 +59,13 @@ class WorldPyBullet(BulletWorld):
             for rope in self.scene.deformables
             if isinstance(rope, Rope)
         }
-        joints = {joint.body: joint for joint in self.scene.joints}
+        hinges, joints = world_hinges(self.scene), {joint.body: joint for joint in self.scene.joints}
         for tree in hinge_trees(self.scene.body_hinges):
-            self._joined(parent_hinges(tree))
+            below = parent_hinges(tree, self.scene.hung)
+            name, hinge = next(iter(below.items()))
+            root = other_end(hinge, name)
+            hung = {root: hinges[root]} if root in hinges else {}
+            self._joined({**hung, **below})
         for body in self.scene.bodies:
             joint = joints.get(body.name)
             if body.name in self.handles:
@@ -153,7 +159,7 @@ class WorldPyBullet(BulletWorld):
             body, back, place, parent = self.scene.body(name), turns[name].inv(), (np.zeros(3), turns[name]), 0
             if isinstance(hinge, BodyHinge):
                 other = other_end(hinge, name)
-                to_parent, parent = turns[other].inv(), list(frames).index(other)
+                to_parent, parent = turns[other].inv(), list(frames).index(other) + (root is None)
                 place = (self.scale * to_parent.apply(origins[name] - origins[other]), to_parent * turns[name])
             arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
             offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
@@ -179,6 +185,14 @@ class WorldPyBullet(BulletWorld):
             if isinstance(hinge, BodyHinge):
                 rate = start_rate_rad_per_s(hinge, body, self.scene.body(other_end(hinge, name)))
             self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
+            dry, damping = hinge.dynamics.dry_friction_n_m, hinge.dynamics.viscous_friction_n_m_s_per_rad
+            if dry:
+                # A motor that holds the rate at 0 with a largest torque.
+                brake = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": self.scale**2 * dry}
+                self.call("setJointMotorControl2", number, link_number, **brake)
+            if damping:
+                self.call("changeDynamics", number, link_number, jointDamping=self.scale**2 * damping)
+            self.joints[id(hinge)] = (number, link_number, joint_sign(hinge, name))
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""

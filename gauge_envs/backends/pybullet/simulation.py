@@ -15,6 +15,7 @@ from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.scene import Motion, Plane, Pose, Scene
+from gauge_envs.scene.motors import Servo
 
 Rows = list[list[float]]
 
@@ -41,6 +42,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def _start(self) -> None:
         self._driven: dict[str, DrivenMotion] = {}
         self._wrenches: dict[str, NDArray[np.float64]] = {}
+        self._commands: list[float] = []
         self.placed = placed_states(self._scene)
 
     def reset(self, seed: int) -> None:
@@ -57,6 +59,10 @@ class SimulationPyBullet(PlacedWorld, Simulation):
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self._wrenches[body] = np.array(wrench)
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        self._commands = values.tolist()
 
     def advance(self, seconds: float) -> None:
         """Step the world. A driven body that was not driven since the last call stays where it is."""
@@ -76,6 +82,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
                 pybullet.resetBaseVelocity(body, speeds[step], spins[step], physicsClientId=client)
             for name, wrench in self._wrenches.items():
                 self._push(name, wrench)
+            self._turn_joints()
             pybullet.stepSimulation(physicsClientId=client)
         for name in self._driven:
             self.placed.pop(name, None)
@@ -137,6 +144,17 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         force, torque = self._scale * wrench[:3], self._scale**2 * wrench[3:]
         self.world.call("applyExternalForce", handle.body, handle.link, force.tolist(), place, frame)
         self.world.call("applyExternalTorque", handle.body, handle.link, torque.tolist(), frame)
+
+    def _turn_joints(self) -> None:
+        """Apply the torques of motors for one step; that of a servo is computed here, from the state before it."""
+        for (hinge, motor), value in zip(self._scene.motors, self._commands, strict=False):
+            number, link, sign = self.world.joints[id(hinge)]
+            torque = value
+            if isinstance(motor, Servo):
+                angle, rate = self.world.call("getJointState", number, link)[:2]
+                torque = motor.torque_n_m(value, sign * angle, sign * rate)
+            torque *= sign * self._scale**2
+            self.world.call("setJointMotorControl2", number, link, pybullet.TORQUE_CONTROL, force=torque)
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""

@@ -7,10 +7,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import Feature, Simulation, Worlds
+from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
+from gauge_envs.backends.shared.rigid import linked_hinges
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]
@@ -29,7 +30,7 @@ class BackendRapier(BundledBackend):
     configurations = MappingProxyType(
         {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
     )
-    features = frozenset({Feature.BODY_HINGES, Feature.STATED_INERTIA})
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
@@ -46,6 +47,9 @@ class BackendRapier(BundledBackend):
         if hinged:
             count = counts[hinged[0]]
             yield f"{hinged[0]!r} hangs on {count} joints, and this backend builds a hinge as the only joint"
+        free = [name for name, hinge in linked_hinges(scene, single=False).items() if hinge is None]
+        if free:
+            yield f"{free[0]!r} is free, and this backend builds friction and motors of joints in chains on the world"
         count = len(colliding_contacts(scene))
         if count > LARGEST_CONTACT_COUNT:
             yield (

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
+from gauge_envs.backends.shared.rigid import centre_velocity, has_terms, hinge_frame, linked_hinges
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     BodyHinge,
@@ -28,11 +28,19 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
+from gauge_envs.scene.hinged import other_end, start_rate_rad_per_s
 from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.scene.motors import Servo
 
 MASS_UNIT_KG = 1e-3
 """Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
 sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
+
+BRAKE_RATE_RAD_PER_S = 1e-5
+"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
+
+TURN = rapier.JointAxis.ANG_X
+"""Axis of every hinge in its own frame."""
 
 UP_TO_Y = Rotation.from_euler("x", 90, degrees=True)
 """Rotation that takes the axis y of Rapier's cylinders to the axis z of a scene's."""
@@ -64,17 +72,33 @@ def _add_scene(world: rapier.PhysicsWorld, scene: Scene, first_contact: int, set
         handle = world.add_body(builder, colliders)
         if body.motion is not Motion.FIXED:
             layout[body.name] = handle, centre_m
+    _add_joints(world, scene, layout, settings)
+    return layout
+
+
+def _add_joints(world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settings: SettingsRapier) -> None:
+    """Add the joints of a scene, multibodies from their roots on."""
+    linked = linked_hinges(scene, settings.hinge_joint == "multibody")
     for joint in scene.joints:
         body = scene.body(joint.body)
         if isinstance(joint, Hinge):
-            _add_hinge(world, joint, body, layout[body.name][0], settings)
+            _add_hinge(world, joint, body, layout[body.name][0], settings, is_link=body.name in linked)
         else:
             anchor = world.add_body(rapier.RigidBody.fixed().translation(joint.anchor_m))
             string = rapier.RopeJointBuilder(joint.length_m).local_anchor1((0, 0, 0)).local_anchor2((0, 0, 0))
             world.impulse_joints.insert(anchor, layout[body.name][0], string.build())
     for hinge in scene.body_hinges:
-        _add_body_hinge(world, scene, hinge, layout)
-    return layout
+        if hinge not in linked.values():
+            _add_body_hinge(world, scene, hinge, layout)
+    for name, hanging in linked.items():
+        if isinstance(hanging, BodyHinge):
+            ends = (other_end(hanging, name), name)
+            joint = _revolute(*(isometry(hinge_frame(hanging).relative_to(scene.body(one).pose)) for one in ends))
+            world.multibody_joints.insert(*(layout[one][0] for one in ends), joint)
+    # Links that are added later need their damping and their start rate anew.
+    for name, hanging in linked.items():
+        if hanging is not None and (has_terms(hanging) or scene.body_hinges):
+            _set_link(world, scene, name, hanging, layout, settings)
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
@@ -167,8 +191,60 @@ def _shapes(shape: Shape) -> Iterator[rapier.ColliderBuilder]:
             yield rapier.Collider.convex_hull(np.asarray(piece, dtype=np.float32))
 
 
+def link_of(world: rapier.PhysicsWorld, handle: rapier.RigidBodyHandle) -> tuple[rapier.Multibody, int, int]:
+    """Return the multibody of a body on a hinge, the number of its link, and the place of its freedom."""
+    found = world.multibody_joints.rigid_body_link(handle)
+    chain = world.multibody_joints.get_multibody(found.multibody)
+    return chain, found.id, chain.get_link(found.id).assembly_id
+
+
+def _set_link(
+    world: rapier.PhysicsWorld,
+    scene: Scene,
+    name: str,
+    hinge: Hinge | BodyHinge,
+    layout: Layout,
+    settings: SettingsRapier,
+) -> None:
+    """Write the start rate of a link, its friction and its armature, and the gains of its servo.
+
+    A joint has one motor: the dry friction, as a brake with a largest torque, or else the servo.
+    """
+    chain, link, row = link_of(world, layout[name][0])
+    body, terms, motor = scene.body(name), hinge.dynamics, hinge.motor
+    rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
+    if isinstance(hinge, BodyHinge):
+        rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, name)))
+    damping = settings.hinge_damping_n_m_s + terms.viscous_friction_n_m_s_per_rad
+    for values, write, value in (
+        (chain.generalized_velocity(), chain.set_generalized_velocity, rate),
+        (chain.damping(), chain.set_damping, damping / MASS_UNIT_KG),
+        (chain.armature(), chain.set_armature, terms.armature_kg_m2 / MASS_UNIT_KG),
+    ):
+        changed = list(values)
+        changed[row] = value
+        write(changed)
+    limit: float | None = None
+    if terms.dry_friction_n_m:
+        gains, limit = (0.0, terms.dry_friction_n_m / BRAKE_RATE_RAD_PER_S), terms.dry_friction_n_m
+    elif isinstance(motor, Servo):
+        gains, limit = (motor.kp_n_m_per_rad, motor.kv_n_m_s_per_rad), motor.torque_limit_n_m
+    else:
+        return
+    chain.set_link_motor_model(link, TURN, rapier.MotorModel.FORCE_BASED)
+    chain.set_link_motor(link, TURN, 0.0, 0.0, *(gain / MASS_UNIT_KG for gain in gains))
+    if limit is not None:
+        chain.set_link_motor_max_force(link, TURN, limit / MASS_UNIT_KG)
+
+
 def _add_hinge(
-    world: rapier.PhysicsWorld, hinge: Hinge, body: RigidBody, handle: rapier.RigidBodyHandle, settings: SettingsRapier
+    world: rapier.PhysicsWorld,
+    hinge: Hinge,
+    body: RigidBody,
+    handle: rapier.RigidBodyHandle,
+    settings: SettingsRapier,
+    *,
+    is_link: bool,
 ) -> None:
     """Add a hinge with a fixed body of its own, whose axis x is that of the hinge."""
     frame = hinge_frame(hinge)
@@ -178,7 +254,7 @@ def _add_hinge(
     joint = _revolute(
         rapier.Isometry3.identity(), rapier.Isometry3(tuple(arm), tuple((back * frame.rotation).as_quat()))
     )
-    if settings.hinge_joint == "impulse":
+    if not is_link:
         world.impulse_joints.insert(anchor, handle, joint)
         return
     link = world.multibody_joints.insert(anchor, handle, joint)

@@ -12,11 +12,13 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
-from gauge_envs.backends.rapier.model import MASS_UNIT_KG, Layout, build_world, isometry
+from gauge_envs.backends.rapier.model import MASS_UNIT_KG, TURN, Layout, build_world, isometry, link_of
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, hinges_by_body, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
-from gauge_envs.scene import ConvexUnion, Pose, Scene
+from gauge_envs.scene import BodyHinge, ConvexUnion, Pose, Scene
+from gauge_envs.scene.hinged import joint_sign, other_end
+from gauge_envs.scene.motors import Servo
 
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
@@ -29,12 +31,20 @@ class _SceneWorld(PlacedWorld):
         self.settings = settings.model_dump(mode="json")
         self._layout = layout
         self.placed = placed_states(scene)
+        names = {id(hinge): name for name, hinge in hinges_by_body(scene).items()}
+        self._motors = [
+            (hinge, motor, names[id(hinge)], joint_sign(hinge, names[id(hinge)])) for hinge, motor in scene.motors
+        ]
+        self._axes = [
+            scene.body(name).pose.rotation.apply(hinge.axis, inverse=True) for hinge, _, name, _ in self._motors
+        ]
+        self._commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
 
     def hold(self, world: rapier.PhysicsWorld, motions: dict[str, DrivenMotion]) -> None:
         """Read and drive the bodies of a Rapier world from now on."""
-        bodies = world.rigid_bodies
+        self._holder, bodies = world, world.rigid_bodies
         self._bodies = {name: bodies[handle] for name, (handle, _) in self._layout.items()}
         self.motions = dict(motions)
 
@@ -60,6 +70,32 @@ class _SceneWorld(PlacedWorld):
         held.reset_torques()
         held.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
         held.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        self._commands = values.tolist()
+        for (hinge, motor, name, sign), value in zip(self._motors, self._commands, strict=True):
+            if isinstance(motor, Servo) and not hinge.dynamics.dry_friction_n_m:
+                chain, link, _ = link_of(self._holder, self._layout[name][0])
+                gains = (motor.kp_n_m_per_rad / MASS_UNIT_KG, motor.kv_n_m_s_per_rad / MASS_UNIT_KG)
+                chain.set_link_motor(link, TURN, sign * value, 0.0, *gains)
+
+    def torques(self) -> list[tuple[rapier.RigidBody, NDArray[np.float64]]]:
+        """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
+        found = []
+        for (hinge, motor, name, sign), axis, value in zip(self._motors, self._axes, self._commands, strict=False):
+            torque, body = sign * value, self._bodies[name]
+            if isinstance(motor, Servo):
+                if not hinge.dynamics.dry_friction_n_m:
+                    continue
+                chain, _, row = link_of(self._holder, self._layout[name][0])
+                angle, rate = chain.generalized_position()[row], chain.generalized_velocity()[row]
+                torque = motor.torque_n_m(torque, angle, rate)
+            along = np.array(body.rotation.transform_vector(tuple(axis)).to_tuple()) * torque / MASS_UNIT_KG
+            found.append((body, along))
+            if isinstance(hinge, BodyHinge):
+                found.append((self._bodies[other_end(hinge, name)], -along))
+        return found
 
     def fault(self) -> str | None:
         """Return why Rapier disabled a body since the last reset, or None; see `World.fault`."""
@@ -119,7 +155,13 @@ def _advance(world: rapier.PhysicsWorld, parts: Sequence[_SceneWorld], seconds: 
     for index in range(count):
         for part, name, _, velocities in driven:
             part.set_velocity(name, velocities[index])
+        torques = [torque for part in parts for torque in part.torques()]
+        for body, torque in torques:
+            body.add_torque(tuple(torque))
         world.step()
+        # Rapier keeps torques until they are removed.
+        for body, torque in torques:
+            body.add_torque(tuple(-torque))
     for part, name, motion, _ in driven:
         part.set_velocity(name, motion.velocity_at(seconds))
         part.motions = {}

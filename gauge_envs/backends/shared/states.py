@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.errors import BackendError
-from gauge_envs.scene import Pose, Scene
+from gauge_envs.scene import JointDynamics, Pose, Scene
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,10 @@ class ReplayedSimulation(Simulation):
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque; see `World.apply_wrench`."""
         self._call("apply_wrench", body, np.array(wrench))
+
+    def command(self, values: NDArray[np.float64]) -> None:
+        """Set what the motors follow; see `World.command`."""
+        self._call("command", np.array(values))
 
     def advance(self, seconds: float) -> None:
         """Simulate an interval [s]."""
@@ -166,7 +170,8 @@ class StateOrigin:
             one = self._scene
             parts = (one.bodies, one.deformables, one.joints, one.attachments, one.contacts, one.gravity_m_per_s2)
             # Parts that few scenes have follow, so that the hashes of the others stay.
-            rare = "".join(repr(part) for part in (one.air, one.body_hinges) if part)
+            dynamics = [hinge.dynamics for hinge in one.hinges if hinge.dynamics != JointDynamics()]
+            rare = "".join(repr(part) for part in (one.air, one.body_hinges, dynamics, one.motors) if part)
             self._hash = hashlib.sha256((repr(parts) + rare).encode()).hexdigest()
         return self._hash
 

@@ -14,8 +14,8 @@ from gauge_envs.envs.control.stage import FRAME_S, Stage, stage_driver
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
-from gauge_envs.scene.drivers import CosineProfile
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 ROD = "rod"

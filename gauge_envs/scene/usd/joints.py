@@ -1,22 +1,30 @@
-"""Reader of hinges, tethers and driven bodies of a USD stage."""
+"""Reader of hinges with their motors, tethers and driven bodies of a USD stage."""
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
+from typing import Annotated, Any
 
 import numpy as np
 from pxr import Sdf, Usd, UsdPhysics
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import ShapeError
-from gauge_envs.scene.bodies import BodyHinge, Hinge, Motion, RigidBody, Tether
+from gauge_envs.errors import ShapeError, first_fault
+from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
 from gauge_envs.scene.driver_fit import sampled_motions
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Pose, pose_distance, vector
+from gauge_envs.scene.motors import Motor
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import (
+    DRIVE,
+    DYNAMICS,
+    PHYSX_ARMATURE,
     TEXT,
     WRITTEN,
     hinge_axis,
@@ -33,6 +41,19 @@ GAP_M = 1e-4
 
 UNIT = 1e-6
 """Largest deviation of an axis from unit length."""
+
+
+UNREAD = ("physxJoint:jointFriction", "mjc:stiffness", "drive:angular:physics:targetVelocity")
+"""Attributes with physics that joints of a scene do not have, unless they are 0."""
+
+
+class _Terms(BaseModel):
+    """Terms of a hinge."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    dynamics: JointDynamics
+    motor: Annotated[Motor, Field(discriminator="kind")] | None
 
 
 class _End:
@@ -140,7 +161,8 @@ def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, Ri
             "the start: they must meet",
         )
     first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
-    return BodyHinge(first=first, second=second, anchor_m=vector(anchor), axis=vector(_normalized(axis)))
+    place, terms = vector(anchor), _terms(source, prim)
+    return BodyHinge(first=first, second=second, anchor_m=place, axis=vector(_normalized(axis)), **terms)
 
 
 def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
@@ -196,9 +218,9 @@ def _letter(source: Source, prim: Usd.Prim) -> str:
 
 
 def _normalized(axis: FloatArray) -> FloatArray:
-    """Return a unit vector; an axis that was edited has single precision, and an exact one stays."""
+    """Return a unit vector; an axis that was edited has single precision, and one that a task file may state stays."""
     length = float(np.linalg.norm(axis))
-    return axis if abs(length - 1.0) < 1e-12 else axis / length
+    return axis if abs(length - 1.0) <= 1e-9 else axis / length
 
 
 def _is_edited(attribute: Usd.Attribute) -> bool:
@@ -207,8 +229,9 @@ def _is_edited(attribute: Usd.Attribute) -> bool:
 
 
 def _check_plain(source: Source, prim: Usd.Prim) -> None:
-    """Check that a joint has no limit, drive or breaking strength."""
+    """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
     applied = [name for name in prim.GetAppliedSchemas() if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))]
+    applied = [name for name in applied if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)]
     if applied:
         raise source.fault(prim, f"unsupported joint: it has {applied[0]}, and joints of a scene move freely")
     for name in ("physics:lowerLimit", "physics:upperLimit", "physics:breakForce", "physics:breakTorque"):
@@ -253,7 +276,46 @@ def _hinge(
                 prim,
                 f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
             )
-    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis))
+    terms = _terms(source, prim, 1.0 if _ends(source, prim)[1].body else -1.0)
+    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
+
+
+def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
+    """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign."""
+    for attribute in map(prim.GetAttribute, UNREAD):
+        if attribute and source.number(attribute):
+            raise source.fault(attribute, f"unsupported joint: it is {attribute.Get()}, and a scene has no such term")
+    unit, dynamics = source.kilograms * source.metres**2, {}
+    for field, name in DYNAMICS.items():
+        other = [source.reading(prim.GetAttribute(PHYSX_ARMATURE))] if name == "mjc:armature" else []
+        if (value := source.counted(prim.GetAttribute(name), other)) is not None:
+            dynamics[field] = unit * float(value)
+    drive = UsdPhysics.DriveAPI(prim, "angular")
+    kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
+    motor = None if kind is None else {"kind": kind} | _motor(source, prim, drive, unit, sign)
+    try:
+        return dict(_Terms.model_validate({"dynamics": dynamics, "motor": motor}))
+    except ValidationError as error:
+        raise source.fault(prim, ": ".join(first_fault(error))) from None
+
+
+def _motor(source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: float, sign: float) -> dict[str, Any]:
+    """Return the fields of a motor; a drive of another tool holds its target."""
+    source.text(drive.GetTypeAttr(), ("force",))
+    motor: dict[str, Any] = {"delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0}
+    for field, (name, factor) in DRIVE.items():
+        standard = prim.GetAttribute(name)
+        is_given = standard and standard.Get() != math.inf
+        reading = source.reading(standard, (), partial(np.multiply, factor * unit)) if is_given else None
+        if (value := source.counted(prim.GetAttribute(f"gauge:{field}"), [reading])) is not None:
+            motor[field] = float(value)
+    command = prim.GetAttribute("gauge:command")
+    target = sign * math.radians(source.number(drive.GetTargetPositionAttr()) or 0.0)
+    try:
+        stated = json.loads(source.text(command) or "null")
+    except ValueError as error:
+        raise source.fault(command, f"is not JSON: {error}") from None
+    return motor | {"command": stated or {"kind": "sampled", "times_s": (0.0, 1.0), "values": (target, target)}}
 
 
 # --- driven bodies ---------------------------------------------------------------------------------------------------

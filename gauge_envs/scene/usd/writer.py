@@ -12,6 +12,8 @@ as the mesh of a cloth, contains its written value and the names of the attribut
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, fields
 from itertools import combinations
@@ -42,13 +44,17 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
 from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, FloatArray, Pose, Shape, Sphere, vector
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
+from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import (
     AIR_KINDS,
+    DRIVE,
+    DYNAMICS,
     KINDS,
     MARKER_INDICES,
     OMNI_MATERIAL,
+    PHYSX_ARMATURE,
     TEXT,
     digest,
     hinge_axis,
@@ -446,6 +452,7 @@ class _Writer:
             local = joint.CreateLocalRot1Attr(Gf.Quatf(_quatd(pose.quaternion).GetInverse() * Gf.Quatd(rotation)))
             record_written(local, local.Get())
             _custom(joint, "axis", stated.axis, "double3", written=digest(hinge_axis(wxyz(world.Get()))))
+            _joint_terms(joint.GetPrim(), stated)
         else:
             joint = UsdPhysics.DistanceJoint.Define(self.stage, path)
             longest = joint.CreateMaxDistanceAttr(stated.length_m)
@@ -474,6 +481,7 @@ class _Writer:
                 record_written(one, one.Get())
         _custom(joint, "anchor_m", hinge.anchor_m, "double3")
         _custom(joint, "axis", hinge.axis, "double3")
+        _joint_terms(joint.GetPrim(), hinge)
 
     # --- attachments and markers ---
 
@@ -565,6 +573,30 @@ def _set(schema: Any, name: str, kind: str, value: Any) -> Usd.Attribute:
     attribute = prim.CreateAttribute(name, Sdf.ValueTypeNames.Find(kind), custom=is_custom)
     attribute.Set(value)
     return attribute
+
+
+def _joint_terms(prim: Usd.Prim, hinge: Hinge | BodyHinge) -> None:
+    """Write friction, armature and motor of a hinge."""
+    for field, name in DYNAMICS.items():
+        if value := getattr(hinge.dynamics, field):
+            prim.AddAppliedSchema("MjcJointAPI")
+            double = _set(prim, name, "double", value)
+            if name == "mjc:armature":
+                prim.AddAppliedSchema("PhysxJointAPI")
+                record_written(double, _set(prim, PHYSX_ARMATURE, "float", value).Get())
+    if (motor := hinge.motor) is None:
+        return
+    _custom(prim, "motor", motor.kind, "token")
+    _custom(prim, "command", json.dumps(asdict(motor.command), allow_nan=False), "string")
+    if isinstance(motor, Servo):
+        target = UsdPhysics.DriveAPI.Apply(prim, "angular").CreateTargetPositionAttr()
+        target.Set(math.degrees(motor.command.value(0.0)))
+        record_follower(target, "gauge:command")
+    for field, value in asdict(motor).items():
+        if isinstance(value, float):
+            drive = DRIVE.get(field)
+            single = drive and _set(prim, drive[0], "float", value / drive[1]).Get() * drive[1]
+            _custom(prim, field, value, written=single)
 
 
 def _friction(prim: Usd.Prim, contact: Contact) -> UsdPhysics.MaterialAPI:

@@ -19,7 +19,7 @@ from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.files import os_errors
 from gauge_envs.observables.observer import material_points
-from gauge_envs.scene import Cloth, Deformable, Rod, Rope, Scene, SoftBody
+from gauge_envs.scene import Cloth, Deformable, JointDynamics, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import record_follower
 from gauge_envs.scene.usd.writer import export_stage
@@ -51,6 +51,8 @@ def unsupported_reason(scene: Scene) -> str | None:
     for body in scene.deformables:
         if (kind := UNSUPPORTED.get(type(body))) is not None:
             return f"body {body.name!r} is a {kind}, and PhysX does not simulate deformable curves"
+    if any(hinge.motor or hinge.dynamics != JointDynamics() for hinge in scene.hinges):
+        return "its joints have friction, armature or motors, which PhysX does not take from a layer"
     return None
 
 

@@ -96,7 +96,13 @@ def _hinged(body: RigidBody, hinge: Hinge) -> BodyFile:
     ElementTree.SubElement(joint, "parent", link=ROOT_LINK)
     ElementTree.SubElement(joint, "child", link=body.name)
     ElementTree.SubElement(joint, "axis", xyz=_text(vector(turn.apply(hinge.axis, inverse=True))))
-    ElementTree.SubElement(joint, "dynamics", damping="0", friction="0")
+    terms = hinge.dynamics
+    if terms.armature_kg_m2 or hinge.motor:
+        raise UnsupportedSceneError("URDF has no armature and no motors: export the scene as MJCF or USD")
+    damping, friction = (
+        repr(one).removesuffix(".0") for one in (terms.viscous_friction_n_m_s_per_rad, terms.dry_friction_n_m)
+    )
+    ElementTree.SubElement(joint, "dynamics", damping=damping, friction=friction)
     meshes = _add_link(robot, body, offset)
     return replace(_file(body, robot, meshes, is_root_fixed=True), origin_in_link_m=offset)
 

@@ -32,7 +32,8 @@ from gauge_envs.references.published import law_for
 from gauge_envs.references.tables import FileModel, read_rows, read_toml
 from gauge_envs.references.user_data import has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
-from gauge_envs.scene.drivers import Profile, SampledProfile
+from gauge_envs.scene.hinged import joint_fields
+from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
@@ -109,10 +110,10 @@ def description(experiment: Experiment) -> dict[str, Any]:
             "bodies": [_body(body, experiment) for body in (*scene.bodies, *scene.deformables)],
             "contacts": [dataclasses.asdict(contact) for contact in scene.contacts],
             "joints": [
-                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | dataclasses.asdict(joint)
+                {"kind": "hinge" if isinstance(joint, Hinge) else "tether"} | joint_fields(joint)
                 for joint in scene.joints
             ]
-            + [{"kind": "hinge of two bodies"} | dataclasses.asdict(hinge) for hinge in scene.body_hinges],
+            + [{"kind": "hinge of two bodies"} | joint_fields(hinge) for hinge in scene.body_hinges],
             "attachments": [dataclasses.asdict(attachment) for attachment in scene.attachments],
             "drivers": [_driver(experiment, index) for index in range(len(scene.drivers))],
             "air": None if scene.air is None else dataclasses.asdict(scene.air),

@@ -33,8 +33,9 @@ from gauge_envs.scene import (
     Sphere,
     Vector,
 )
-from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.fabrics import Fabric
+from gauge_envs.scene.profiles import TrapezoidProfile
 
 T = TypeVar("T")
 

@@ -32,6 +32,7 @@ FAMILIES = (
     "contacts",
     "shapes",
     "momentum",
+    "joints",
     "driven",
     "cloth",
     "air",

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from straight import fitted_acceleration
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,
@@ -29,7 +29,8 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.drivers import Driver, DriverMotion, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 G = GRAVITY_M_PER_S2

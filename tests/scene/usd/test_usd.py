@@ -36,7 +36,8 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.drivers import CosineProfile, Driver, DriverMotion, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.profiles import CosineProfile, SampledProfile, TrapezoidProfile
 from gauge_envs.scene.usd.reader import from_usd, read_usd
 from gauge_envs.scene.usd.writer import export_stage, to_usd
 from gauge_envs.tools.assets.build import assets_folder

@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from gauge_envs import load_experiment
 from gauge_envs.errors import AssetError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Pose, RigidBody, Scene, Sphere, Tether
-from gauge_envs.scene.drivers import SampledProfile
 from gauge_envs.scene.geometry import pose_distance
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.reader import from_usd, read_usd
 from gauge_envs.scene.usd.writer import to_usd

@@ -558,9 +558,9 @@ REFUSED = {
         HEAD,
         BALL
         + joint("RevoluteJoint", "rel physics:body0 = </ball>\n").replace(
-            '"joint"', '"joint" (prepend apiSchemas = ["PhysicsDriveAPI:angular"])'
+            '"joint"', '"joint" (prepend apiSchemas = ["PhysicsDriveAPI:linear"])'
         ),
-        r"/joint: unsupported joint: it has PhysicsDriveAPI",
+        r"/joint: unsupported joint: it has PhysicsDriveAPI:linear",
     ),
     "open hinge": (
         HEAD,

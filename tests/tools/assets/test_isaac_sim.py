@@ -9,6 +9,7 @@ import importlib.util
 import sys
 import tomllib
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -32,7 +33,7 @@ from gauge_envs.observables.observer import MARKER_REACH_M, observe_markers
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
-from gauge_envs.scene import Cloth, SoftBody
+from gauge_envs.scene import Cloth, JointDynamics, SoftBody
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
 from gauge_envs.tools.assets import isaac_sim
@@ -305,6 +306,13 @@ def test_driven_bodies_have_a_pose_at_every_step(name: str) -> None:
             pose = driver.pose(start, step / rate)
             np.testing.assert_allclose(read.positions_m[step], pose.position_m, atol=1e-12)
             assert abs(read.quaternions[step] @ pose.quaternion) == pytest.approx(1.0, abs=1e-12)
+
+
+def test_hinges_with_friction_are_refused() -> None:
+    scene = load_experiment("Pendulum-metal").scene
+    rubbing = replace(scene.joints[0], dynamics=JointDynamics(dry_friction_n_m=0.01))
+    assert unsupported_reason(scene) is None
+    assert "joints have friction" in unsupported_reason(replace(scene, joints=(rubbing,)))
 
 
 @pytest.mark.parametrize("name", ["RopeWinding-rubber", "StickStack-soft"])

@@ -42,7 +42,8 @@ from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name
-from gauge_envs.scene.drivers import DriverMotion, SampledProfile
+from gauge_envs.scene.drivers import DriverMotion
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.dataset.importer import ImportedTrials, import_trials
 from gauge_envs.tools.dataset.layout import find_trials, write_revision

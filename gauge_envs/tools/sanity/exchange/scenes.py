@@ -11,6 +11,7 @@ from gauge_envs.backends.shared.pair_values import Combination, body_values, pai
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.files import json_ready, versions
 from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
+from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.assets import BodyFile, body_files
 from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena, selection
@@ -68,7 +69,7 @@ class ExportedScene:
                 "longest_interval_s": self.scenario.interval_s,
                 "gravity_m_per_s2": [0.0, 0.0, -scene.gravity_m_per_s2],
                 "bodies": [_body(body, files[body.name], constants.get(body.name, {})) for body in scene.bodies],
-                "hinges": [asdict(joint) for joint in scene.joints if isinstance(joint, Hinge)],
+                "hinges": [joint_fields(joint) for joint in scene.joints if isinstance(joint, Hinge)],
                 "contacts": [
                     {name: getattr(contact, name) for name in ("first", "second", *CONSTANTS)}
                     for contact in scene.contacts

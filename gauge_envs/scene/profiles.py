@@ -1,0 +1,178 @@
+"""How a coordinate changes over time: profiles of motors, and samples of recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import numpy as np
+
+from gauge_envs.scene.geometry import FloatArray, NonNegative, Positive
+
+if TYPE_CHECKING:
+    from scipy.interpolate import PchipInterpolator
+
+
+class _Values:
+    """A profile that is evaluated at one time after another."""
+
+    value: Callable[[float], float]
+
+    def values_at(self, times_s: FloatArray) -> FloatArray:
+        """Return the coordinate at times, in their shape."""
+        return np.array([self.value(time) for time in times_s.ravel().tolist()]).reshape(times_s.shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrapezoidProfile(_Values):
+    """Trapezoidal speed profile of a motor: constant acceleration, constant speed, constant deceleration.
+
+    Attributes:
+        kind: Name of the profile in files.
+        start_s: Time at which the motion starts [s].
+        duration_s: Time from start to standstill [s].
+        accelerate_s: Duration of the acceleration [s]; 0 for a start at full speed.
+        brake_s: Duration of the deceleration [s].
+        amount: Signed total change of the coordinate [m or rad].
+    """
+
+    kind: Literal["trapezoid"] = field(default="trapezoid", repr=False)
+    start_s: float
+    duration_s: Positive
+    accelerate_s: NonNegative
+    brake_s: NonNegative
+    amount: float
+
+    def __post_init__(self) -> None:
+        if self.accelerate_s + self.brake_s > self.duration_s:
+            raise ValueError("accelerate_s and brake_s together are longer than duration_s")
+
+    @property
+    def cruise_rate(self) -> float:
+        """Signed rate between acceleration and deceleration [m/s or rad/s]."""
+        return self.amount / (self.duration_s - 0.5 * (self.accelerate_s + self.brake_s))
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        return abs(self.cruise_rate)
+
+    def value(self, time_s: float) -> float:
+        """Return the coordinate at a time, relative to its start [m or rad]."""
+        t = min(max(time_s - self.start_s, 0.0), self.duration_s)
+        speed_up = min(t, self.accelerate_s)
+        # Distance at the cruise rate, less the distance lost during acceleration and deceleration.
+        value = self.cruise_rate * t
+        if self.accelerate_s > 0.0:
+            value -= self.cruise_rate * (speed_up - 0.5 * speed_up**2 / self.accelerate_s)
+        braking = max(t - (self.duration_s - self.brake_s), 0.0)
+        if self.brake_s > 0.0:
+            value -= 0.5 * self.cruise_rate * braking**2 / self.brake_s
+        return value
+
+    def rate(self, time_s: float) -> float:
+        """Return the rate at a time [m/s or rad/s]."""
+        t = time_s - self.start_s
+        if not 0.0 <= t < self.duration_s:
+            return 0.0
+        if t < self.accelerate_s:
+            return self.cruise_rate * t / self.accelerate_s
+        left = self.duration_s - t
+        return self.cruise_rate * (left / self.brake_s if left < self.brake_s else 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CosineProfile(_Values):
+    """Change by `amount` along half a cosine period, which starts and ends at rest."""
+
+    kind: Literal["cosine"] = field(default="cosine", repr=False)
+    start_s: float
+    duration_s: Positive
+    amount: float
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        return 0.5 * np.pi * abs(self.amount) / self.duration_s
+
+    def value(self, time_s: float) -> float:
+        """Return the coordinate at a time, relative to its start [m or rad]."""
+        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+        return 0.5 * self.amount * (1.0 - float(np.cos(np.pi * phase)))
+
+    def rate(self, time_s: float) -> float:
+        """Return the rate at a time [m/s or rad/s]."""
+        phase = min(max((time_s - self.start_s) / self.duration_s, 0.0), 1.0)
+        return 0.5 * np.pi * self.amount / self.duration_s * float(np.sin(np.pi * phase))
+
+
+@dataclass(frozen=True, kw_only=True)
+class SampledProfile:
+    """Sampled coordinate with monotone cubic interpolation (no overshoot), constant before and after the samples.
+
+    Attributes:
+        kind: Name of the profile in files.
+        times_s: Strictly increasing times [s], shape [sample_count].
+        values: Coordinate relative to the start pose [m or rad], same shape.
+    """
+
+    kind: Literal["sampled"] = field(default="sampled", repr=False)
+    times_s: tuple[float, ...]
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.times_s) < 2:
+            raise ValueError(f"times_s has {len(self.times_s)} entries; at least 2 are needed")
+        if len(self.values) != len(self.times_s):
+            raise ValueError(f"{len(self.times_s)} times but {len(self.values)} values")
+        for index in range(1, len(self.times_s)):
+            before, time = self.times_s[index - 1 : index + 1]
+            if time <= before:
+                raise ValueError(f"driver time is not increasing: times_s[{index}] = {time} after {before}")
+
+    @cached_property
+    def _curve(self) -> PchipInterpolator:
+        # Lists of experiments need no curve, and the import takes a tenth of a second.
+        from scipy.interpolate import PchipInterpolator
+
+        # Slopes of subnormal numbers have infinite inverses, from which the slope 0 follows.
+        with np.errstate(over="ignore"):
+            return PchipInterpolator(self.times_s, self.values)
+
+    @cached_property
+    def _slope(self) -> PchipInterpolator:
+        return self._curve.derivative()
+
+    @property
+    def largest_rate(self) -> float:
+        """Largest absolute rate [m/s or rad/s]."""
+        # The slope of a cubic piece is extreme at its ends or at a root of its derivative; flat pieces give NaN.
+        inside = self._slope.derivative().roots(extrapolate=False)
+        return float(np.abs(self._slope(np.concatenate([self.times_s, inside[np.isfinite(inside)]]))).max())
+
+    def value(self, time_s: float) -> float:
+        """Return the coordinate at a time, relative to the start pose [m or rad]."""
+        return float(self._curve(min(max(time_s, self.times_s[0]), self.times_s[-1])))
+
+    def values_at(self, times_s: FloatArray) -> FloatArray:
+        """Return the coordinate at times, in their shape."""
+        return np.asarray(self._curve(np.clip(times_s, self.times_s[0], self.times_s[-1])))
+
+    def rate(self, time_s: float) -> float:
+        """Return the rate at a time [m/s or rad/s]; 0 before the first and after the last sample."""
+        return float(self._slope(time_s)) if self.times_s[0] <= time_s < self.times_s[-1] else 0.0
+
+
+class _ByKind:
+    """Metadata of a union whose member is chosen by `kind`; keeps pydantic out of the imports of this module."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        from pydantic import Field
+
+        return handler.generate_schema(Annotated[source, Field(discriminator="kind")])
+
+
+Profile = Annotated[TrapezoidProfile | CosineProfile | SampledProfile, _ByKind()]
+"""How a coordinate changes over time."""

@@ -1,0 +1,80 @@
+"""`gauge recipe joint`: settings of joints from logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from gauge_envs.cli import arguments
+from gauge_envs.cli.output import Format, Progress, echo, print_document
+from gauge_envs.errors import ParameterError
+
+if TYPE_CHECKING:
+    from gauge_envs.scene import Scene
+
+PASSIVE = ("dry_friction_n_m", "viscous_friction_n_m_s_per_rad", "armature_kg_m2")
+SERVO = ("dry_friction_n_m", "armature_kg_m2", "kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+"""What is identified unless `fit` says otherwise; kv holds the viscous friction of a servo's joint."""
+
+
+def recipe_joint(
+    words: Annotated[list[str], typer.Argument(metavar="LOG... [NAME=VALUE]...", help="CSV or NPZ files.")],
+    engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
+    form: arguments.Form = Format.TEXT,
+) -> bool:
+    """Give settings of a joint from logs of it: friction, armature, gains, with 95 % intervals.
+
+    Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
+
+    Details: mass_kg= and length_m= of the load, from the axis to its centre, angle 0 hanging; inertia_kg_m2= about the
+    centre; or scene=FILE or ID, whose hinges are the joints. fit=NAME,NAME: what is identified. test=LOG,LOG: logs to
+    predict. part_s=: longest part that is simulated at once. timestep_s= of the engine.
+
+    Exit code 1 when the logs leave a setting open.
+    """
+    from gauge_envs.backends import backend
+    from gauge_envs.tools.identify import identify, read_log
+    from gauge_envs.tools.identify.words import identified_document, snippet
+
+    numbers = dict.fromkeys(("mass_kg", "length_m", "inertia_kg_m2", "part_s", "timestep_s"), float)
+    names, details = arguments.split_details(words, **numbers, scene=str, fit=str, test=str)
+    if not names:
+        raise ParameterError("no log: name one or more CSV or NPZ files")
+    logs, tests = (
+        [read_log(Path(name)) for name in some if name] for some in (names, details.pop("test", "").split(","))
+    )
+    wanted = details.pop("fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)).split(",")
+    part_s = details.pop("part_s", None)
+    settings = {name: details.pop(name) for name in ("timestep_s",) if name in details}
+    with Progress("simulations", None) as bar:
+        found = identify(
+            backend(engine),
+            _scene(**details),
+            logs,
+            wanted,
+            held_out=tests,
+            part_s=part_s,
+            settings=settings,
+            progress=bar.show,
+        )
+    print_document(identified_document(found), form)
+    if form is not Format.JSON:
+        echo(f"\npaste\n{snippet(found)}", nl=False)
+    return any(one.unknown for one in found.settings)
+
+
+def _scene(scene: str | None = None, **load: float) -> Scene:
+    """Return the scene of a file or an id, or one joint with a load."""
+    from gauge_envs.experiments.resolve import load_experiment
+    from gauge_envs.tools.identify import one_joint
+
+    if scene is not None:
+        if load:
+            raise ParameterError(f"scene= states the load: leave {' and '.join(load)} out")
+        return load_experiment(scene).scene
+    for name in ("mass_kg", "length_m"):
+        if name not in load:
+            raise ParameterError(f"{name}= of the load is missing: without it a log tells only ratios of torques")
+    return one_joint(**load)

@@ -1,0 +1,353 @@
+"""Settings of joints from logs: least squares over an engine's own simulation, with 95 % intervals.
+
+Stage 1 fits short parts of the logs, each from its own start, so that a wrong period cannot slip by a whole swing.
+Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too.
+
+The residuals are not white: what a model leaves out lasts. So the covariance is the sandwich (J'J)^-1 M (J'J)^-1 with
+M summed over blocks of the logs (Liang and Zeger, Biometrika 73, 1986), and its quantile is Student's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+from scipy.stats import t as student
+
+from gauge_envs.backends.base import Backend, scene_support
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.meshes import body_mass_properties
+from gauge_envs.tools.identify.logs import Log
+from gauge_envs.tools.identify.rig import DYNAMICS, SERVO, Terms, check_joints, simulated, with_terms
+
+FIRST_PART_S = 0.6
+"""Longest part of a log in stage 1 [s]."""
+SERVO_PART_S = 20.0
+"""Longest part of the log of a servo in stage 2, which forgets its start [s]."""
+BLOCKS = 40
+"""Number of blocks of residuals of each joint, from which the intervals follow."""
+STEP, DELAY_STEP = 1e-3, 0.1
+"""Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
+ALIKE = 0.98
+"""Correlation from which the data does not tell two parameters apart."""
+
+Start = tuple[FloatArray, FloatArray]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """Identified number of one joint.
+
+    Attributes:
+        joint: Number of the joint in the log.
+        name: Field of `JointDynamics` or `Servo`.
+        value: Its value, in the unit of its name.
+        low, high: 95 % interval; not below 0.
+        unknown: Why the data does not determine it, or "".
+    """
+
+    joint: int
+    name: str
+    value: float
+    low: float
+    high: float
+    unknown: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """What logs say about joints in an engine.
+
+    Attributes:
+        engine: Name of the engine.
+        settings: The identified numbers, by joint.
+        error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
+        held_out_rad: The same of logs that were not.
+        simulations: Number of simulated parts of logs.
+    """
+
+    engine: str
+    settings: tuple[Setting, ...]
+    error_rad: Mapping[str, FloatArray]
+    held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
+    simulations: int = 0
+
+    def terms(self) -> list[dict[str, float]]:
+        """Return the numbers of each joint, by name."""
+        count = 1 + max(one.joint for one in self.settings)
+        return [{one.name: one.value for one in self.settings if one.joint == joint} for joint in range(count)]
+
+
+@dataclass
+class _Problem:
+    """Residuals of parts of logs as a function of scaled unknowns.
+
+    Attributes:
+        starts: Start of each part. Free starts are unknowns, which come behind the numbers of the joints.
+    """
+
+    engine: Backend
+    scene: Scene
+    settings: Mapping[str, Any] | None
+    parts: list[Log]
+    starts: list[Start]
+    names: tuple[str, ...]
+    sizes: FloatArray
+    zero: bool
+    free_starts: bool
+    simulations: int = 0
+
+    @property
+    def joints(self) -> int:
+        return len(self.scene.hinges)
+
+    @property
+    def kinds(self) -> int:
+        """Number of unknowns of a joint in all parts: its numbers, and the log's angle at rest."""
+        return len(self.names) + self.zero
+
+    def unknowns(self, scaled: FloatArray) -> tuple[list[Terms], FloatArray, FloatArray]:
+        """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
+        own = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
+        values = own[: len(self.names)] * self.sizes[:, None]
+        terms: list[Terms] = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
+        moved = scaled[own.size :].reshape(-1, 2, self.joints) if self.free_starts else None
+        still = np.zeros((len(self.parts), 2, self.joints))
+        return terms, own[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
+
+    def angles(self, scaled: FloatArray) -> list[FloatArray]:
+        """Return what the engine makes of each part [rad], shape [N, J] each."""
+        terms, zero, moved = self.unknowns(scaled)
+        self.simulations += len(self.parts)
+        return [
+            zero
+            + simulated(
+                self.engine, self.scene, part, terms, (start[0] - zero + shift[0], start[1] + shift[1]), self.settings
+            )
+            for part, start, shift in zip(self.parts, self.starts, moved, strict=True)
+        ]
+
+    def residuals(self, scaled: FloatArray) -> FloatArray:
+        """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
+        pairs = zip(self.angles(scaled), self.parts, strict=True)
+        return np.concatenate([(angles - part.position_rad).T.ravel() for angles, part in pairs])
+
+    def jacobian(self, scaled: FloatArray) -> FloatArray:
+        """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
+        before = self.residuals(scaled)
+        jacobian = np.zeros((before.size, scaled.size))
+        rows, own = self._rows(), self.kinds * self.joints
+        for kind in range(self.kinds):
+            columns = kind * self.joints + np.arange(self.joints)
+            step = DELAY_STEP if self.names[kind : kind + 1] == ("delay_s",) else STEP
+            change = self._changed(scaled, columns, before, step)
+            for joint, column in enumerate(columns):
+                inside = rows[:, 1] == joint
+                jacobian[inside, column] = change[inside]
+        for kind in range(2 if self.free_starts else 0):
+            places = own + np.arange(len(self.parts) * 2 * self.joints).reshape(-1, 2, self.joints)[:, kind]
+            change = self._changed(scaled, places.ravel(), before, STEP)
+            for number, joint in np.ndindex(places.shape):
+                inside = (rows == (number, joint)).all(axis=1)
+                jacobian[inside, places[number, joint]] = change[inside]
+        return jacobian
+
+    def _changed(self, scaled: FloatArray, columns: NDArray[np.intp], before: FloatArray, step: float) -> FloatArray:
+        moved = scaled.copy()
+        moved[columns] += step
+        return (self.residuals(moved) - before) / step
+
+    def _rows(self) -> FloatArray:
+        """Return number of the part and of the joint of each residual, shape [residual_count, 2]."""
+        return np.concatenate(
+            [
+                np.full((len(part.times_s), 2), (number, joint))
+                for number, part in enumerate(self.parts)
+                for joint in range(self.joints)
+            ]
+        )
+
+    def best_start(self) -> FloatArray:
+        """Return the first guesses: of seven stiffnesses of a servo, and two angles at rest, what follows best."""
+        guesses = []
+        middle = float(np.mean(np.concatenate([part.position_rad for part in self.parts])))
+        for scale in (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,):
+            own = [{SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0) for name in self.names]
+            guesses += [np.repeat([*own, *zero], self.joints) for zero in ([[0.0], [middle]] if self.zero else [[]])]
+        return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
+
+    def solved(self, first: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
+        """Return the unknowns of the least squares, and their covariance."""
+        low = np.full(first.size, -np.inf)
+        low[: len(self.names) * self.joints] = 0.0
+        found = least_squares(
+            self.residuals,
+            np.maximum(first, low + 1e-6),
+            self.jacobian,
+            bounds=(low, np.inf),
+            xtol=tolerance,
+            ftol=tolerance,
+        )
+        return found.x, self._covariance(found.jac, found.fun)
+
+    def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
+        rows = self._rows()
+        inverse = np.linalg.pinv(jacobian.T @ jacobian)
+        total, count = np.zeros_like(inverse), 0
+        samples = sum(len(part.times_s) for part in self.parts)
+        for number, joint in {tuple(row) for row in rows.tolist()}:
+            inside = np.flatnonzero((rows == (number, joint)).all(axis=1))
+            blocks = max(1, round(BLOCKS * len(inside) / samples))
+            for block in np.array_split(inside, blocks):
+                score = jacobian[block].T @ residuals[block]
+                total += np.outer(score, score)
+            count += blocks
+        freedom = max(count - jacobian.shape[1], 1)
+        scale = student.ppf(0.975, freedom) ** 2 / student.ppf(0.975, np.inf) ** 2
+        return np.asarray(inverse @ total @ inverse * (count / freedom * scale))
+
+
+def identify(
+    engine: Backend,
+    scene: Scene,
+    logs: Sequence[Log],
+    names: Sequence[str],
+    *,
+    held_out: Sequence[Log] = (),
+    part_s: float | None = None,
+    settings: Mapping[str, Any] | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Identified:
+    """Return the settings of joints with which an engine follows logs best.
+
+    Args:
+        engine: The engine.
+        scene: A scene in which each hinge is at angle 0; its hinges are the joints of the logs, in its order.
+        logs: Logs to fit.
+        names: Numbers to identify, fields of `JointDynamics` and `Servo`.
+        held_out: Logs that are only predicted, with the identified numbers.
+        part_s: Longest part of a log in stage 2 [s]; None is 20 s for servos and the whole log for others.
+        settings: Numerical settings of the engine.
+        progress: Called with what is being done.
+
+    Raises:
+        ParameterError: The logs do not fit the scene or each other, or a name is unknown.
+        UnsupportedSceneError: The engine does not build such a joint.
+    """
+    servo = logs[0].command_rad is not None
+    for log in (*logs, *held_out):
+        check_joints(scene, log)
+        if (log.command_rad is not None) != servo:
+            raise ParameterError(f"{log.name}: all logs must state commands of servos, or none")
+    for name in names:
+        if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
+            known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
+            raise ParameterError(f"{name}: no number of such a joint; known: {known}")
+    guesses = guessed(scene, names)
+    terms = [{name: guesses[name] for name in names}] * len(scene.hinges)
+    built = with_terms(scene, terms, logs[0], np.zeros(len(scene.hinges)))
+    support = scene_support(engine, built)
+    if not support:
+        raise UnsupportedSceneError(f"backend {engine.name!r}: {'; '.join(support.missing)}")
+    sizes = np.array([guesses[name] for name in names])
+    problem = partial(
+        _Problem, engine, scene, settings, names=tuple(names), sizes=sizes, zero=len(scene.hinges) == 1 and not servo
+    )
+    stages = []
+    for longest_s, free in ((FIRST_PART_S, False), (part_s or (SERVO_PART_S if servo else np.inf), not servo)):
+        parts = [part for log in logs for part in log.pieces(longest_s) if len(part.times_s) >= 10]
+        stages.append(problem(parts, [part.start() for part in parts], free_starts=free))
+    short, long = stages
+    unknowns = short.best_start()
+    progress(f"{len(short.parts)} short parts of {len(logs)} logs")
+    unknowns, _ = short.solved(unknowns, 1e-2)
+    progress(f"{len(long.parts)} long parts")
+    if long.free_starts:
+        unknowns = np.concatenate([unknowns, np.zeros(2 * len(long.parts) * len(scene.hinges))])
+    unknowns, covariance = long.solved(unknowns, 1e-4)
+    found = _settings(long, unknowns, covariance)
+    return Identified(
+        engine=engine.name,
+        settings=found,
+        error_rad=_errors(long, unknowns),
+        held_out_rad=_held_out(problem, held_out, long, unknowns) if held_out else {},
+        simulations=short.simulations + long.simulations,
+    )
+
+
+def guessed(scene: Scene, names: Sequence[str]) -> dict[str, float]:
+    """Return first guesses from the load: its inertia, its weight, and a swing a second without gravity."""
+    arms_m = [np.linalg.norm(np.subtract(body.pose.position_m, scene.hinges[0].anchor_m)) for body in scene.bodies]
+    load = list(zip(scene.bodies, arms_m, strict=True))
+    own = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in scene.dynamic_bodies)
+    inertia = own + sum(body.mass_kg * float(arm_m) ** 2 for body, arm_m in load)
+    weight = max(scene.gravity_m_per_s2 * sum(body.mass_kg * float(arm_m) for body, arm_m in load), 40.0 * inertia)
+    rate = float(np.sqrt(weight / inertia))
+    guesses = {
+        "dry_friction_n_m": 0.01 * weight,
+        "viscous_friction_n_m_s_per_rad": 0.02 * weight / rate,
+        "armature_kg_m2": 0.1 * inertia,
+        "kp_n_m_per_rad": 10.0 * weight,
+        "kv_n_m_s_per_rad": weight / rate,
+        "delay_s": 0.02,
+    }
+    return {name: guesses[name] for name in names}
+
+
+def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -> tuple[Setting, ...]:
+    std = np.sqrt(np.diag(covariance))
+    found = []
+    for joint in range(problem.joints):
+        own = [kind * problem.joints + joint for kind in range(len(problem.names))]
+        block = covariance[np.ix_(own, own)]
+        sizes = np.sqrt(np.diag(block))
+        alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
+        for kind, name in enumerate(problem.names):
+            value, half = unknowns[own[kind]], 1.96 * std[own[kind]]
+            twins = [other for k, other in enumerate(problem.names) if k != kind and abs(alike[kind, k]) > ALIKE]
+            unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
+            if not unknown and half >= value:
+                unknown = "0 is in the interval"
+            size = problem.sizes[kind]
+            low, high = max(value - half, 0.0) * size, (value + half) * size
+            found.append(Setting(joint=joint, name=name, value=value * size, low=low, high=high, unknown=unknown))
+    return tuple(found)
+
+
+def _errors(problem: _Problem, unknowns: FloatArray) -> dict[str, FloatArray]:
+    """Return the root mean square error of each log [rad], over its parts."""
+    squares: dict[str, list[FloatArray]] = {}
+    for angles, part in zip(problem.angles(unknowns), problem.parts, strict=True):
+        squares.setdefault(part.name.split(", part ")[0], []).append((angles - part.position_rad) ** 2)
+    return {name: np.sqrt(np.concatenate(parts).mean(axis=0)) for name, parts in squares.items()}
+
+
+def _held_out(
+    problem: Callable[..., _Problem], logs: Sequence[Log], fitted: _Problem, unknowns: FloatArray
+) -> dict[str, FloatArray]:
+    """Return the errors of other logs [rad], each from its own start, which is fitted where the joint has no servo."""
+    longest_s = max(part.duration_s for part in fitted.parts) + 1e-6
+    own = unknowns[: fitted.kinds * fitted.joints]
+    errors: dict[str, FloatArray] = {}
+    for log in logs:
+        parts = list(log.pieces(longest_s))
+        other = problem(parts, [part.start() for part in parts], free_starts=fitted.free_starts)
+        if not fitted.free_starts:
+            errors |= _errors(other, own)
+            continue
+        starts = least_squares(
+            lambda starts, one=other: one.residuals(np.concatenate([own, starts])),
+            np.zeros(2 * len(parts) * fitted.joints),
+            diff_step=STEP,
+            x_scale=0.01,
+            xtol=1e-5,
+        ).x
+        errors |= _errors(other, np.concatenate([own, starts]))
+    return errors

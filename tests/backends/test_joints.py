@@ -1,0 +1,111 @@
+"""Joints of free bodies, and joints in several worlds and after a restore; the conformance checks have the rest."""
+
+from __future__ import annotations
+
+import copy
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from gauge_envs.backends import backend
+from gauge_envs.backends.base import Simulation, Worlds, scene_support
+from gauge_envs.runs.rollout import record
+from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
+from gauge_envs.scene.motors import Servo, TorqueMotor, motor_commands
+from gauge_envs.tools.conformance.lab import body, ramp
+from gauge_envs.tools.conformance.laws import box_inertia_kg_m2
+
+ENGINES = {
+    "mujoco": "mujoco",
+    "newton": "newton",
+    "drake": "pydrake",
+    "pybullet": "pybullet",
+    "physx": "sapien",
+    "rapier": "rapier3d",
+    "genesis": "genesis.version",
+}
+on_every_engine = pytest.mark.parametrize("name", ENGINES)
+STEP = ramp(0.03, start_s=0.0, duration_s=1e-6, ramp_s=0.0)
+
+
+@on_every_engine
+def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> None:
+    """Both centres are on the axis, so each body turns about its own."""
+    pytest.importorskip(ENGINES[name])
+    bodies = (
+        body("small", Box(size_m=(0.1, 0.02, 0.03)), Pose(position_m=(0.0, 0.0, 1.0)), mass_kg=0.3),
+        body("large", Box(size_m=(0.2, 0.03, 0.03)), Pose(position_m=(0.0, 0.1, 1.0)), mass_kg=0.5),
+    )
+    hinge = BodyHinge(
+        first="large",
+        second="small",
+        anchor_m=(0.0, 0.05, 1.0),
+        axis=(0.0, 1.0, 0.0),
+        dynamics=JointDynamics(dry_friction_n_m=0.02),
+        motor=TorqueMotor(command=STEP),
+    )
+    scene = Scene(bodies=bodies, body_hinges=(hinge,), duration_s=0.1, gravity_m_per_s2=0.0)
+    engine = backend(name)
+    if name in ("rapier", "genesis"):
+        assert "free" in scene_support(engine, scene).missing[0]
+        return
+    simulation = engine.build(scene)
+    simulation.reset(0)
+    rollout = record(simulation, scene, 0.1)
+    for one, sign in zip(bodies, (1.0, -1.0), strict=True):
+        turned = rollout.rotation(one.name)[-1].as_rotvec()[1]
+        assert turned == pytest.approx(sign * 0.5 * 0.01 * 0.1**2 / box_inertia_kg_m2(one)[1], rel=0.02)
+
+
+def _arm() -> Scene:
+    """Return two bars on the world, the upper one with a servo, the lower one with friction and a torque motor."""
+    upper, lower = (
+        body(name, Box(size_m=(0.02, 0.02, 0.2)), Pose(position_m=(0.0, 0.0, z)), mass_kg=0.2)
+        for name, z in (("upper", 0.9), ("lower", 0.7))
+    )
+    servo = Servo(command=ramp(0.5, start_s=0.0, duration_s=0.1, ramp_s=0.0), kp_n_m_per_rad=2.0, kv_n_m_s_per_rad=0.1)
+    friction = JointDynamics(dry_friction_n_m=0.005, viscous_friction_n_m_s_per_rad=0.001)
+    axis = (0.0, 1.0, 0.0)
+    inner = BodyHinge(
+        first="upper",
+        second="lower",
+        anchor_m=(0.0, 0.0, 0.8),
+        axis=axis,
+        dynamics=friction,
+        motor=TorqueMotor(command=STEP, delay_s=0.05),
+    )
+    outer = Hinge(body="upper", anchor_m=(0.0, 0.0, 1.0), axis=axis, motor=servo)
+    return Scene(bodies=(lower, upper), joints=(outer,), body_hinges=(inner,), duration_s=0.2)
+
+
+def _played(world: Simulation | Worlds, first: int, last: int) -> list[NDArray[np.float64]]:
+    states = []
+    for values in motor_commands(_arm(), 36)[first:last]:
+        world.command(values)
+        world.advance(1 / 180)
+        states.append(np.array(world.body_states(["upper", "lower"])))
+    return states
+
+
+@on_every_engine
+def test_several_worlds_and_a_restored_one_move_as_one_does(name: str) -> None:
+    pytest.importorskip(ENGINES[name])
+    engine, scene = backend(name), _arm()
+    simulation = engine.build(scene)
+    simulation.reset(0)
+    early = _played(simulation, 0, 18)
+    state = copy.deepcopy(simulation.state())
+    late = _played(simulation, 18, 36)
+    assert np.abs(late[-1][:, :3] - early[0][:, :3]).max() > 0.01
+    simulation.restore(state)
+    np.testing.assert_array_equal(_played(simulation, 18, 36), late)
+    simulation.reset(0)
+    np.testing.assert_array_equal(_played(simulation, 0, 18), early)
+    simulation.close()
+    worlds = engine.build_worlds([scene, scene])
+    worlds.reset(0)
+    together = _played(worlds, 0, 36)
+    for world in range(2):
+        np.testing.assert_allclose([states[world] for states in together], [*early, *late], atol=1e-5)
+    worlds.close()

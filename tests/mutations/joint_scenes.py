@@ -1,0 +1,157 @@
+"""Faults of friction, armature and motors of joints, and of chains on the world."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.backends import Simulation
+from gauge_envs.scene import JointDynamics, Scene
+from gauge_envs.scene.motors import Servo
+from mutations.mutant import Fault, Passed, fault
+
+Array = NDArray[np.float64]
+
+
+def _hinges(change: Callable[[Any], Any]) -> Callable[[Scene], Scene]:
+    """Return a fault that changes each hinge, which is all joints of scenes with friction or motors."""
+
+    def changed(scene: Scene) -> Scene:
+        if all(hinge.motor is None and hinge.dynamics == JointDynamics() for hinge in scene.hinges):
+            return scene
+        joints, inner = (tuple(map(change, hinges)) for hinges in (scene.joints, scene.body_hinges))
+        return replace(scene, joints=joints, body_hinges=inner)
+
+    return changed
+
+
+def _terms(change: Callable[[JointDynamics], JointDynamics]) -> Callable[[Scene], Scene]:
+    return _hinges(lambda hinge: replace(hinge, dynamics=change(hinge.dynamics)))
+
+
+def _servos(change: Callable[[Servo], Servo]) -> Callable[[Scene], Scene]:
+    return _hinges(lambda one: replace(one, motor=change(one.motor)) if isinstance(one.motor, Servo) else one)
+
+
+class _Reversed(Passed):
+    """Turns motors the other way."""
+
+    def command(self, values: Array) -> None:
+        self.inner.command(-values)
+
+
+class _ReversedBetween(Passed):
+    """Turns motors between bodies the other way."""
+
+    def command(self, values: Array) -> None:
+        self.inner.command(-values if self.scene.body_hinges else values)
+
+
+class _Late(Passed):
+    """Passes a command on with the next one."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        self._last: Array | None = None
+
+    def command(self, values: Array) -> None:
+        self.inner.command(np.zeros_like(values) if self._last is None else self._last)
+        self._last = values.copy()
+
+
+class _SoftFriction(Passed):
+    """Dry friction with MuJoCo's own impedance."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        self.inner.model.dof_solimp[:] = (0.9, 0.95, 0.001, 0.5, 2.0)
+        self.inner.model.dof_solref[:] = (0.02, 1.0)
+
+
+FAULTS: dict[str, Fault] = dict(
+    (
+        fault(
+            "joint-dry-high",
+            "dry friction of joints times 1.05",
+            "joint-dry",
+            "the unit of the joint's friction",
+            scene=_terms(lambda one: replace(one, dry_friction_n_m=1.05 * one.dry_friction_n_m)),
+        ),
+        fault(
+            "joint-dry-viscous",
+            "dry friction of joints is viscous",
+            "joint-dry",
+            "does not depend on speed",
+            scene=_terms(
+                lambda one: (
+                    replace(one, dry_friction_n_m=0.0, viscous_friction_n_m_s_per_rad=one.dry_friction_n_m)
+                    if one.dry_friction_n_m
+                    else one
+                )
+            ),
+        ),
+        fault(
+            "joint-dry-soft",
+            "dry friction of joints creeps",
+            "joint-stick",
+            "the joint creeps",
+            simulation=_SoftFriction,
+            engine="mujoco",
+        ),
+        fault(
+            "joint-viscous-degrees",
+            "viscous friction of joints per degree",
+            "joint-viscous",
+            "radians",
+            scene=_terms(
+                lambda one: replace(
+                    one, viscous_friction_n_m_s_per_rad=float(np.degrees(one.viscous_friction_n_m_s_per_rad))
+                )
+            ),
+        ),
+        fault(
+            "joint-armature-none",
+            "no armature",
+            "joint-armature",
+            "the armature adds to the inertia",
+            scene=_terms(lambda one: replace(one, armature_kg_m2=0.0)),
+        ),
+        fault("motor-reversed", "motors turn the other way", "joint-torque", "sign of the axis", simulation=_Reversed),
+        fault("command-late", "commands one interval late", "joint-delay", "the next advance()", simulation=_Late),
+        fault(
+            "servo-sign",
+            "servos speed up",
+            "joint-servo",
+            "the sign of the rate",
+            scene=_servos(lambda one: replace(one, kv_n_m_s_per_rad=-one.kv_n_m_s_per_rad)),
+        ),
+        fault(
+            "servo-unlimited",
+            "servos without a largest torque",
+            "joint-limit",
+            "the limit is a torque",
+            scene=_servos(lambda one: replace(one, torque_limit_n_m=None)),
+        ),
+        fault(
+            "servo-for-friction",
+            "joints with a servo have no dry friction",
+            "joint-all",
+            "share one motor",
+            scene=_hinges(
+                lambda one: replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0)) if one.motor else one
+            ),
+        ),
+        fault(
+            "motor-between-reversed",
+            "motors between bodies turn the other way",
+            "joint-between",
+            "the second body relative to the first",
+            simulation=_ReversedBetween,
+        ),
+    )
+)
+"""Faults by id."""

@@ -1,0 +1,184 @@
+"""Identification of joints against logs from SciPy's integration of their equations, and from a closed form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
+from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.scene import BodyHinge, Box, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
+from gauge_envs.tools.identify.rig import posed
+from gauge_envs.tools.identify.words import snippet
+
+MASS_KG, LENGTH_M, INERTIA_KG_M2 = 0.5, 0.2, 1e-3
+G = 9.80665
+STEP = {"timestep_s": 1 / 540}
+NOISE_RAD = 1e-3
+VISCOUS = "viscous_friction_n_m_s_per_rad"
+DRY = "dry_friction_n_m"
+ARMATURE = "armature_kg_m2"
+
+
+def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0) -> Log:
+    """A noisy log of 3 s of a pendulum whose equation SciPy integrates, from 0.5 rad at rest."""
+    inertia = INERTIA_KG_M2 + MASS_KG * LENGTH_M**2 + armature
+
+    def slopes(_: float, state: NDArray[np.float64]) -> list[float]:
+        angle, rate = state
+        # A steep slope in place of the jump of dry friction; the swing does not stop within the log.
+        friction = dry * np.tanh(rate / 1e-3) + viscous * rate
+        return [rate, -(MASS_KG * G * LENGTH_M * np.sin(angle) + friction) / inertia]
+
+    times_s = np.arange(0.0, 3.0, 0.02)
+    angles = solve_ivp(slopes, (0.0, 3.0), [0.5, 0.0], t_eval=times_s, rtol=1e-9, atol=1e-10, method="LSODA").y[0]
+    noise = NOISE_RAD * np.random.default_rng(1).standard_normal(times_s.size)
+    return Log("swing", times_s, (angles + zero_rad + noise)[:, None])
+
+
+def found_in(log: Log, *names: str) -> Identified:
+    scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
+    return identify(backend("mujoco"), scene, [log], names, settings=STEP)
+
+
+@pytest.mark.parametrize(
+    ("dry", "viscous"),
+    [(0.01, 0.005), pytest.param(0.02, 0.0, marks=pytest.mark.slow), pytest.param(0.0, 0.01, marks=pytest.mark.slow)],
+)
+def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> None:
+    found = found_in(swing(dry=dry, viscous=viscous, armature=0.004, zero_rad=0.1), DRY, VISCOUS, ARMATURE)
+    truth = {DRY: dry, VISCOUS: viscous, ARMATURE: 0.004}
+    scale = {DRY: 0.001, VISCOUS: 0.0005, ARMATURE: 0.0001}
+    for one in found.settings:
+        assert abs(one.value - truth[one.name]) < scale[one.name], one
+        assert one.low - 0.3 * scale[one.name] <= truth[one.name] <= one.high + 0.3 * scale[one.name], one
+        assert bool(one.unknown) == (truth[one.name] == 0.0), one
+    (error,) = found.error_rad["swing"]
+    assert error == pytest.approx(NOISE_RAD, rel=0.2)
+
+
+@pytest.mark.slow
+def test_a_viscous_joint_does_not_fit_as_a_dry_one() -> None:
+    (error,) = found_in(swing(dry=0.0, viscous=0.02, armature=0.004), DRY, ARMATURE).error_rad["swing"]
+    assert error > 5.0 * NOISE_RAD
+
+
+def servo_log(*, kp: float, kv: float, delay_s: float) -> Log:
+    """A noisy log of the closed form of a servo without gravity: steps of its command, of second order."""
+    inertia = INERTIA_KG_M2
+    frequency, damping = np.sqrt(kp / inertia), kv / (2.0 * np.sqrt(kp * inertia))
+    damped = frequency * np.sqrt(1.0 - damping**2)
+    times_s = np.arange(0.0, 2.0, 0.005)
+    edges = [(0.1, 0.3), (0.7, -0.5), (1.3, 0.4)]
+    angle, command = np.zeros((2, times_s.size))
+    for start_s, height in edges:
+        t = np.maximum(times_s - start_s - delay_s, 0.0)
+        decay = np.exp(-damping * frequency * t)
+        angle += height * (1.0 - decay * (np.cos(damped * t) + damping * frequency / damped * np.sin(damped * t)))
+        command += height * (times_s >= start_s)
+    noise = NOISE_RAD * np.random.default_rng(2).standard_normal(times_s.size)
+    return Log("servo", times_s, (angle + noise)[:, None], command[:, None])
+
+
+def test_gains_and_delay_of_a_servo_are_found() -> None:
+    scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    log = servo_log(kp=0.8, kv=0.02, delay_s=0.05)
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+    found = identify(
+        backend("mujoco"), scene, [log], names, settings=STEP, held_out=[servo_log(kp=0.8, kv=0.02, delay_s=0.05)]
+    )
+    kp, kv, delay_s = (one.value for one in found.settings)
+    # The log states a step of the command as a ramp of 5 ms, whose middle is half of that early.
+    assert kp == pytest.approx(0.8, rel=0.02)
+    assert kv == pytest.approx(0.02, rel=0.04)
+    assert delay_s == pytest.approx(0.0525, abs=0.0015)
+    assert float(found.held_out_rad["servo"][0]) < 4.0 * NOISE_RAD
+    assert "apply it in your controller" in snippet(found)
+    assert f'kp="{kp:.5g}"' in snippet(found)
+
+
+def test_what_the_log_does_not_tell_apart_is_said() -> None:
+    scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
+    found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
+    assert [bool(one.unknown) for one in found.settings] == [False, True, True]
+    assert "kv_n_m_s_per_rad" in found.settings[2].unknown
+
+
+def test_a_chain_is_posed_by_the_angles_of_its_hinges() -> None:
+    def link(name: str, height_m: float) -> RigidBody:
+        pose = Pose(position_m=(0.0, 0.0, height_m))
+        return RigidBody(name=name, shape=Box(size_m=(0.02, 0.02, 0.2)), motion=Motion.DYNAMIC, pose=pose, mass_kg=0.1)
+
+    hinge = Hinge(body="upper", anchor_m=(0.0, 0.0, 0.0), axis=(0.0, 1.0, 0.0))
+    elbow = BodyHinge(first="lower", second="upper", anchor_m=(0.0, 0.0, -0.2), axis=(0.0, 1.0, 0.0))
+    scene = Scene(
+        bodies=(link("lower", -0.3), link("upper", -0.1)), joints=(hinge,), body_hinges=(elbow,), duration_s=1.0
+    )
+    # A positive angle turns the second body, the upper one, relative to the first: the lower one turns back.
+    first, second = 0.3, -0.5
+    moved = posed(scene, [first, second], [1.0, 2.0])
+    upper, lower = -first, -(first - second)
+    ends = np.array([np.sin(upper), 0.0, -np.cos(upper)]), np.array([np.sin(lower), 0.0, -np.cos(lower)])
+    assert moved.body("upper").pose.position_m == pytest.approx(0.1 * ends[0])
+    assert moved.body("lower").pose.position_m == pytest.approx(0.2 * ends[0] + 0.1 * ends[1])
+    assert moved.body("lower").angular_velocity_rad_per_s == pytest.approx((0.0, 1.0 - 2.0, 0.0))
+
+
+HEADER = "time_s,position_rad,command_rad\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("time_s,angle\n0,0\n", "position_rad: the column is missing"),
+        (HEADER + "0,x,0\n", "cannot be read"),
+        (HEADER + "".join(f"{n},0,0\n" for n in range(5)), "5 samples: 20 or more"),
+        (HEADER + "".join(f"{n % 15},0,0\n" for n in range(30)), "row 16 is not later"),
+        (HEADER + "".join(f"{n},{'nan' if n == 3 else 0},0\n" for n in range(30)), "row 4 is not a finite number"),
+        ("time_s,position_rad,command_rad,torque_n_m\n" + "0,0,0,0\n", "not both"),
+    ],
+)
+def test_a_bad_log_is_explained(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text(text)
+    with pytest.raises(AssetError, match=reason):
+        read_log(path)
+
+
+def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,position_rad.a,position_rad.b\n" + "".join(f"{n},1,2\n" for n in range(30)))
+    log = read_log(path)
+    assert log.position_rad.shape == (30, 2)
+    with pytest.raises(ParameterError, match="2 joints, and the scene 1 hinges"):
+        identify(backend("mujoco"), one_joint(1.0, 0.1), [log], [DRY])
+
+
+def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,position_rad\n" + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(200)))
+    for words, reason in (
+        ((), "mass_kg= of the load is missing"),
+        (("mass_kg=1", "length_m=0.2", "fit=kp_n_m_per_rad"), "kp_n_m_per_rad: no number of such a joint"),
+        (("mass_kg=1", "scene=Pendulum-metal"), "leave mass_kg out"),
+    ):
+        result = CliRunner().invoke(app, ["recipe", "joint", str(path), *words])
+        assert result.exit_code == 2, result.output
+        assert reason in " ".join(result.stderr.split())
+
+
+def test_an_engine_without_the_term_declines() -> None:
+    class Plain(type(backend("mujoco"))):  # type: ignore[misc]
+        features = frozenset()
+
+    log = swing(dry=0.01, viscous=0.0, armature=0.0)
+    with pytest.raises(UnsupportedSceneError, match="dry friction"):
+        identify(Plain(), one_joint(1.0, 0.1), [log], [DRY])
