@@ -12,7 +12,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 88_138, 56_932
+MOST_LINES, MOST_CODE_LINES = 90_346, 58_612
 """Of the package with its instruments."""
 MOST_CORE_LINES = 45_000
 """Of the package without `tools/`."""

@@ -71,16 +71,14 @@ class SimulationMuJoCo(Simulation):
             cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
-        self._folds: FoldWatch | None = None
-        if len(scene.contacts) == 1 and len(names := {*scene.contacts[0].first, *scene.contacts[0].second}) == 1:
-            alone = self._parts.get(*names)
-            self._folds = FoldWatch(alone, model, self.data) if isinstance(alone, ClothPartMuJoCo) else None
+        # A scene in which a cloth touches nothing but itself.
+        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        lone = self._parts.get(*touching) if len(touching) == 1 else None
+        self._folds = FoldWatch(lone, model, self.data) if isinstance(lone, ClothPartMuJoCo) else None
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
-        actuators = {id(hinge): model.actuator(name).id for name, hinge in hinges_by_body(scene).items() if hinge.motor}
-        self._motors = [actuators[id(hinge)] for hinge, _ in scene.motors]
         self._origin = StateOrigin(f"mujoco {mujoco.__version__}", settings, scene)
         key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
         self._start_velocities = model.key_qvel[key] if key >= 0 else np.zeros(model.nv)
@@ -119,10 +117,6 @@ class SimulationMuJoCo(Simulation):
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
         self.data.xfrc_applied[self.model.body(body).id] = wrench
 
-    def command(self, values: NDArray[np.float64]) -> None:
-        """Set the commands of the motors; see `World.command`."""
-        self.data.ctrl[self._motors] = values
-
     def advance(self, seconds: float) -> None:
         """Step the model."""
         self._step(round(seconds / self._timestep_s))
@@ -133,10 +127,8 @@ class SimulationMuJoCo(Simulation):
             return
         flags = self.model.opt.disableflags
         self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
-        try:
-            self._steps(count)
-        finally:
-            self.model.opt.disableflags = flags
+        self._steps(count)
+        self.model.opt.disableflags = flags
 
     def _steps(self, count: int) -> None:
         if not self._air:

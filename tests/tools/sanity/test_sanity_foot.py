@@ -16,12 +16,12 @@ from planted import PLANTED, model_xml
 from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
+from straight import fitted_acceleration
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
 from gauge_envs.tools.sanity.exchange.scenes import scenes
