@@ -60,7 +60,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     families = len({row["family"] for row in rows})
     lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]
     if patterns in ([], ["*"]) and not scored:
-        beyond = ", ".join(variant.id for variant in beyond_variants())
+        beyond = ", ".join(dict.fromkeys(f"{variant.family}-*" for variant in beyond_variants()))
         lines = [control_summary(), f"Beyond the benchmark: {beyond}", *lines]
     print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
     return bool(faults)

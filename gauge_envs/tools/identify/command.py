@@ -29,7 +29,7 @@ def recipe_joint(
     Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
 
     Details: mass_kg= and length_m= of the load, from the axis to its centre, angle 0 hanging; inertia_kg_m2= about the
-    centre; or scene=FILE or ID, whose hinges are the joints. fit=NAME,NAME: what is identified. test=LOG,LOG: logs to
+    centre; or scene=ID, whose hinges are the joints. fit=NAME,NAME: what is identified. test=LOG,LOG: logs to
     predict. part_s=: longest part that is simulated at once. timestep_s= of the engine.
 
     Exit code 1 when the logs leave a setting open.
@@ -66,14 +66,18 @@ def recipe_joint(
 
 
 def _scene(scene: str | None = None, **load: float) -> Scene:
-    """Return the scene of a file or an id, or one joint with a load."""
-    from gauge_envs.experiments.resolve import load_experiment
+    """Return the scene of an id, or one joint with a load."""
+    from gauge_envs.experiments.scene_builder import SceneBuilder
+    from gauge_envs.experiments.task_files import task_spec
+    from gauge_envs.experiments.variants import find_variant, task_path
     from gauge_envs.tools.identify import one_joint
 
     if scene is not None:
         if load:
             raise ParameterError(f"scene= states the load: leave {' and '.join(load)} out")
-        return load_experiment(scene).scene
+        variant = find_variant(scene)
+        # An experiment of recorded motions starts at the angles of one.
+        return SceneBuilder(task_path(variant.family), task_spec(variant.family), variant, {}).build()
     for name in ("mass_kg", "length_m"):
         if name not in load:
             raise ParameterError(f"{name}= of the load is missing: without it a log tells only ratios of torques")

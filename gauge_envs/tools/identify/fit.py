@@ -21,16 +21,17 @@ from scipy.stats import t as student
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.identify.logs import Log
 from gauge_envs.tools.identify.rig import DYNAMICS, SERVO, Terms, check_joints, simulated, with_terms
 
-FIRST_PART_S = 0.6
-"""Longest part of a log in stage 1 [s]."""
-SERVO_PART_S = 20.0
-"""Longest part of the log of a servo in stage 2, which forgets its start [s]."""
+FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
+"""Longest part of a log in both stages [s]; a servo forgets its start."""
+LOST_RAD = 10.0
+"""Error of a simulation that diverges [rad], so that the search turns back."""
 BLOCKS = 40
 """Number of blocks of residuals of each joint, from which the intervals follow."""
 STEP, DELAY_STEP = 1e-3, 0.1
@@ -116,28 +117,31 @@ class _Problem:
     def unknowns(self, scaled: FloatArray) -> tuple[list[Terms], FloatArray, FloatArray]:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
         own = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
-        values = own[: len(self.names)] * self.sizes[:, None]
+        values = own[: len(self.names)] * self.sizes
         terms: list[Terms] = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
         moved = scaled[own.size :].reshape(-1, 2, self.joints) if self.free_starts else None
         still = np.zeros((len(self.parts), 2, self.joints))
         return terms, own[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
 
-    def angles(self, scaled: FloatArray) -> list[FloatArray]:
-        """Return what the engine makes of each part [rad], shape [N, J] each."""
+    def errors(self, scaled: FloatArray, *, may_diverge: bool = False) -> list[FloatArray]:
+        """Return simulated less measured angles of each part [rad], shape [N, J] each."""
         terms, zero, moved = self.unknowns(scaled)
         self.simulations += len(self.parts)
-        return [
-            zero
-            + simulated(
-                self.engine, self.scene, part, terms, (start[0] - zero + shift[0], start[1] + shift[1]), self.settings
-            )
-            for part, start, shift in zip(self.parts, self.starts, moved, strict=True)
-        ]
+        errors = []
+        for part, start, shift in zip(self.parts, self.starts, moved, strict=True):
+            begin = (start[0] - zero + shift[0], start[1] + shift[1])
+            try:
+                angles = zero + simulated(self.engine, self.scene, part, terms, begin, self.settings)
+                errors.append(angles - part.position_rad)
+            except DivergedError:
+                if not may_diverge:
+                    raise
+                errors.append(np.full(part.position_rad.shape, LOST_RAD))
+        return errors
 
     def residuals(self, scaled: FloatArray) -> FloatArray:
         """Return simulated less measured angles [rad], those of all samples of a part and joint together."""
-        pairs = zip(self.angles(scaled), self.parts, strict=True)
-        return np.concatenate([(angles - part.position_rad).T.ravel() for angles, part in pairs])
+        return np.concatenate([errors.T.ravel() for errors in self.errors(scaled, may_diverge=True)])
 
     def jacobian(self, scaled: FloatArray) -> FloatArray:
         """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
@@ -195,6 +199,8 @@ class _Problem:
             xtol=tolerance,
             ftol=tolerance,
         )
+        if np.abs(found.jac).max(initial=0.0) > 0.1 * LOST_RAD / STEP:
+            raise DivergedError(f"{self.engine.name} diverges close to the best settings: give a shorter timestep_s")
         return found.x, self._covariance(found.jac, found.fun)
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
@@ -240,6 +246,7 @@ def identify(
     Raises:
         ParameterError: The logs do not fit the scene or each other, or a name is unknown.
         UnsupportedSceneError: The engine does not build such a joint.
+        DivergedError: The engine diverges with the best settings, or close to them.
     """
     servo = logs[0].command_rad is not None
     for log in (*logs, *held_out):
@@ -250,18 +257,18 @@ def identify(
         if name not in (*DYNAMICS, *SERVO) or (name in SERVO[:2] and not servo):
             known = ", ".join((*DYNAMICS, *SERVO) if servo else (*DYNAMICS, "delay_s"))
             raise ParameterError(f"{name}: no number of such a joint; known: {known}")
-    guesses = guessed(scene, names)
-    terms = [{name: guesses[name] for name in names}] * len(scene.hinges)
+    terms = guessed(scene, names)
     built = with_terms(scene, terms, logs[0], np.zeros(len(scene.hinges)))
     support = scene_support(engine, built)
     if not support:
         raise UnsupportedSceneError(f"backend {engine.name!r}: {'; '.join(support.missing)}")
-    sizes = np.array([guesses[name] for name in names])
+    sizes = np.array([[one[name] for one in terms] for name in names])
     problem = partial(
         _Problem, engine, scene, settings, names=tuple(names), sizes=sizes, zero=len(scene.hinges) == 1 and not servo
     )
     stages = []
-    for longest_s, free in ((FIRST_PART_S, False), (part_s or (SERVO_PART_S if servo else np.inf), not servo)):
+    first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
+    for longest_s, free in ((first_s, False), (part_s or long_s, not servo)):
         parts = [part for log in logs for part in log.pieces(longest_s) if len(part.times_s) >= 10]
         stages.append(problem(parts, [part.start() for part in parts], free_starts=free))
     short, long = stages
@@ -282,8 +289,8 @@ def identify(
     )
 
 
-def guessed(scene: Scene, names: Sequence[str]) -> dict[str, float]:
-    """Return first guesses from the load: its inertia, its weight, and a swing a second without gravity."""
+def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
+    """Return first guesses of each joint: what the scene states, or from the load's inertia and weight."""
     arms_m = [np.linalg.norm(np.subtract(body.pose.position_m, scene.hinges[0].anchor_m)) for body in scene.bodies]
     load = list(zip(scene.bodies, arms_m, strict=True))
     own = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in scene.dynamic_bodies)
@@ -298,7 +305,8 @@ def guessed(scene: Scene, names: Sequence[str]) -> dict[str, float]:
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
     }
-    return {name: guesses[name] for name in names}
+    stated = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
+    return [{name: own.get(name) or guesses[name] for name in names} for own in stated]
 
 
 def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -> tuple[Setting, ...]:
@@ -315,7 +323,7 @@ def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -
             unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
             if not unknown and half >= value:
                 unknown = "0 is in the interval"
-            size = problem.sizes[kind]
+            size = problem.sizes[kind, joint]
             low, high = max(value - half, 0.0) * size, (value + half) * size
             found.append(Setting(joint=joint, name=name, value=value * size, low=low, high=high, unknown=unknown))
     return tuple(found)
@@ -324,8 +332,8 @@ def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -
 def _errors(problem: _Problem, unknowns: FloatArray) -> dict[str, FloatArray]:
     """Return the root mean square error of each log [rad], over its parts."""
     squares: dict[str, list[FloatArray]] = {}
-    for angles, part in zip(problem.angles(unknowns), problem.parts, strict=True):
-        squares.setdefault(part.name.split(", part ")[0], []).append((angles - part.position_rad) ** 2)
+    for errors, part in zip(problem.errors(unknowns), problem.parts, strict=True):
+        squares.setdefault(part.name.split(", part ")[0], []).append(errors**2)
     return {name: np.sqrt(np.concatenate(parts).mean(axis=0)) for name, parts in squares.items()}
 
 
