@@ -38,9 +38,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
     from gauge_envs.tools.sanity.stacks.newton import newton_configuration
 
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
-
 __all__ = [
     "BackendMuJoCoWarp",
     "Cause",

@@ -417,13 +417,13 @@ class PhenomenonResult:
 
     phenomenon: str
     title: str
-    experiment: str
+    experiment: str = ""
     unit: str
     reality: Reality
-    default: float | None
-    configured: float | None
+    default: float | None = None
+    configured: float | None = None
     verdict: Verdict
-    default_verdict: Verdict
+    default_verdict: Verdict = Verdict.DECLINED
     cause: Cause | None = None
     remark: str = ""
     curve: Curve | None = None

@@ -8,8 +8,7 @@ from typing import Any
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.python_source.source import Source
-from gauge_envs.tools.sanity.python_source.values import UNKNOWN, Config, External, Instance
+from gauge_envs.tools.sanity.python_source import UNKNOWN, Config, External, Instance, Source
 
 MODULES = {
     "__init__": "raise RuntimeError('was run')\nROOT = __file__",

@@ -187,7 +187,7 @@ def _measured(phenomenon: Phenomenon, outcome: _Outcome) -> Measured:
         return Measured(verdict=Verdict.WRONG, remark=f"diverged: {outcome}")
     if isinstance(outcome, str):
         return Measured(verdict=Verdict.DECLINED, remark=outcome)
-    measured = judged(phenomenon.read(outcome), phenomenon.reality, outcome)
+    measured = judged(phenomenon, outcome)
     if measured.verdict in (Verdict.VISIBLE, Verdict.WRONG) and measured.value is not None:
         text = _friction_text(phenomenon, measured.value)
         return replace(measured, remark="; ".join(part for part in (measured.remark, text) if part))

@@ -17,19 +17,6 @@ from gauge_envs.tools.sanity.scenario import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
-class PhenomenonValue:
-    """Value of a phenomenon in a rollout.
-
-    Attributes:
-        value: Value in the phenomenon's unit.
-        failure: Failure that no real trial shows, independent of the value; empty when there is none.
-    """
-
-    value: float
-    failure: str = ""
-
-
-@dataclass(frozen=True, kw_only=True)
 class Trace:
     """Quantity of a phenomenon that is drawn over time.
 
@@ -88,20 +75,9 @@ class Phenomenon:
     @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
-        contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
-        friction = (Need.FRICTION,) if self.needs_friction else ()
-        return (
-            Need.GRAVITY,
-            *contact,
-            *friction,
-            *((Need.FOOT,) * self.needs_foot),
-            *((Need.SPACE,) * self.needs_space),
-        )
-
-    def read(self, rollout: Rollout) -> PhenomenonValue:
-        """Return what is measured in a rollout of the scenario."""
-        failure = "" if self.failure is None else self.failure(rollout)
-        return PhenomenonValue(value=float(self.value(rollout)), failure=failure)
+        contact = (Need.CONTACT,) * bool(self.scenario.scene.contacts)
+        friction = (Need.FRICTION,) * self.needs_friction
+        return (Need.GRAVITY, *contact, *friction, *(Need.FOOT,) * self.needs_foot, *(Need.SPACE,) * self.needs_space)
 
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"

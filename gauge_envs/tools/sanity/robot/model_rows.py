@@ -16,7 +16,7 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, first_moving_body, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
@@ -48,6 +48,10 @@ class Finding:
     advisory: str = ""
 
 
+class NotApplicableError(Exception):
+    """A row does not apply to a robot; the message is the reason."""
+
+
 ROWS: dict[str, Callable[[Robot], Finding]] = {}
 """Function of each row, whose limits and words stand in `scoring/facts/robot_rows.toml`."""
 
@@ -56,10 +60,23 @@ def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], F
     """Return a decorator that adds the function of a row."""
 
     def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
-        ROWS[name] = function
+        def found(robot: Robot) -> Finding:
+            try:
+                return function(robot)
+            except NotApplicableError as reason:
+                return Finding(declined=str(reason))
+
+        ROWS[name] = found
         return function
 
     return keep
+
+
+def standing_of(robot: Robot) -> Standing:
+    """Return the robot that stands; rows that need one do not apply to a model without."""
+    if robot.standing is None:
+        raise NotApplicableError(NOT_STANDING)
+    return robot.standing
 
 
 def judged_row(name: str, found: Finding) -> PhenomenonResult:
@@ -72,7 +89,6 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
     return PhenomenonResult(
         phenomenon=name,
         title=known["title"],
-        experiment="",
         unit=known["unit"],
         reality=Reality(
             kind=RealityKind.LAW,
@@ -82,10 +98,8 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
             rationale=known["consequence"],
             limits=known["limits"],
         ),
-        default=None,
         configured=None if found.declined or not np.isfinite(value) else float(value),
         verdict=Verdict.DECLINED if found.declined else verdict,
-        default_verdict=Verdict.DECLINED,
         cause=Cause(settings=tuple(found.changes), line=found.advice) if found.advice and is_off else None,
         remark=found.declined or found.remark,
         applies=not found.declined,
@@ -247,9 +261,7 @@ def _limbs(robot: Robot) -> list[list[int]]:
 
 @row("robot-feet")
 def _feet(robot: Robot) -> Finding:
-    model, standing = robot.model, robot.standing
-    if standing is None:
-        return Finding(declined=NOT_STANDING)
+    model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
     known = [g for b in robot.bodies for g in _geoms(robot, b) if g not in robot.unknown]
     lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in known}
@@ -467,11 +479,11 @@ def _servo(robot: Robot) -> Finding:
 def _torque(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
-    model, data, found = robot.model, start(robot), Finding(declined="no joint states the limit of its torque")
-    assert robot.standing is not None, "a robot that floats stands"
+    model, data, standing = robot.model, start(robot), standing_of(robot)
+    found = Finding(declined="no joint states the limit of its torque")
     # Twice what a foot carries, at the height of the robot.
-    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(robot.standing.feet)
-    fair = 2.0 * load_n * robot.standing.height_m
+    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(standing.feet)
+    fair = 2.0 * load_n * standing.height_m
     actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
     for dof, limit in _driven_dofs(robot):
         weight = abs(float(data.qfrc_bias[dof]))
@@ -518,8 +530,7 @@ def _delay(robot: Robot) -> Finding:
 
 def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+    standing_of(robot)
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
     limits = {}
     for dof, limit in _driven_dofs(robot):
@@ -554,8 +565,7 @@ def _frictionloss(robot: Robot) -> Finding:
 
 @row("robot-armature")
 def _armature(robot: Robot) -> Finding:
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+    standing_of(robot)
     model, data, found, changes = robot.model, start(robot), Finding(), {}
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
@@ -570,4 +580,4 @@ def _armature(robot: Robot) -> Finding:
                 remark=f"{_joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
                 advice=f'armature="{limb:.2g}" for {_joint_name(robot, dof)} and joints like it',
             )
-    return Finding(value=found.value, remark=found.remark, advice=found.advice, changes=changes)
+    return replace(found, changes=changes)

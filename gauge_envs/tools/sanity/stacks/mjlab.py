@@ -22,8 +22,16 @@ from gauge_envs.backends.mujoco.model import CONES, ENABLE_FLAGS, INTEGRATORS, S
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
-from gauge_envs.tools.sanity.python_source.values import External, Instance, Module, plain, source_path
+from gauge_envs.tools.sanity.python_source import (
+    External,
+    Instance,
+    Module,
+    Source,
+    package_folder,
+    package_version,
+    plain,
+    source_path,
+)
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text
