@@ -489,7 +489,7 @@ def _greedy(
 
 def _new_flags(others: Sequence[Subject], changes: Mapping[str, Any]) -> int:
     """Return the number of rows that are visible or wrong only with the changes."""
-    return sum(subject.worst(changes).verdict in (Verdict.VISIBLE, Verdict.WRONG) for subject in others)
+    return sum(subject.worst(changes).verdict.is_off for subject in others)
 
 
 def _candidates(flagged: Sequence[Subject]) -> list[Alternative]:

@@ -48,8 +48,6 @@ WARP_S = 1.1
 LIMITS = ("njmax", "naconmax")
 """Changes that belong to the memory for contacts, not to the model."""
 
-OFF = (Verdict.VISIBLE, Verdict.WRONG)
-
 
 def applied(
     configuration: TrainingConfiguration, changes: Mapping[str, Any]
@@ -117,7 +115,7 @@ def find_cure(
         except GaugeError:
             continue
         mended = [name for name in flags if verdicts(cured, name) is Verdict.INSIDE]
-        new = tuple(n for n, was in rows.items() if not was and verdicts(cured, n) in OFF) if mended else ()
+        new = tuple(n for n, was in rows.items() if not was and verdicts(cured, n).is_off) if mended else ()
         if len(mended) <= len(new):
             continue
         count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
@@ -246,13 +244,7 @@ def check(
 
 
 class _Run:
-    """Measures all phenomena in a configuration, and explains what is flagged.
-
-    Args:
-        measurements: Measurements on the backend.
-        configuration: The checked configuration.
-        explain: Whether to find causes.
-    """
+    """Measures all phenomena in a configuration, and explains what is flagged."""
 
     def __init__(self, measurements: Measurements, configuration: TrainingConfiguration, *, explain: bool) -> None:
         self._explain = explain

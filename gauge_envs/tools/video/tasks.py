@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
@@ -110,7 +111,7 @@ def video_tasks() -> tuple[VideoTask, ...]:
     entries = toml_document((files("gauge_envs.tools.video") / "tasks.toml").read_bytes())["task"]
     tasks = []
     for entry in entries:
-        values = {name: tuple(value) if isinstance(value, list) else value for name, value in entry.items()}
+        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in entry.items()}
         motion = Motion(values.pop("motion"))
         tasks.append(VideoTask(motion=motion, direction=DIRECTIONS.get(motion), **values))
     return tuple(tasks)

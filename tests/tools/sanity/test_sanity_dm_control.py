@@ -84,7 +84,7 @@ def test_what_the_suite_does_not_have_says_what_it_has(suite: Path, name: str, m
 
 
 def test_without_the_package_the_message_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.tools.sanity.python_source.find_spec", lambda _: None)
+    monkeypatch.setattr("gauge_envs.tools.sanity.python_source.source.find_spec", lambda _: None)
     with pytest.raises(TargetError, match="pip install --no-deps dm_control"):
         configuration("dm_control:walker/walk")
 

@@ -141,7 +141,7 @@ def test_what_a_task_computes_is_declined(package: None) -> None:
 
 
 def test_an_absent_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.tools.sanity.python_source.find_spec", lambda name: None)
+    monkeypatch.setattr("gauge_envs.tools.sanity.python_source.source.find_spec", lambda name: None)
     outcome = RUNNER.invoke(app, ["sanity", "maniskill:PickCube-v1"])
     assert outcome.exit_code == 2
     assert "pip install --no-deps mani-skill is enough" in outcome.output.replace("\n", " ")

@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.python_source import UNKNOWN, Config, External, Instance, Source
+from gauge_envs.tools.sanity.python_source.source import Source
+from gauge_envs.tools.sanity.python_source.values import UNKNOWN, Config, External, Instance
 
 MODULES = {
     "__init__": "raise RuntimeError('was run')\nROOT = __file__",

@@ -188,7 +188,7 @@ def _measured(phenomenon: Phenomenon, outcome: _Outcome) -> Measured:
     if isinstance(outcome, str):
         return Measured(verdict=Verdict.DECLINED, remark=outcome)
     measured = judged(phenomenon, outcome)
-    if measured.verdict in (Verdict.VISIBLE, Verdict.WRONG) and measured.value is not None:
+    if measured.verdict.is_off and measured.value is not None:
         text = _friction_text(phenomenon, measured.value)
         return replace(measured, remark="; ".join(part for part in (measured.remark, text) if part))
     return measured
@@ -475,13 +475,8 @@ def _rollout(scene: ExportedScene, interval_s: float, numbers: FloatArray) -> Ro
             if own.shape[1] == 7:
                 state[:-1, 7:10] = np.diff(own[:, :3], axis=0) / interval_s
                 state[-1, 7:10] = state[-2, 7:10]
-            state[:, 10:] = _turn_rates(state[:, 3:7], interval_s)
+            turns = Rotation.from_quat(state[:, 3:7], scalar_first=True)
+            state[:-1, 10:] = (turns[1:] * turns[:-1].inv()).as_rotvec() / interval_s
+            state[-1, 10:] = state[-2, 10:]
         states[body.name] = state
     return Rollout(scene=scene.scenario.scene, times_s=interval_s * np.arange(count, dtype=np.float64), states=states)
-
-
-def _turn_rates(quaternions: FloatArray, interval_s: float) -> FloatArray:
-    """Return angular velocities from each sample to the next [rad/s], shape [sample_count, 3]; the last one again."""
-    turns = Rotation.from_quat(quaternions, scalar_first=True)
-    rates = (turns[1:] * turns[:-1].inv()).as_rotvec() / interval_s
-    return np.concatenate([rates, rates[-1:]])

@@ -145,11 +145,7 @@ def _body(body: RigidBody, file: BodyFile, constants: Mapping[str, Mapping[str, 
 
 
 def _body_constants(scene: Scene) -> dict[str, dict[str, dict[str, float]]]:
-    """Return friction and restitution of each body by rule of combination, where the rule can give those of all pairs.
-
-    Returns:
-        Value by name of the body, constant and rule.
-    """
+    """Return the constants of each body by name and rule of combination, where the rule can give those of all pairs."""
     alike: dict[tuple[bool, ...], list[str]] = {}
     for body in scene.bodies:
         sides = (side for contact in scene.contacts for side in (contact.first, contact.second))

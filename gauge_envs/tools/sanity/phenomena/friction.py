@@ -21,6 +21,7 @@ from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
     Trace,
+    acceleration,
     facts,
     position_scatter_mm,
     recorded,
@@ -191,15 +192,9 @@ def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], Flo
         unit="m/s^2",
         reality=real,
         needs_friction=True,
-        value=lambda rollout: _steady_acceleration(rollout, downhill_mm(rollout)),
+        value=lambda rollout: acceleration(rollout, downhill_mm(rollout), STEADY_SLIDE_S, SLIDE_S),
         trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
     )
-
-
-def _steady_acceleration(rollout: Rollout, downhill_mm: FloatArray) -> float:
-    """Return the acceleration of a slide after the body has settled [m/s^2]."""
-    late = rollout.between(STEADY_SLIDE_S, SLIDE_S)
-    return 2e-3 * float(np.polyfit(rollout.times_s[late], downhill_mm[late], 2)[0])
 
 
 def real_slides(material: str, source: str = "") -> Reality:

@@ -11,7 +11,7 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.python_source import package_folder, package_version, source_tree
+from gauge_envs.tools.sanity.python_source.source import package_folder, package_version, source_tree
 from gauge_envs.tools.sanity.stacks.mjcf import read_model_file
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, has_start
 

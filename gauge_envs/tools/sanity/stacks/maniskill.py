@@ -17,16 +17,8 @@ from typing import Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.python_source import (
-    UNKNOWN,
-    External,
-    Instance,
-    PythonClass,
-    Source,
-    package_folder,
-    package_version,
-    plain,
-)
+from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
+from gauge_envs.tools.sanity.python_source.values import UNKNOWN, External, Instance, PythonClass, plain
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material
@@ -213,6 +205,4 @@ def _read(target: Any) -> TrainingConfiguration:
 
 DIALECTS = (MANISKILL,)
 
-READERS = (
-    Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, lambda target, _: _read(target), has_geoms=False),
-)
+READERS = (Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, _read, has_geoms=False),)

@@ -19,16 +19,8 @@ import mujoco
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE
 from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
-from gauge_envs.tools.sanity.python_source import (
-    UNKNOWN,
-    Config,
-    External,
-    Instance,
-    Source,
-    package_folder,
-    package_version,
-    source_path,
-)
+from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
+from gauge_envs.tools.sanity.python_source.values import UNKNOWN, Config, External, Instance, source_path
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import Setting
@@ -257,16 +249,8 @@ def _read_env(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 DIALECTS = (PLAYGROUND,)
 
 READERS = (
-    Reader(
-        "a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
-        has_start(PREFIX),
-        _read_name,
-    ),
-    Reader(
-        "an env of MuJoCo Playground",
-        _is_env,
-        _read_env,
-    ),
+    Reader("a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)", has_start(PREFIX), _read_name),
+    Reader("an env of MuJoCo Playground", _is_env, _read_env),
 )
 
 

@@ -1,0 +1,1 @@
+"""Values that packages state in their Python source, read without importing the packages."""
