@@ -27,8 +27,8 @@ from gauge_envs.runs.rollout import DivergedError, Rollout
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Sphere
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.sanity.exchange.export import MOST_MANIFEST_BYTES
-from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, FORMAT, MANIFEST, MOTION, VERSION, ExportedScene, scenes
+from gauge_envs.tools.sanity.exchange import scenes as exported
+from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, ExportedScene
 from gauge_envs.tools.sanity.measure import Measured, curve_of, judged, result_of
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import GRAVITY_ID, selection
@@ -64,11 +64,10 @@ def judge(folder: Path, *, only: Sequence[str] = (), engine: str = "") -> Report
         The report, with a row for each phenomenon in a fixed order, and neither causes nor values of a preset.
     """
     started = time.perf_counter()
-    exported = _exported(folder)
     chosen = selection(only)
     outcomes = {
         scene: _read(folder, scene)
-        for scene in exported
+        for scene in _exported(folder)
         if any(one.id in chosen for one in scene.phenomena) or (GRAVITY_ID in chosen and scene.name == FREE_FALL)
     }
     configuration = _configuration(folder, engine, outcomes)
@@ -88,19 +87,19 @@ def _exported(folder: Path) -> tuple[ExportedScene, ...]:
     """Return the scenes of a folder, which must be those of this version of the package."""
     path = folder / MANIFEST
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}: export with gauge sanity export")):
-        raw = read_regular(path, MOST_MANIFEST_BYTES)
+        raw = read_regular(path, exported.MOST_MANIFEST_BYTES)
     try:
         content = json_document(raw)
     except ValueError as error:
         raise TargetError(f"{path}: {error}: export again with gauge sanity export") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") != exported.FORMAT:
         raise TargetError(f"{path}: is no manifest of gauge sanity export")
-    if content.get("version") != VERSION:
-        raise TargetError(f"{path}: has version {content.get('version')!r}, expected {VERSION}: export again")
+    if content.get("version") != exported.VERSION:
+        raise TargetError(f"{path}: has version {content.get('version')!r}, expected {exported.VERSION}: export again")
     listed = content.get("scenes")
     named = (one for one in (listed if isinstance(listed, list) else ()) if isinstance(one, dict))
     entries = {one["name"]: one for one in named if isinstance(one.get("name"), str)}
-    known = {scene.name: scene for scene in scenes()}
+    known = {scene.name: scene for scene in exported.scenes()}
     if not entries or not set(entries) <= set(known):
         raise TargetError(f"{path}: lists no scenes, or unknown ones: export again")
     for name, entry in entries.items():
