@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -133,7 +133,7 @@ def compare(
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
         names = dict.fromkeys(target.backend for target in targets)
-        engines = {name: stack.enter_context(Engine(name, simulation_limit_s(time_limit_s))) for name in names}
+        engines = {name: stack.enter_context(closing(Engine(name, simulation_limit_s(time_limit_s)))) for name in names}
         limit_s = math.inf if time_limit_s is None else time_limit_s
         known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
         sides = [_Side(target, known[target.backend]) for target in targets]

@@ -10,8 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -84,10 +83,8 @@ class Engine:
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.name, self.versions = self._backend.name, self._backend.versions()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """End the process of the engine."""
         self._worker.close()
 
     def call(self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]) -> Any:

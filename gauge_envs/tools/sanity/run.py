@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -217,7 +218,7 @@ def check(
     started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only, include_deformables=include_deformables)
-    with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
+    with closing(Engine(configuration.backend, simulation_limit_s(time_limit_s))) as engine:
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
         run = _Run(measurements, configuration, explain=explain)
         rows = []
