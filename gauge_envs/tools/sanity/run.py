@@ -68,10 +68,11 @@ def applied(
         settings = {**configuration.settings, **others}
         read = replace(configuration, settings=settings, contact_groups=groups, **gravity)
     else:
+        from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
         from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
         model, geoms = robot.changed(others)
-        own = {name: [robot.geom_name(geom) for geom in several] for name, several in geoms.items()}
+        own = {name: [geom_name(robot.model, geom) for geom in several] for name, several in geoms.items()}
         read = mujoco_configuration(
             model,
             name=configuration.name,

@@ -16,7 +16,7 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, first_moving_body, support_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, first_moving_body, geom_name, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
@@ -280,7 +280,7 @@ def _feet(robot: Robot) -> Finding:
     floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
     changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
-    names = ", ".join(robot.geom_name(geom) for geom in lame)
+    names = ", ".join(geom_name(robot.model, geom) for geom in lame)
     return Finding(
         value=float(len(lame)),
         remark=f"{names}: no partner on the ground" if lame else "",
@@ -306,7 +306,7 @@ def _friction(robot: Robot) -> Finding:
     for one in slippery:
         for geom in robot.pairs.geoms[one].tolist():
             changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
-    names = " with ".join(robot.geom_name(int(geom)) for geom in robot.pairs.geoms[row])
+    names = " with ".join(geom_name(robot.model, int(geom)) for geom in robot.pairs.geoms[row])
     rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
     return Finding(
         value=float(grips[row]),
@@ -334,8 +334,8 @@ def _floor_friction(robot: Robot) -> Finding:
             geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
-                remark=f"{robot.geom_name(geom)} states {min(stated):g}, and the foot meets {met:g}",
-                advice=f'priority="1" for {robot.geom_name(geom)}',
+                remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
+                advice=f'priority="1" for {geom_name(robot.model, geom)}',
                 changes={f"geom_priority[{geom}]": 1},
             )
     return found
@@ -362,8 +362,8 @@ def _floor_tilt(robot: Robot) -> Finding:
     angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
     return Finding(
         value=angle if angle > 1e-4 else 0.0,
-        remark=robot.geom_name(geom),
-        advice=f'zaxis="0 0 1" for {robot.geom_name(geom)}',
+        remark=geom_name(robot.model, geom),
+        advice=f'zaxis="0 0 1" for {geom_name(robot.model, geom)}',
         changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
     )
 
