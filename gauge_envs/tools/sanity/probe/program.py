@@ -30,7 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.tools.sanity.probe.mujoco_capture import capture_mujoco, mujoco_model
-from gauge_envs.tools.sanity.probe.values import ProbeError, flat, found, is_number, is_of, plain
+from gauge_envs.tools.sanity.probe.values import ProbeError, found, is_of, plain
 
 FORMAT, VERSION = "gauge-probe", 1
 
@@ -43,8 +43,6 @@ PACKAGES = (
     *("playground", "mjlab", "isaaclab", "isaacsim", "mani_skill", "sapien", "newton", "genesis-world"),
 )
 """Packages whose versions are written if they are installed."""
-
-NEWTON_PREFIXES = ("shape_", "body_", "joint_", "rigid_", "gravity", "up_axis")
 
 
 def isaaclab_cfg(target: Any) -> Any:
@@ -81,46 +79,10 @@ def capture_maniskill(target: Any) -> dict[str, Any]:
     return {"kind": "maniskill-sim-config", "engine": "physx", "source": "ManiSkill, SimConfig", "data": data}
 
 
-def newton_model(target: Any) -> Any:
-    """Return the model of Newton that a target is or, as a solver, holds; None for any other target."""
-    return next((value for value in (target, found(target, "model")) if is_of(value, "newton", "Model")), None)
-
-
-def capture_newton(target: Any) -> dict[str, Any]:
-    """Return constants of a model of Newton, and the numbers that its solver states."""
-    model = newton_model(target)
-    entries = {name: value for name, value in vars(model).items() if name.startswith(NEWTON_PREFIXES)}
-    numbers = {name: value for name, value in entries.items() if is_number(value)}
-    solver = None
-    if target is not model:
-        solver = scalars(target)
-    data = {"model": {name: plain(flat(value)) for name, value in numbers.items()}, "solver": solver}
-    return {"kind": "newton-model", "engine": "newton", "source": "newton.Model", "data": data}
-
-
-def capture_genesis(target: Any) -> dict[str, Any]:
-    """Return the options of a scene of Genesis, and the materials of its entities."""
-    names = [name for name in dir(target) if name.endswith("_options") and not name.startswith("_")]
-    options = {name: plain(found(target, name)) for name in names if found(target, name) is not None}
-    parts = ("material", "morph")
-    entities = [{part: scalars(found(entity, part)) for part in parts} for entity in found(target, "entities") or []]
-    data = {"options": options, "entities": entities}
-    return {"kind": "genesis-scene", "engine": "genesis", "source": "genesis.Scene", "data": data}
-
-
-def scalars(value: Any) -> dict[str, Any]:
-    """Return the class of an object, and its numbers and texts."""
-    named = {name.lstrip("_"): entry for name, entry in getattr(value, "__dict__", {}).items()}
-    simple = {name: plain(entry) for name, entry in named.items() if isinstance(entry, (bool, int, float, str))}
-    return {"class": type(value).__name__, **simple}
-
-
 CAPTURES: Any = (
     (lambda target: mujoco_model(target) is not None, capture_mujoco),
     (lambda target: isaaclab_cfg(target) is not None, capture_isaaclab),
     (lambda target: maniskill_config(target) is not None, capture_maniskill),
-    (lambda target: newton_model(target) is not None, capture_newton),
-    (lambda target: is_of(target, "genesis", "Scene"), capture_genesis),
 )
 """What can be captured: whether a target is of a kind, and the function that returns its entries of the file."""
 
