@@ -374,14 +374,10 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
         for parameter, column, slope in zip(envelope.parameters, sigmas.T, slopes, strict=True)
     ]
     same = sum(ending == envelope.calibrated_ending for ending in envelope.endings)
+    shared = ("id", "backend", "quantity", "unit", "policy", "calibrated")
     return EnvelopeReport(
-        id=envelope.id,
-        backend=envelope.backend,
-        quantity=envelope.quantity,
-        unit=envelope.unit,
-        policy=envelope.policy,
+        **{name: getattr(envelope, name) for name in shared},
         samples=len(envelope.values),
-        calibrated=envelope.calibrated,
         low=low,
         median=median,
         high=high,
