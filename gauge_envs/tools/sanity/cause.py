@@ -86,9 +86,8 @@ class _Search:
 
     def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
-        return math.isfinite(changed.deviation) and changed.deviation <= max(
-            INSIDE_WITHIN, 0.5 * self.configured.deviation
-        )
+        most = max(INSIDE_WITHIN, 0.5 * self.configured.deviation)
+        return math.isfinite(changed.deviation) and changed.deviation <= most
 
     def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""

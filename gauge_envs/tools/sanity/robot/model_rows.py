@@ -169,13 +169,11 @@ def _density(robot: Robot) -> Finding:
             }
         if found.declined or ratio > worst:
             name = body_name(robot, body)
-            worst, found = (
-                ratio,
-                Finding(
-                    value=value,
-                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
-                    advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
-                ),
+            worst = ratio
+            found = Finding(
+                value=value,
+                remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
+                advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
             )
     return replace(found, changes=changes)
 

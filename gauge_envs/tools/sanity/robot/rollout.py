@@ -134,9 +134,9 @@ def _advisory(robot: Robot) -> str:
 @row("robot-holds")
 def _finite(robot: Robot) -> Finding:
     until = held(robot).diverged_s
-    return Finding(
-        value=1.0 if np.isinf(until) else until / HOLD_S, remark="" if np.isinf(until) else f"diverges at {until:.3g} s"
-    )
+    if np.isinf(until):
+        return Finding(value=1.0)
+    return Finding(value=until / HOLD_S, remark=f"diverges at {until:.3g} s")
 
 
 @row("robot-stands")
