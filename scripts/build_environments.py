@@ -107,6 +107,10 @@ GROUPS: dict[str, tuple[Entry, ...]] = {
         Entry("ElbowToss-blocks"),
         Entry("SiliconeBeam-52g-silicone", 0.5),
         Entry("CubePush-light"),
+        Entry("JointPendulum-viscous", 1.7),
+        Entry("DoublePendulum-bars", 2.0),
+        Entry("TorquePendulum-ak80"),
+        Entry("ServoArm-so101", 20.0),
     ),
 }
 

@@ -60,7 +60,7 @@ class _Command(typer.core.TyperCommand):
             args = ["--format=json" if word == "--json" else word for word in args]
         for option in (word.partition("=")[0] for word in args):
             if len(option) > 2 and option.startswith("--") and option not in known:
-                check_spelling(str(self.name), option, details=re.findall(r"\b([a-z]\w*)=", self.help or ""))
+                check_spelling(str(self.name), option, re.findall(r"\b([a-z]\w*)=", self.help or ""))
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -98,7 +98,6 @@ class _Group(typer.core.TyperGroup):
             name = self._full(" ".join(args[:count]))
             if name in COMMANDS:
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
-            check_spelling(name)
         raise UnknownNameError("command", name, map(self._full, self.list_commands(ctx)))
 
     def _full(self, name: str) -> str:

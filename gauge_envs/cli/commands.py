@@ -1,4 +1,4 @@
-"""What the `gauge` command offers: its commands, the kinds of things that it lists, and the old spellings of both.
+"""What the `gauge` command offers: its commands, and the kinds of things that it lists.
 
 A new instrument is a folder in `gauge_envs.tools` and a line here. No tool is imported for the help of the command.
 """
@@ -31,7 +31,7 @@ COMMANDS = {
     "sanity judge": ("sanity", "Report which physics a simulator gets wrong, from its motion in exported scenes."),
     "recipe": ("recipes", "Give contact settings of an engine for a measured behaviour, and what they reach."),
     "recipe fabrics": ("recipes", "Show the six fabrics in every engine's constants, and what is lost."),
-    "recipe joint": ("identify", "Give friction, armature and gains of joints from logs, with intervals."),
+    "recipe joint": ("identify", "Give friction, armature and gains of joints from logs, with 95 % intervals."),
     "transfer": ("transfer", "Replay trained policies in other engines: how much of their reward do they keep?"),
     "transfer envelope": ("transfer", "Show what uncertain constants and starts do to a reward or a score."),
     "backend": ("", "Check physics engines."),
@@ -71,64 +71,6 @@ LISTINGS = {
 DRAWINGS = {"experiments": "compare", "compare": "compare", "diagnose": "diagnose", "cost": "compare"}
 """Instrument of each kind of picture of `gauge plot`; `draw_KIND` returns files and the number of skipped results."""
 
-OLD_SPELLINGS = {
-    "film": "gauge video film",
-    "materials": "gauge recipe fabrics",
-    "envelope": "gauge transfer envelope",
-    "query": "sqlite3 sweep/sweep.sqlite 'SELECT id, backend, score FROM results'",
-    "export": "gauge video film RESULT --out FILE.rrd",
-    "export rerun": "gauge video film RESULT --out FILE.rrd",
-    "assets": "gauge data scenes",
-    "assets build": "gauge data scenes",
-    "assets list": "gauge list scenes",
-    "assets isaac-sim": "gauge data isaac-sim",
-    "backend list": "gauge list backends",
-    "data status": "gauge list references",
-    "video list": "gauge list video-tasks",
-    "--wide": "--format wide",
-    "--markdown": "--format markdown",
-    "--isolate": "--limits isolate",
-    "--time-limit-s": "--limits 60s",
-    "--memory-limit-gb": "--limits 4GB",
-    "--drivers": "--use imported-drivers",
-    "--reference": "--use imported-reference",
-    "--use-withheld": "--use withheld",
-    "--task": "--id",
-    "--engine": "--backend",
-    "--html": "--out PAGE.html",
-    "--figure": "--out FILE.png",
-    "run --all": "'*'",
-    "plot --pareto": "--kind cost",
-    "compare --out": "gauge plot --kind compare --out DIR",
-    "diagnose --out": "gauge plot --kind diagnose --out DIR",
-    "sweep --jobs": "--shard 16",
-    "sanity --list": "gauge list phenomena",
-    "sanity --all": "--only '*'",
-    "sanity judge --engine": "--label NAME",
-    "recipe --list-materials": "gauge list materials",
-    "recipe --material": "wood-on-wood",
-    "transfer envelope --fraction": "--policy law:fraction=0.95",
-    "transfer envelope --informed": "--policy law:informed=true",
-    "backend check --list": "gauge list checks",
-    "backend check --all": "'*:*'",
-    "backend check --configuration": "ENGINE:CONFIGURATION",
-    "backend check --report": "--out PAGE.html",
-    "backend check --from": "FILE.json",
-    "data download --pattern": "PATTERN",
-    "data download --to": "--out DIR",
-    "data import --only": "PATTERN",
-    "video film --id": "--only ID",
-    "video prompts --source": "URL",
-    "video score --track": "FILE.csv",
-    "video score --overlay": "--out DIR",
-    "video report --first-frames": "--first-frame DIR",
-}
-"""Spellings of version 0.1 and what is written now; they go with the next release.
-
-An option without a command is one of every command that no longer has it, and its new spelling follows the command,
-unless that is another one. Options that are details now need no line: `--hold-s 1` is `hold_s=1`.
-"""
-
 
 def load(instrument: str, name: str) -> Any:
     """Return a function of an instrument's commands.
@@ -142,19 +84,16 @@ def load(instrument: str, name: str) -> Any:
     return getattr(module, function or re.sub(r"\W", "_", name))
 
 
-def check_spelling(command: str, option: str = "", details: Iterable[str] = ()) -> None:
-    """Raise an error that states the new spelling, if a command or an option has an old one.
+def check_spelling(command: str, option: str, details: Iterable[str]) -> None:
+    """Raise an error that states the detail which an option is meant for: `--hold-s 1` is `hold_s=1`.
 
     Args:
         command: Name of the command.
         option: An option that it does not have.
         details: Names of its details, NAME=VALUE.
     """
-    old, plain = f"{command} {option}".strip(), option.removeprefix("--").replace("-", "_")
-    new = OLD_SPELLINGS.get(old) or OLD_SPELLINGS.get(option)
+    plain = option.removeprefix("--").replace("-", "_")
     similar = [name for name in details if name.startswith(plain) or plain.startswith(f"{name}_")]
-    if new is None and similar:
-        new = f"{min(similar, key=lambda name: abs(len(name) - len(plain)))}=..."
-    if new:
-        full = new if not option or new.startswith("gauge ") else f"gauge {command} {new}"
-        raise ParameterError(f"`gauge {old}` is now `{full}`")
+    if similar:
+        nearest = min(similar, key=lambda name: abs(len(name) - len(plain)))
+        raise ParameterError(f"`gauge {command} {option}` is `gauge {command} {nearest}=...`")

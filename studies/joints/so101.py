@@ -276,9 +276,13 @@ def load_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
 
 
 def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
-    """Return, per loaded joint, what friction holds at rest over the fitted one: weight less the servo's torque."""
+    """Return, per loaded joint, what friction holds at rest over the fitted one, and what it sags by [mrad].
+
+    Friction holds the weight less the servo's torque.
+    """
     data = mujoco.MjData(TASK)
     shares: list[FloatArray] = []
+    sags: list[FloatArray] = []
     for trial in motions:
         assert trial.commands is not None
         same = [(one[50:] == one[:-50]).all(axis=1) for one in (trial.angles_rad, trial.commands)]
@@ -286,10 +290,12 @@ def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
             data.qpos[:] = trial.angles_rad[frame]
             mujoco.mj_forward(TASK, data)
             servo = found.kp * (trial.commands[frame] - trial.angles_rad[frame])
+            sags.append(1e3 * np.abs(servo / found.kp))
             shares.append(np.abs(servo - data.qfrc_bias) / found.dry)
     middle, most, largest = np.percentile(shares, [50, 90, 100], axis=0)
-    numbers = zip(JOINTS, middle, most, largest, LOADED, strict=True)
-    return [(joint, float(a), float(b), float(c)) for joint, a, b, c, loaded in numbers if loaded]
+    sag = np.percentile(sags, 90, axis=0)
+    numbers = zip(JOINTS, zip(middle, most, largest, sag, strict=True), LOADED, strict=True)
+    return [(joint, *map(float, values)) for joint, values, loaded in numbers if loaded]
 
 
 def picture(judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]) -> None:
@@ -349,7 +355,11 @@ def main() -> None:
     write("so101_judged.csv", ("constants", *JOINTS), [(name, *map(float, errors)) for name, errors in judged.items()])
     loads = ("joint", "levels", "correlation_with_torque", "share_of_frames_held", "share_of_these_without_load")
     write("so101_load.csv", loads, load_rows(found, motions))
-    write("so101_held.csv", ("joint", "median", "percentile_90", "largest"), held_rows(found, motions))
+    write(
+        "so101_held.csv",
+        ("joint", "median", "percentile_90", "largest", "sag_percentile_90_mrad"),
+        held_rows(found, motions),
+    )
     picture(judged, motions[4], sets)
 
 

@@ -40,8 +40,9 @@ from gauge_envs.backends import backend_for
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Box, Contact, ContactMode, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene, Sphere
-from gauge_envs.scene.drivers import Driver, DriverMotion, SampledProfile, TrapezoidProfile
+from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.profiles import SampledProfile, TrapezoidProfile
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 

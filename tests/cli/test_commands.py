@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import inspect
 import resource
-import shlex
 import subprocess
 import sys
 from typing import Any
@@ -17,7 +16,7 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app, load_command
 from gauge_envs.cli.arguments import parsed_jitter, parsed_limits, parsed_use, split_details
-from gauge_envs.cli.commands import COMMANDS, DRAWINGS, LISTINGS, OLD_SPELLINGS, load
+from gauge_envs.cli.commands import COMMANDS, DRAWINGS, LISTINGS, load
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
 from gauge_envs.references.imported import DataSource
 
@@ -133,39 +132,7 @@ def test_the_version_is_shown() -> None:
     assert gauge("--version").stdout.startswith("gauge-envs 0.")
 
 
-# --- old and wrong spellings ---
-
-
-@pytest.mark.parametrize("old", OLD_SPELLINGS)
-def test_an_old_spelling_is_answered_by_the_new_one(old: str) -> None:
-    command, dashes, option = old.partition("--")
-    words = command.split()
-    if not words:
-        # An option of any command that no longer has it.
-        words = next(
-            name
-            for name in NAMES
-            if f"--{option}" not in options(load_command(name)) and f"{name} --{option}" not in OLD_SPELLINGS
-        ).split()
-    result = gauge(*words, *([f"--{option}"] if dashes else []))
-    assert result.exit_code == 2
-    asked = " ".join([*words, *([f"--{option}"] if dashes else [])])
-    assert result.stderr.startswith(f"error: `gauge {asked}` is ")
-
-
-def test_the_new_spellings_exist() -> None:
-    """The answers themselves are commands that parse."""
-    for old, new in OLD_SPELLINGS.items():
-        command = old.partition("--")[0].strip()
-        if not command or new.startswith("sqlite3"):
-            continue
-        words = shlex.split(new.removeprefix("gauge "))
-        if "--" in old and not new.startswith("gauge "):
-            words = [*command.split(), *words]
-        name = next(name for name in (" ".join(words[:2]), words[0]) if name in COMMANDS)
-        known = options(load_command(name))
-        assert [word for word in words if word.startswith("--") and word not in known] == [], old
-        assert "--" not in old or f"--{old.partition('--')[2]}" not in options(load_command(command)), old
+# --- wrong spellings ---
 
 
 @pytest.mark.parametrize(
@@ -191,7 +158,7 @@ def test_the_new_spellings_exist() -> None:
 def test_an_option_that_is_a_detail_now_is_answered(old: str, new: str) -> None:
     result = gauge(*old.split(), "1")
     assert result.exit_code == 2
-    assert result.stderr == f"error: `gauge {old}` is now `gauge {new}...`\n"
+    assert result.stderr == f"error: `gauge {old}` is `gauge {new}...`\n"
 
 
 @pytest.mark.parametrize(

@@ -284,9 +284,8 @@ def engines() -> dict[str, list[str]]:
 def control() -> list[str]:
     """Limits, ranges and tolerances of the control tasks."""
     family = {
-        name: of(f"envs.control.{name.lower()}.{name}Limit")
-        for name in ("Turntable", "Carry", "Push", "Throw", "Fling", "Pendulum")
-    }
+        name: of(f"envs.control.{name.lower()}.{name}Limit") for name in ("Turntable", "Throw", "Fling", "Pendulum")
+    } | {name: of(f"envs.control.least_time.{name}Limit") for name in ("Carry", "Push")}
     slope = of("envs.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
     uncertain = of("references.sensitivities.input_uncertainties")().friction
@@ -319,7 +318,7 @@ def control() -> list[str]:
         f"over {of('envs.control.friction.HOLD_S'):g} s without a slip",
         f"moves at {1e3 * slip:g} mm/s on it",
         f"within {1e3 * tolerance_m:g} mm, {tolerance_rad / DEGREE:.0f} degrees and {1e3 * rest:g} mm/s of a goal",
-        f"lifts it by {1e3 * of('envs.control.push.LIFTED_M'):g} mm",
+        f"lifts it by {1e3 * of('envs.control.least_time.LIFTED_M'):g} mm",
         f"less than {1e2 * of('envs.control.throw.EDGE_M'):g} cm from its edge",
         f"{100 * uncertain.std(1.0, 'wood'):.1f} % (wood), {100 * uncertain.std(1.0, 'plastic'):.1f} % (plastic), "
         f"{100 * uncertain.std(1.0, 'metal'):.1f} %",

@@ -139,7 +139,7 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "servo-for-friction",
             "joints with a servo have no dry friction",
-            "joint-all",
+            "joint-dry-servo",
             "share one motor",
             scene=_hinges(
                 lambda one: replace(one, dynamics=replace(one.dynamics, dry_friction_n_m=0.0)) if one.motor else one

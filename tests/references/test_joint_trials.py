@@ -16,7 +16,8 @@ from gauge_envs.experiments.resolve import with_trial
 from gauge_envs.references import single_shot
 from gauge_envs.references.single_shot import ShotSidecar, SingleShots, single_shots
 from gauge_envs.scene import JointDynamics
-from gauge_envs.scene.motors import Servo, motor_commands
+from gauge_envs.scene.driver_path import motor_commands
+from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
 NAMES = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
@@ -182,7 +183,7 @@ def test_a_held_servo_sags_between_weight_and_friction() -> None:
         commands = unit * shots.arrays["command"][rows]
         same = [(values[50:] == values[:-50]).all(axis=1) for values in (angles, commands)]
         still = np.flatnonzero(same[0] & same[1]) + 50
-        for frame in still[::200]:
+        for frame in still[::50]:
             poses = {one.body: shots.shot(trial, one.body) for one in hung}
             for j in (1, 2, 3):
                 hinge, dynamics = hung[j], scene.body_hinges[j - 1].dynamics

@@ -99,6 +99,7 @@ def test_no_default_preset_fails_a_check_of_what_is_ranked() -> None:
     )
     for one in defaults.values():
         slides = [ratio for column, ratio in one["laws"].items() if column.startswith("slide")]
+        slides.append(build_engine_table.law_ratio(one, "slide"))
         assert slides == pytest.approx([1.0] * 4, abs=0.01)
 
 

@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from straight import fitted_acceleration
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.errors import ParameterError
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,

@@ -32,6 +32,7 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
+from gauge_envs.backends.shared.joints import BRAKE_RATE_RAD_PER_S, joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -49,7 +50,7 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.hinged import joint_sign, other_end, start_rate_rad_per_s
+from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.motors import Servo
 
@@ -67,9 +68,6 @@ CORNER_RADIUS_M = 1e-6
 
 POINTS_PER_FACE = 5
 """Contact points of a face in point contact, which share its stiffness: four corners and one of the whole shape."""
-
-BRAKE_RATE_RAD_PER_S = 1e-5
-"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
 
 UNMOVED_KG = 1e9
 """Mass that gives fixed and driven bodies a stiffness beside which that of a dynamic body counts alone [kg]."""
@@ -135,7 +133,7 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
             inertia = SpatialInertia.SolidSphereWithMass(driven_mass_kg or 1.0, float(np.sqrt(2.5) * reach_m))
             bodies[body.name] = plant.AddRigidBody(body.name, driven, inertia)
     hinges = hinges_by_body(scene)
-    actuators = {id(hinge): _add_hinge(plant, scene, bodies, name, hinge) for name, hinge in hinges.items()}
+    actuators = {name: _add_hinge(plant, scene, bodies, name, hinge) for name, hinge in hinges.items()}
     if settings.approximation == "tamsi" and any(
         plant.get_joint_actuator(index).has_controller() for index in plant.GetJointActuatorIndices()
     ):
@@ -147,8 +145,7 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     plant.Finalize()
     _filter(scene_graph, scene, geometries)
     diagram = builder.Build()
-    signs = {id(hinge): joint_sign(hinge, name) for name, hinge in hinges.items()}
-    motors = [(actuators[id(hinge)], signs[id(hinge)]) for hinge, _ in scene.motors]
+    motors = [(actuators[one.body], one.sign) for one in joint_motors(scene)]
     start = _start(plant, scene, bodies, hinges)
     return Model(diagram=diagram, plant=plant, bodies=bodies, free=free, motors=motors, start=start)
 
@@ -243,11 +240,8 @@ def _start(
         if body.motion is Motion.FIXED:
             continue
         if body.name in hinges:
-            hinge = hinges[body.name]
-            rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-            if isinstance(hinge, BodyHinge):
-                rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))
-            state[offset + plant.GetJointByName(body.name).velocity_start()] = rate
+            row = offset + plant.GetJointByName(body.name).velocity_start()
+            state[row] = joint_rate_rad_per_s(scene, body.name, hinges[body.name])
             continue
         added = bodies[body.name]
         first = added.floating_positions_start()

@@ -14,9 +14,9 @@ from gauge_envs.backends.genesis.document import body_label, document, layers_of
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
+from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
-from gauge_envs.scene import BodyHinge, Motion, Scene
-from gauge_envs.scene.hinged import other_end, start_rate_rad_per_s
+from gauge_envs.scene import Motion, Scene
 
 PAIR_LIMIT = 150
 """Genesis's default for the number of pairs of shapes that can touch at a time."""
@@ -199,11 +199,7 @@ def start_coordinates(scene: Scene, model: Model) -> tuple[NDArray[np.float64], 
         body = scene.body(name)
         angular = np.asarray(body.angular_velocity_rad_per_s)
         if name in hinges:
-            hinge = hinges[name]
-            rate = angular @ np.asarray(hinge.axis)
-            if isinstance(hinge, BodyHinge):
-                rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, name)))
-            velocities[link.dof_start] = rate
+            velocities[link.dof_start] = joint_rate_rad_per_s(scene, name, hinges[name])
             continue
         coordinates[link.q_start : link.q_start + 7] = [*body.pose.position_m, *body.pose.quaternion]
         # Genesis's angular velocity is in the body frame.

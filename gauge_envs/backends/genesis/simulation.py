@@ -16,18 +16,11 @@ from gauge_envs.backends.genesis.engine import engine
 from gauge_envs.backends.genesis.model import Model, borrow_model, return_model, start_coordinates
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsGenesis
-from gauge_envs.backends.shared.rigid import (
-    DrivenMotion,
-    PlacedWorld,
-    body_state,
-    hinges_by_body,
-    placed_states,
-    tether_pull,
-)
+from gauge_envs.backends.shared.joints import joint_motors
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states, tether_pull
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Motion, Pose, Scene, Tether
-from gauge_envs.scene.hinged import joint_sign
 from gauge_envs.scene.motors import Servo
 
 
@@ -71,11 +64,9 @@ class _WorldGenesis(PlacedWorld):
         self._scene, self._lent, self._index = scene, lent, index
         self.start = start_coordinates(scene, lent.model)
         self._tethers = [joint for joint in scene.joints if isinstance(joint, Tether)]
-        names = {id(hinge): name for name, hinge in hinges_by_body(scene).items()}
         self._motors = [
-            (isinstance(motor, Servo), lent.model.links[name].dof_start, joint_sign(hinge, name))
-            for hinge, motor in scene.motors
-            for name in (names[id(hinge)],)
+            (isinstance(one.motor, Servo), lent.model.links[one.body].dof_start, one.sign)
+            for one in joint_motors(scene)
         ]
 
     def begin(self) -> None:

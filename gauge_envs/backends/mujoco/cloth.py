@@ -155,23 +155,15 @@ def _membrane(grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> 
 # --- contact with itself ----------------------------------------------------------------------------------------------
 
 LARGEST_ACCELERATION_M_PER_S2 = 100.0
-"""Acceleration of a point, besides that of a rigid motion, with which it is foreseen whether layers can touch."""
-
-INTERVALS_FOLDED = 6
-"""Intervals in which a cloth that is nearly folded is searched for contacts without another look."""
+"""Acceleration of a point beside a rigid motion, with which it is foreseen whether layers can touch."""
 
 
 class FoldWatch:
-    """Foresees intervals in which a cloth cannot touch itself, so that the search for contacts is left out.
+    """Foresees intervals in which a cloth cannot touch itself, so that the search for contacts can be left out.
 
-    The search takes up to 40 % of a step (studies/cost). Now and then it runs with a larger thickness. If it finds
-    nothing, layers are apart by the difference. A point then moves by a translation, a part w x r, which brings no two
-    points nearer, and a rest e; so two points come nearer by 2 |e| at most.
-
-    Args:
-        part: The cloth, bound to the model.
-        model: The compiled model.
-        data: MuJoCo's state.
+    The search takes up to 40 % of a step. Now and then it runs with a larger thickness; if it finds nothing, layers
+    are apart by the difference. Points then move by a translation, a part w x r, which brings no two nearer, and a
+    rest e, which brings two nearer by 2 |e| at most.
     """
 
     def __init__(self, part: ClothPartMuJoCo, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -179,22 +171,15 @@ class FoldWatch:
         # Elements of flat cloth that share no vertex are 0.7 of a cell apart.
         self._apart_m = 0.65 * min(part.grid.cell_m) - 2.0 * part.flex.radius
         self._seen_m: NDArray[np.float64] | None = None
-        self._wait = 0
 
     def stays_apart(self, seconds: float) -> bool:
         """Return whether the cloth cannot touch itself in the next seconds."""
         places = self._part.points.positions()
         soon = places + self._part.points.velocities() * seconds
-        largest_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
-        if self._seen_m is not None and _rest_m(self._seen_m, soon) < largest_m:
-            return True
-        self._seen_m, self._wait = None, self._wait - 1
-        if self._wait < 0 and _rest_m(places, soon) < largest_m:
-            if self._is_apart():
-                self._seen_m = places
-                return True
-            self._wait = INTERVALS_FOLDED
-        return False
+        most_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
+        if self._seen_m is None or _rest_m(self._seen_m, soon) >= most_m:
+            self._seen_m = places if _rest_m(places, soon) < most_m and self._is_apart() else None
+        return self._seen_m is not None
 
     def _is_apart(self) -> bool:
         """Return whether there is no contact with the larger thickness."""

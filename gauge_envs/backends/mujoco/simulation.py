@@ -71,10 +71,10 @@ class SimulationMuJoCo(Simulation):
             cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
-        self._folds: FoldWatch | None = None
-        if len(scene.contacts) == 1 and len(names := {*scene.contacts[0].first, *scene.contacts[0].second}) == 1:
-            alone = self._parts.get(*names)
-            self._folds = FoldWatch(alone, model, self.data) if isinstance(alone, ClothPartMuJoCo) else None
+        # A scene in which a cloth touches nothing but itself.
+        touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
+        lone = self._parts.get(*touching) if len(touching) == 1 else None
+        self._folds = FoldWatch(lone, model, self.data) if isinstance(lone, ClothPartMuJoCo) else None
         self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
@@ -133,10 +133,8 @@ class SimulationMuJoCo(Simulation):
             return
         flags = self.model.opt.disableflags
         self.model.opt.disableflags = flags | mujoco.mjtDisableBit.mjDSBL_CONTACT
-        try:
-            self._steps(count)
-        finally:
-            self.model.opt.disableflags = flags
+        self._steps(count)
+        self.model.opt.disableflags = flags
 
     def _steps(self, count: int) -> None:
         if not self._air:

@@ -33,6 +33,7 @@ from gauge_envs.backends.newton.contacts import (
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
+from gauge_envs.backends.shared.joints import joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
     BodyHinge,
@@ -50,7 +51,7 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 from gauge_envs.scene.meshes import body_mass_properties, prism
 from gauge_envs.scene.motors import Motor, Servo
 
@@ -152,12 +153,10 @@ def add_bodies(
                 builder.joint_qd[-6:] = list(builder.body_qd[place])
         index.bodies[name] = place
         index.shapes[name] = _add_shapes(builder, body, {"body": place, "cfg": config}, solids)
-    bodies = {id(hinge): name for name, hinge in hinges.items()}
-    for moved, motor in scene.motors:
-        name, is_servo = bodies[id(moved)], isinstance(motor, Servo)
-        joint = builder.joint_child.index(index.bodies[name])
+    for one in joint_motors(scene):
+        is_servo, joint = isinstance(one.motor, Servo), builder.joint_child.index(index.bodies[one.body])
         starts = builder.joint_q_start if is_servo else builder.joint_qd_start
-        index.motors.append((is_servo, starts[joint], joint_sign(moved, name)))
+        index.motors.append((is_servo, starts[joint], one.sign))
     return index
 
 
@@ -196,11 +195,9 @@ def _add_articulation(
             continue
         anchor = wp.transform(wp.vec3(*hinge.anchor_m), wp.quat_identity())
         parent, in_parent = WORLD, anchor
-        rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
         if isinstance(hinge, BodyHinge):
             other = scene.body(other_end(hinge, name))
             parent, in_parent = places[other.name], wp.transform_inverse(warp_transform(other.pose)) * anchor
-            rate = start_rate_rad_per_s(hinge, body, other)
         joint = builder.add_joint_revolute(
             parent,
             places[name],
@@ -215,7 +212,7 @@ def _add_articulation(
             **_servo_arguments(hinge.motor),
         )
         joints.append(joint)
-        builder.joint_qd[-1] = rate
+        builder.joint_qd[-1] = joint_rate_rad_per_s(scene, name, hinge)
     builder.add_articulation(joints, label=names[0])
     return places
 

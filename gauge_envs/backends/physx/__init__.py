@@ -36,7 +36,10 @@ class BackendPhysX(BundledBackend):
     configurations = MappingProxyType(
         {"PGS": {"solver": "PGS"}} | {name: {"preset": name} for name in ("out_of_box", "isaac", "paper")}
     )
-    corrections = ("a cylinder is a capsule or a ball in a prism",)
+    corrections = (
+        "a cylinder is a capsule or a ball in a prism",
+        "dry friction of a joint is its drive, a brake; beside it this package computes servos and viscous friction",
+    )
     features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import centre_velocity, has_terms, hinge_frame, linked_hinges, world_hinges
+from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
     BodyHinge,
@@ -35,17 +36,16 @@ from gauge_envs.scene import (
     Sphere,
     Tether,
 )
-from gauge_envs.scene.hinged import joint_sign, other_end, start_rate_rad_per_s
+from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties, prism
-from gauge_envs.scene.motors import Servo
 
 with warnings.catch_warnings():
     # SAPIEN warns that no Vulkan driver is installed. Only its renderer needs one, which this package never starts.
     warnings.simplefilter("ignore")
     from sapien import physx, pysapien
 
-BRAKE_RATE_RAD_PER_S = 1e-5
-"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
+LARGEST_TORQUE_N_M = 3.4e38
+"""Largest torque of drives without a limit, in single precision."""
 
 ROOT_MASS_KG = 1.0
 """Mass of the fixed base of a hinge, which has no effect."""
@@ -143,54 +143,6 @@ class Part:
 
 
 @dataclass(frozen=True, eq=False)
-class Joint:
-    """A joint of an articulation with friction or a motor. PhysX has one drive for each.
-
-    The drive is the dry friction, as a brake with a largest torque; without it the servo; without both the viscous
-    friction. The other terms are torques that this package computes.
-
-    Attributes:
-        link: SAPIEN's link that the joint turns.
-        hinge: The hinge.
-        sign: Sign of the joint.
-    """
-
-    link: physx.PhysxArticulationLinkComponent
-    hinge: Hinge | BodyHinge
-    sign: float
-
-    @property
-    def joint(self) -> physx.PhysxArticulationJoint:
-        """SAPIEN's joint."""
-        return self.link.joint
-
-    def set_drive(self) -> None:
-        """Give the drive its constants, and the joint its armature."""
-        terms, motor = self.hinge.dynamics, self.hinge.motor
-        dry, viscous = terms.dry_friction_n_m, terms.viscous_friction_n_m_s_per_rad
-        self.joint.armature = np.array([terms.armature_kg_m2])
-        if dry:
-            self.joint.set_drive_properties(0.0, dry / BRAKE_RATE_RAD_PER_S, dry)
-        elif isinstance(motor, Servo):
-            limit = {} if motor.torque_limit_n_m is None else {"force_limit": motor.torque_limit_n_m}
-            self.joint.set_drive_properties(motor.kp_n_m_per_rad, motor.kv_n_m_s_per_rad, **limit)
-        else:
-            self.joint.set_drive_properties(0.0, viscous)
-
-    def torque_n_m(self, command: float, angle_rad: float, rate_rad_per_s: float) -> float:
-        """Set the target of the drive, and return the torque of what is no drive [N m]; all in PhysX's direction."""
-        terms, motor = self.hinge.dynamics, self.hinge.motor
-        viscous = terms.viscous_friction_n_m_s_per_rad
-        if isinstance(motor, Servo) and not terms.dry_friction_n_m:
-            self.joint.set_drive_target(self.sign * command)
-            return -viscous * rate_rad_per_s
-        torque = -viscous * rate_rad_per_s if terms.dry_friction_n_m else 0.0
-        if isinstance(motor, Servo):
-            return torque + motor.torque_n_m(self.sign * command, angle_rad, rate_rad_per_s)
-        return torque + self.sign * command
-
-
-@dataclass(frozen=True, eq=False)
 class Model:
     """A scene in PhysX.
 
@@ -199,14 +151,14 @@ class Model:
         system: PhysX's scene.
         world: SAPIEN's scene, which keeps all bodies alive.
         parts: Bodies by name.
-        joints: Joints with friction or a motor.
+        rows: Link and place in its articulation of each joint with friction or a motor, by name of its body.
     """
 
     lease: EngineLease
     system: physx.PhysxCpuSystem
     world: pysapien.Scene
     parts: dict[str, Part]
-    joints: list[Joint]
+    rows: dict[str, tuple[physx.PhysxArticulationLinkComponent, int]]
 
 
 def physx_pose(pose: Pose) -> pysapien.Pose:
@@ -249,22 +201,27 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
     return Model(lease, system, world, parts, _add_joints(scene, parts, linked))
 
 
-def _add_joints(scene: Scene, parts: Mapping[str, Part], linked: Mapping[str, Hinge | BodyHinge | None]) -> list[Joint]:
-    """Add strings and the hinges that are constraints, and return the joints of links with friction or a motor."""
+def _add_joints(
+    scene: Scene, parts: Mapping[str, Part], linked: Mapping[str, Hinge | BodyHinge | None]
+) -> dict[str, tuple[physx.PhysxArticulationLinkComponent, int]]:
+    """Add strings, hinges that are constraints, and the drives of links; return `Model.rows`."""
     for joint in scene.joints:
         if isinstance(joint, Tether):
             _add_tether(parts[joint.body].component, joint)
     for joined in scene.body_hinges:
         if joined not in linked.values():
             _add_body_hinge(parts, scene, joined)
-    joints = [
-        Joint(parts[name].component, hinge, joint_sign(hinge, name))
-        for name, hinge in linked.items()
-        if hinge is not None and has_terms(hinge)
-    ]
-    for one in joints:
-        one.set_drive()
-    return joints
+    rows = {}
+    for name, hinge in linked.items():
+        if hinge is not None and has_terms(hinge):
+            link, terms = parts[name].component, hinge.dynamics
+            rows[name] = link, row_of(link)
+            link.joint.armature = np.array([terms.armature_kg_m2])
+            kp, kv, limit = drive_of(hinge)
+            if not kp and not kv:
+                kv = terms.viscous_friction_n_m_s_per_rad
+            link.joint.set_drive_properties(kp, kv, min(limit, LARGEST_TORQUE_N_M))
+    return rows
 
 
 def row_of(link: physx.PhysxArticulationLinkComponent) -> int:
@@ -479,11 +436,8 @@ def _set_velocity(
     """Write the start velocity; PhysX's linear velocity is that of the centre of mass."""
     angular = np.array(body.angular_velocity_rad_per_s)
     if hinge is not None:
-        rate = angular @ np.asarray(hinge.axis)
-        if isinstance(hinge, BodyHinge):
-            rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, body.name)))
         rates = component.articulation.qvel
-        rates[row_of(component)] = rate
+        rates[row_of(component)] = joint_rate_rad_per_s(scene, body.name, hinge)
         component.articulation.set_qvel(rates)
     elif isinstance(component, physx.PhysxArticulationLinkComponent):
         component.articulation.root_angular_velocity = angular

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Simulation
-from gauge_envs.backends.physx.model import Model, build_model, physx_pose, row_of
+from gauge_envs.backends.physx.model import Model, build_model, physx_pose
 from gauge_envs.backends.physx.settings import SettingsPhysX
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
+from gauge_envs.backends.shared.joints import drive_of, joint_motors
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, hinges_by_body, placed_states
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Pose, Scene
 from gauge_envs.scene.geometry import pose_distance
@@ -27,6 +27,13 @@ class SimulationPhysX(PlacedWorld, Simulation):
     def __init__(self, scene: Scene, settings: SettingsPhysX) -> None:
         self.settings = settings.model_dump(mode="json")
         self._scene = scene
+        self._motors = joint_motors(scene)
+        # Viscous friction of joints whose drive is another term.
+        self._viscous = {
+            name: hinge.dynamics.viscous_friction_n_m_s_per_rad
+            for name, hinge in hinges_by_body(scene).items()
+            if any(drive_of(hinge)[:2])
+        }
         self._chosen = settings
         self._start()
 
@@ -82,7 +89,7 @@ class SimulationPhysX(PlacedWorld, Simulation):
                 model.parts[name].component.set_kinematic_target(physx_pose(motion.pose(step * step_s)))
             for name, wrench in self._wrenches.items():
                 model.parts[name].component.add_force_torque(wrench[:3], wrench[3:])
-            if model.joints:
+            if model.rows:
                 self._turn_joints(model)
             model.system.step()
         for name in self._driven:
@@ -90,14 +97,22 @@ class SimulationPhysX(PlacedWorld, Simulation):
 
     def _turn_joints(self, model: Model) -> None:
         """Set the targets of drives, and the torques of motors and friction that are no drives, for one step."""
-        commands = {id(hinge): value for (hinge, _), value in zip(self._scene.motors, self._commands, strict=True)}
-        torques: dict[int, tuple[Any, NDArray[np.float64]]] = {}
-        for one in model.joints:
-            tree, row = one.link.articulation, row_of(one.link)
-            _, values = torques.setdefault(id(tree), (tree, np.zeros(tree.dof)))
-            values[row] = one.torque_n_m(commands.get(id(one.hinge), 0.0), tree.qpos[row], tree.qvel[row])
-        for tree, values in torques.values():
-            tree.set_qf(values)
+        trees = {
+            id(link.articulation): (link.articulation, np.zeros(link.articulation.dof))
+            for link, _ in model.rows.values()
+        }
+        motors = {one.body: (one, value) for one, value in zip(self._motors, self._commands, strict=True)}
+        for name, (link, row) in model.rows.items():
+            tree, torques = trees[id(link.articulation)]
+            angle, rate = tree.qpos[row], tree.qvel[row]
+            one, value = motors.get(name, (None, 0.0))
+            if one and one.is_drive:
+                link.joint.set_drive_target(one.sign * value)
+            elif one:
+                torques[row] += one.torque_n_m(value, angle, rate)
+            torques[row] -= self._viscous.get(name, 0.0) * rate
+        for tree, torques in trees.values():
+            tree.set_qf(torques)
 
     def body_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities, in single precision for moving bodies; see `World.body_states`."""

@@ -14,9 +14,10 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushin
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
+from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
-from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
+from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
 
 EARLY_CONTACTS = 1e18
 """Distance below which Bullet's solver takes contacts by default."""
@@ -31,7 +32,6 @@ class WorldPyBullet(BulletWorld):
     Attributes:
         ropes: The ropes in PyBullet, by name.
         soft: PyBullet's numbers of the soft bodies, by name.
-        joints: PyBullet's numbers of the multibody and the link of each hinge, and the sign of the joint, by its `id`.
     """
 
     def __init__(self, scene: Scene, settings: SettingsPyBullet) -> None:
@@ -51,7 +51,6 @@ class WorldPyBullet(BulletWorld):
         self._set_parameters()
         self.handles.clear()
         self.copies.clear()
-        self.joints: dict[int, tuple[int, int, float]] = {}
         self._surfaces = surfaces(self.scene)
         self._coned = pushing_bodies(self.scene) if self.settings.cone_friction else set()
         self.ropes = {
@@ -180,10 +179,7 @@ class WorldPyBullet(BulletWorld):
         if root is not None:
             self._start_base(number, root, frames[root.name])
         for link_number, (name, hinge) in enumerate(hinges.items()):
-            body = self.scene.body(name)
-            rate = float(np.asarray(body.angular_velocity_rad_per_s) @ hinge.axis)
-            if isinstance(hinge, BodyHinge):
-                rate = start_rate_rad_per_s(hinge, body, self.scene.body(other_end(hinge, name)))
+            rate = joint_rate_rad_per_s(self.scene, name, hinge)
             self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
             dry, damping = hinge.dynamics.dry_friction_n_m, hinge.dynamics.viscous_friction_n_m_s_per_rad
             if dry:
@@ -192,7 +188,6 @@ class WorldPyBullet(BulletWorld):
                 self.call("setJointMotorControl2", number, link_number, **brake)
             if damping:
                 self.call("changeDynamics", number, link_number, jointDamping=self.scale**2 * damping)
-            self.joints[id(hinge)] = (number, link_number, joint_sign(hinge, name))
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""

@@ -13,9 +13,9 @@ from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.pybullet.model import WorldPyBullet
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import PLANE_REACH_M, Handle, pybullet
+from gauge_envs.backends.shared.joints import joint_motors
 from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, body_state, placed_states
 from gauge_envs.scene import Motion, Plane, Pose, Scene
-from gauge_envs.scene.motors import Servo
 
 Rows = list[list[float]]
 
@@ -32,6 +32,7 @@ class SimulationPyBullet(PlacedWorld, Simulation):
         self.settings = settings.model_dump(mode="json")
         self.world = WorldPyBullet(scene, settings)
         self._scene = scene
+        self._motors = joint_motors(scene)
         self._scale = settings.units_per_m
         self._timestep_s = settings.timestep_s
         boxes = settings.planes == "box"
@@ -147,14 +148,11 @@ class SimulationPyBullet(PlacedWorld, Simulation):
 
     def _turn_joints(self) -> None:
         """Apply the torques of motors for one step; that of a servo is computed here, from the state before it."""
-        for (hinge, motor), value in zip(self._scene.motors, self._commands, strict=False):
-            number, link, sign = self.world.joints[id(hinge)]
-            torque = value
-            if isinstance(motor, Servo):
-                angle, rate = self.world.call("getJointState", number, link)[:2]
-                torque = motor.torque_n_m(value, sign * angle, sign * rate)
-            torque *= sign * self._scale**2
-            self.world.call("setJointMotorControl2", number, link, pybullet.TORQUE_CONTROL, force=torque)
+        for one, value in zip(self._motors, self._commands, strict=False):
+            handle = self.world.handles[one.body]
+            angle, rate = self.world.call("getJointState", handle.body, handle.link)[:2]
+            torque = self._scale**2 * one.torque_n_m(value, angle, rate)
+            self.world.call("setJointMotorControl2", handle.body, handle.link, pybullet.TORQUE_CONTROL, force=torque)
 
     def _read(self, body: int, link: int) -> tuple[Any, ...]:
         """Return position, quaternion x y z w, velocity and angular velocity of a centre of mass, in units."""

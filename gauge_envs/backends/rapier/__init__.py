@@ -11,7 +11,7 @@ from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
-from gauge_envs.backends.shared.rigid import linked_hinges
+from gauge_envs.backends.shared.joints import linked_hinges
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.rigid import centre_velocity, has_terms, hinge_frame, linked_hinges
+from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
     BodyHinge,
@@ -28,16 +29,12 @@ from gauge_envs.scene import (
     Shape,
     Sphere,
 )
-from gauge_envs.scene.hinged import other_end, start_rate_rad_per_s
+from gauge_envs.scene.hinged import other_end
 from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.scene.motors import Servo
 
 MASS_UNIT_KG = 1e-3
 """Mass of a mass unit in Rapier [kg]. Rapier adds the inertias of a body and its colliders. The principal axes of the
 sum are wrong for moments near 1e-5, as light bodies have in kg m^2, so masses are in grams."""
-
-BRAKE_RATE_RAD_PER_S = 1e-5
-"""Rate up to which the brake that is a joint's dry friction is viscous [rad/s]."""
 
 TURN = rapier.JointAxis.ANG_X
 """Axis of every hinge in its own frame."""
@@ -206,35 +203,22 @@ def _set_link(
     layout: Layout,
     settings: SettingsRapier,
 ) -> None:
-    """Write the start rate of a link, its friction and its armature, and the gains of its servo.
-
-    A joint has one motor: the dry friction, as a brake with a largest torque, or else the servo.
-    """
+    """Write the start rate of a link, its friction and its armature, and its drive."""
     chain, link, row = link_of(world, layout[name][0])
-    body, terms, motor = scene.body(name), hinge.dynamics, hinge.motor
-    rate = float(np.dot(body.angular_velocity_rad_per_s, hinge.axis))
-    if isinstance(hinge, BodyHinge):
-        rate = start_rate_rad_per_s(hinge, body, scene.body(other_end(hinge, name)))
+    terms = hinge.dynamics
     damping = settings.hinge_damping_n_m_s + terms.viscous_friction_n_m_s_per_rad
     for values, write, value in (
-        (chain.generalized_velocity(), chain.set_generalized_velocity, rate),
+        (chain.generalized_velocity(), chain.set_generalized_velocity, joint_rate_rad_per_s(scene, name, hinge)),
         (chain.damping(), chain.set_damping, damping / MASS_UNIT_KG),
         (chain.armature(), chain.set_armature, terms.armature_kg_m2 / MASS_UNIT_KG),
     ):
-        changed = list(values)
-        changed[row] = value
-        write(changed)
-    limit: float | None = None
-    if terms.dry_friction_n_m:
-        gains, limit = (0.0, terms.dry_friction_n_m / BRAKE_RATE_RAD_PER_S), terms.dry_friction_n_m
-    elif isinstance(motor, Servo):
-        gains, limit = (motor.kp_n_m_per_rad, motor.kv_n_m_s_per_rad), motor.torque_limit_n_m
-    else:
-        return
-    chain.set_link_motor_model(link, TURN, rapier.MotorModel.FORCE_BASED)
-    chain.set_link_motor(link, TURN, 0.0, 0.0, *(gain / MASS_UNIT_KG for gain in gains))
-    if limit is not None:
-        chain.set_link_motor_max_force(link, TURN, limit / MASS_UNIT_KG)
+        write([*values[:row], value, *values[row + 1 :]])
+    kp, kv, limit = (value / MASS_UNIT_KG for value in drive_of(hinge))
+    if kp or kv:
+        chain.set_link_motor_model(link, TURN, rapier.MotorModel.FORCE_BASED)
+        chain.set_link_motor(link, TURN, 0.0, 0.0, kp, kv)
+        if np.isfinite(limit):
+            chain.set_link_motor_max_force(link, TURN, limit)
 
 
 def _add_hinge(

@@ -14,11 +14,11 @@ from gauge_envs.backends.base import Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.model import MASS_UNIT_KG, TURN, Layout, build_world, isometry, link_of
 from gauge_envs.backends.rapier.settings import SettingsRapier
-from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, hinges_by_body, placed_states
+from gauge_envs.backends.shared.joints import drive_of, joint_motors
+from gauge_envs.backends.shared.rigid import DrivenMotion, PlacedWorld, placed_states
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import BodyHinge, ConvexUnion, Pose, Scene
-from gauge_envs.scene.hinged import joint_sign, other_end
-from gauge_envs.scene.motors import Servo
+from gauge_envs.scene.hinged import other_end
 
 LARGEST_SHARE = 64
 """Number of scenes without contacts in one Rapier world."""
@@ -31,13 +31,8 @@ class _SceneWorld(PlacedWorld):
         self.settings = settings.model_dump(mode="json")
         self._layout = layout
         self.placed = placed_states(scene)
-        names = {id(hinge): name for name, hinge in hinges_by_body(scene).items()}
-        self._motors = [
-            (hinge, motor, names[id(hinge)], joint_sign(hinge, names[id(hinge)])) for hinge, motor in scene.motors
-        ]
-        self._axes = [
-            scene.body(name).pose.rotation.apply(hinge.axis, inverse=True) for hinge, _, name, _ in self._motors
-        ]
+        self._motors = joint_motors(scene)
+        self._axes = [scene.body(one.body).pose.rotation.apply(one.hinge.axis, inverse=True) for one in self._motors]
         self._commands: list[float] = []
         self._bodies: dict[str, rapier.RigidBody] = {}
         self.motions: dict[str, DrivenMotion] = {}
@@ -74,27 +69,25 @@ class _SceneWorld(PlacedWorld):
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
         self._commands = values.tolist()
-        for (hinge, motor, name, sign), value in zip(self._motors, self._commands, strict=True):
-            if isinstance(motor, Servo) and not hinge.dynamics.dry_friction_n_m:
-                chain, link, _ = link_of(self._holder, self._layout[name][0])
-                gains = (motor.kp_n_m_per_rad / MASS_UNIT_KG, motor.kv_n_m_s_per_rad / MASS_UNIT_KG)
-                chain.set_link_motor(link, TURN, sign * value, 0.0, *gains)
+        for one, value in zip(self._motors, self._commands, strict=True):
+            if one.is_drive:
+                chain, link, _ = link_of(self._holder, self._layout[one.body][0])
+                kp, kv, _ = (number / MASS_UNIT_KG for number in drive_of(one.hinge))
+                chain.set_link_motor(link, TURN, one.sign * value, 0.0, kp, kv)
 
     def torques(self) -> list[tuple[rapier.RigidBody, NDArray[np.float64]]]:
         """Return the torques on bodies in the next step of the motors that are none of Rapier's."""
         found = []
-        for (hinge, motor, name, sign), axis, value in zip(self._motors, self._axes, self._commands, strict=False):
-            torque, body = sign * value, self._bodies[name]
-            if isinstance(motor, Servo):
-                if not hinge.dynamics.dry_friction_n_m:
-                    continue
-                chain, _, row = link_of(self._holder, self._layout[name][0])
-                angle, rate = chain.generalized_position()[row], chain.generalized_velocity()[row]
-                torque = motor.torque_n_m(torque, angle, rate)
+        for one, axis, value in zip(self._motors, self._axes, self._commands, strict=False):
+            if one.is_drive:
+                continue
+            chain, _, row = link_of(self._holder, self._layout[one.body][0])
+            torque = one.torque_n_m(value, chain.generalized_position()[row], chain.generalized_velocity()[row])
+            body = self._bodies[one.body]
             along = np.array(body.rotation.transform_vector(tuple(axis)).to_tuple()) * torque / MASS_UNIT_KG
             found.append((body, along))
-            if isinstance(hinge, BodyHinge):
-                found.append((self._bodies[other_end(hinge, name)], -along))
+            if isinstance(one.hinge, BodyHinge):
+                found.append((self._bodies[other_end(one.hinge, one.body)], -along))
         return found
 
     def fault(self) -> str | None:

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import World
-from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene, Tether
+from gauge_envs.scene import BodyHinge, Hinge, Motion, Pose, RigidBody, Scene, Tether
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.hinged import hinge_trees, other_end, parent_hinges
+from gauge_envs.scene.hinged import parent_hinges
 
 
 def body_state(pose: Pose, velocity: Iterable[float] = (0.0,) * 6) -> NDArray[np.float64]:
@@ -73,38 +73,6 @@ def world_hinges(scene: Scene) -> dict[str, Hinge]:
 def hinges_by_body(scene: Scene) -> dict[str, Hinge | BodyHinge]:
     """Return the hinge of each body that hangs on the world or on another body, by its name."""
     return world_hinges(scene) | parent_hinges(scene.body_hinges, scene.hung)
-
-
-def has_terms(hinge: Hinge | BodyHinge) -> bool:
-    """Return whether a joint has friction, armature or a motor."""
-    return hinge.motor is not None or hinge.dynamics != JointDynamics()
-
-
-def linked_hinges(scene: Scene, single: bool) -> dict[str, Hinge | BodyHinge | None]:
-    """Return the hinges of the bodies that an engine builds in reduced coordinates; None for the free root of a tree.
-
-    Two free bodies whose hinge turns freely are joined by a constraint.
-
-    Args:
-        scene: The scene.
-        single: Whether a body on a hinge to the world alone is one of them, although the hinge turns freely.
-
-    Returns:
-        By name of the body, parents first.
-    """
-    hung = world_hinges(scene)
-    linked: dict[str, Hinge | BodyHinge | None] = {}
-    for tree in hinge_trees(scene.body_hinges):
-        below = parent_hinges(tree, scene.hung)
-        name, hinge = next(iter(below.items()))
-        root = other_end(hinge, name)
-        if root in hung or any(map(has_terms, tree)):
-            linked[root] = hung.get(root)
-            linked.update(below)
-    for name, hanging in hung.items():
-        if single or has_terms(hanging):
-            linked.setdefault(name, hanging)
-    return linked
 
 
 def hinge_frame(hinge: Hinge | BodyHinge, along_m: float = 0.0) -> Pose:

@@ -70,7 +70,7 @@ class PendulumLimit(ControlEnv):
     DURATION_S = 6.0
     """Time of five full swings; at full torque three are enough."""
     OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"mujoco": {"timestep_s": 1 / 180}}
-    """The law's policy succeeds up to 0.99995 of the limit with this and shorter steps (studies/cost)."""
+    """The law's policy succeeds up to 0.99995 of the limit with this and shorter steps (studies/control_steps)."""
 
     COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
     OBSERVED: ClassVar[tuple[str, ...]] = (

@@ -32,7 +32,7 @@ class SlopeSliderLimit(FrictionLimit):
     """This acceleration reaches the limit in 1.0 s; the real motor takes 1.2 s to 15 degrees."""
 
     OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"mujoco": {"timestep_s": 1 / 1800}}
-    """The law's policy holds the cube up to 0.998 to 1.002 of the limit with this and shorter steps (studies/cost)."""
+    """The law's policy holds the cube up to 0.998 to 1.002 of the limit from this step on (studies/control_steps)."""
 
     _RAMP_S = 3.0
     """Time in which the law's policy tilts; its acceleration uses only 0.4 % of the friction."""

@@ -171,13 +171,15 @@ class ControlWorlds:
         settings: Mapping[str, Any] | None = None,
     ) -> None:
         found = find_control_task(task)
-        make: Any = load_env_creator(found.entry_point)
-        settings = settings or make.OWN_SETTINGS.get(backend)
+        make = load_env_creator(found.entry_point)
 
         def world(chosen: Parameters) -> ControlEnv:
-            return make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)  # type: ignore[no-any-return]
+            env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
+            assert isinstance(env, ControlEnv)
+            return env
 
         first = world(parameters)
+        settings = settings or first.OWN_SETTINGS.get(backend)
         common = dict(first.experiment.overrides)
         self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
         scenes = [env.experiment.scene for env in self.envs]

@@ -18,19 +18,20 @@ if TYPE_CHECKING:
 
 
 def data_download(
-    patterns: Annotated[
+    words: Annotated[
         list[str] | None,
         typer.Argument(metavar="[PATTERN]...", help="Files, as 'data/rigid/slope slider/*'; all trials by default."),
     ] = None,
-    revision: Annotated[
-        str | None, typer.Option(help="Commit, branch or tag; by default the one of the bundled data.")
-    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder; by default below the user's data.")] = None,
 ) -> None:
-    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes."""
+    """Download the GAUGE dataset (10 GB in all); an interrupted download resumes.
+
+    Details: revision=, a commit, branch or tag; without it that of the bundled data.
+    """
     from gauge_envs.tools.dataset import download
 
-    wanted = revision or download.PINNED_REVISION
+    patterns, details = arguments.split_details(words, revision=str)
+    wanted = details.get("revision", download.PINNED_REVISION)
     commit = download.resolved_revision(wanted)
     message(f"{download.DATASET}, revision {wanted} is {commit}")
     path, _ = download.download_dataset(out, patterns=patterns or [download.TRIAL_FILES], revision=commit)

@@ -24,7 +24,7 @@ def recipe_joint(
     engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
     form: arguments.Form = Format.TEXT,
 ) -> bool:
-    """Give settings of a joint from logs of it: friction, armature, gains, with 95 % intervals.
+    """Give friction, armature and gains of joints from logs, with 95 % intervals.
 
     Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
 

@@ -303,9 +303,8 @@ def _notes(results: Iterable[Result]) -> Iterator[str]:
 
 def _package_notes(stated: Statement) -> Iterator[str]:
     """Yield what is known of the files of the engine's package: those of the submission, and those installed here."""
-    name = f"{stated.package} {stated.version}"
+    name, here = f"{stated.package} {stated.version}", f"{stated.package} as installed here"
     installed, changed = installed_package(stated.package)
-    here = f"{stated.package} as installed here"
     if changed:
         yield f"{here} differs from its release in {counted(len(changed), 'file')}, as {changed[0]}: install it again"
     if not installed:
@@ -315,10 +314,7 @@ def _package_notes(stated: Statement) -> Iterator[str]:
     elif not stated.package_sha256:
         yield f'the files of {name} are not stated; add package_sha256 = "{installed}" if they are those installed here'
     elif stated.package_sha256 != installed:
-        yield (
-            f"the files of {name} are not those installed here, {installed}: they are of another system or build, "
-            "or were changed"
-        )
+        yield f"the files of {name} are not those installed here, {installed}: another system or build, or changed ones"
 
 
 def _listed(texts: dict[str, str]) -> str:

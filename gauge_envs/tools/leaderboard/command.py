@@ -10,6 +10,7 @@ import typer
 
 from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Format, Progress, message, print_document
+from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
@@ -18,19 +19,25 @@ FolderArgument = Annotated[Path, typer.Argument(metavar="[DIR]", help="The leade
 
 
 def leaderboard_check(
-    folder: FolderArgument = Path("leaderboard"),
+    words: Annotated[
+        list[str] | None, typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission.")
+    ] = None,
     rerun: Annotated[int, typer.Option(min=0, help="Run this many episodes of each submission again.")] = 0,
-    salt: Annotated[str, typer.Option(help="Text unknown to the submitter, for the choice of these episodes.")] = "",
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Check submissions: layout, versions, task hashes, trajectories and scores.
+
+    Details: salt=, a text unknown to the submitter, for the choice of the episodes that --rerun states.
 
     Scores are computed anew from the trajectories. Exit code 1 when anything is wrong.
     """
     from gauge_envs.pages.text import counted
     from gauge_envs.tools.leaderboard.words import check_document
 
-    check = _checked(folder, rerun, salt)
+    names, details = arguments.split_details(words, salt=str)
+    if len(names) > 1:
+        raise ParameterError(f"{' and '.join(names)}: expected one folder")
+    check = _checked(Path(*names or ["leaderboard"]), rerun, **details)
     print_document(check_document(check), form)
     message(f"{counted(len(check.submissions), 'submission')}, {counted(len(check.all_faults), 'fault')}")
     return not check.ok

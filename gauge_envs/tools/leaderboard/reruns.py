@@ -134,7 +134,8 @@ def rerun(result: Result) -> tuple[Rerun, Result | None]:
     largest, rmse = _distance(stored, repeated)
     allowed = _allowed(result, np.nan_to_num(stored)[::SAMPLES_PER_FRAME])
     if rmse > allowed:
-        runs = [repeated, *(_samples(one) for one in run_many([request] * (REPEATS - 1), isolate=None))]
+        others = (one.trajectory for one in run_many([request] * (REPEATS - 1), isolate=None))
+        runs = [repeated, *(one.arrays(later=True)[1] for one in others if one is not None)]
         alike = [one for one in runs if one.shape == stored.shape]
         spread = max((_distance(one, other)[1] for one, other in combinations(alike, 2)), default=0.0)
         if 0.0 < spread < np.inf:
@@ -145,10 +146,6 @@ def rerun(result: Result) -> tuple[Rerun, Result | None]:
     if largest == 0.0:
         status, cause = RerunStatus.EQUAL, ""
     return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause), again
-
-
-def _samples(result: Result) -> NDArray[np.float64]:
-    return np.empty(0) if result.trajectory is None else result.trajectory.arrays(later=True)[1]
 
 
 def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:

@@ -113,7 +113,7 @@ def read_statement(file: Path, name: str) -> Statement | Fault:
 
 
 @cache
-def installed_package(package: str) -> tuple[str, tuple[str, ...]]:
+def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tuple[str, ...]]:
     """Return a hash of the installed files of a package, and which of them differ from its release.
 
     The RECORD of a package lists the files of its release. Packages that it pins to one version belong to it. Metadata
@@ -126,16 +126,13 @@ def installed_package(package: str) -> tuple[str, tuple[str, ...]]:
     files = [(file, file.hash.value) for file in found.files or () if file.hash is not None and ".." not in file.parts]
     if any("editable" in file.name and file.suffix == ".pth" for file, _ in files):
         return "", ()
-    pinned = sorted({one[1] for text in found.requires or () if (one := re.fullmatch(r"([\w.-]+)==[\w.]+", text))})
-    parts = [(name, *installed_package(name)) for name in pinned]
+    needed = filter(None, (re.fullmatch(r"([\w.-]+)==[\w.]+", text) for text in found.requires or () if has_parts))
+    parts = [(one[1], *installed_package(one[1], has_parts=False)) for one in needed]
     lines = [f"{name} {content}\n" for name, content, _ in parts]
     changed = [file for _, _, differing in parts for file in differing]
     for file, released in files:
         if not file.parts[0].endswith(".dist-info"):
-            try:
-                digest = hashlib.sha256(file.read_binary()).digest()
-            except OSError:
-                digest = b""
+            digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
             lines.append(f"{file.as_posix()} {digest.hex()}\n")
             if released != urlsafe_b64encode(digest).rstrip(b"=").decode():
                 changed.append(file.as_posix())

@@ -44,16 +44,13 @@ def transfer(
         typer.Option(metavar="ENGINE[:NAME=VALUE,...]", help="Engine to replay in; repeatable; mujoco, newton."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")] = None,
-    fail_below: Annotated[
-        float | None, typer.Option(metavar="PERCENT", help="Exit code 1 when less of the promise is kept.")
-    ] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:
     """Replay trained policies in other engines: how much of their reward do they keep?
 
     Details: sigmas=1, changes of each constant in standard uncertainties, as 1,2, or 0 for none; starts=3 in
-    each world, within the start's uncertainty; seed=0 of the starts. Exit code 1 when they keep less than --fail-below
-    states.
+    each world, within the start's uncertainty; seed=0 of the starts; fail_below=90, in percent: exit code 1 when less
+    is kept.
     """
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.policies.load import load_policies
@@ -61,13 +58,16 @@ def transfer(
     from gauge_envs.tools.transfer.transfer import transfer_report
     from gauge_envs.tools.transfer.words import draw_transfer, transfer_document
 
-    policies, details = arguments.split_details(words, sigmas=_numbers, starts=PositiveInt, seed=NonNegativeInt)
+    policies, details = arguments.split_details(
+        words, sigmas=_numbers, starts=PositiveInt, seed=NonNegativeInt, fail_below=float
+    )
     files = _picture_files([out] if out else [])
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     training = training_world(engine, arguments.parsed_settings(changes), constants)
     with closing(make_control_env(task)) as env:
         loaded = load_policies(policies, env, normalization=normalization or [], trust=trust)
     others = list(other_worlds(task, training, engines=_engines(to), sigmas=details.pop("sigmas", [1.0])))
+    least = details.pop("fail_below", 0.0)
     details = {"starts": 3, "seed": 0} | details
     with stderr_console().status("replaying") as status:
         replays = replay(
@@ -80,7 +80,7 @@ def transfer(
             message(f"{name}: {reason}", "left out")
     writers = {".png": lambda file: save_png(draw_transfer(report), file)}
     print_document(transfer_document(report), form, files=files, writers=writers)
-    return fail_below is not None and 100.0 * report.kept.value < fail_below
+    return 100.0 * report.kept.value < least
 
 
 def _numbers(text: str) -> list[float]:

@@ -8,12 +8,12 @@ import mujoco
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from straight import fitted_acceleration
 
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.errors import ParameterError, UnknownNameError
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,

@@ -11,11 +11,12 @@ from scipy.spatial.transform import Rotation
 
 pytest.importorskip("sapien")
 
+from straight import fitted_acceleration
+
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.backends.shared.pair_values import body_values, pair_values
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.evaluation.laws import fitted_acceleration
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2,
     Box,

@@ -83,7 +83,7 @@ def test_the_pinned_revision_is_fetched_and_noted(hub: FakeHub) -> None:
 
 def test_patterns_revision_and_folder_are_passed_on(hub: FakeHub, tmp_path: Path) -> None:
     pattern = f"{trial_folder(NAME)}/*"
-    assert run(pattern, "metadata/*", "--revision", OTHER, "--out", tmp_path).exit_code == 0
+    assert run(pattern, "metadata/*", f"revision={OTHER}", "--out", tmp_path).exit_code == 0
     (call,) = hub.calls
     assert (call["allow_patterns"], call["revision"], call["local_dir"]) == ([pattern, "metadata/*"], OTHER, tmp_path)
 

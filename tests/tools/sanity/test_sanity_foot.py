@@ -16,11 +16,12 @@ from planted import PLANTED, model_xml
 from quadruped import FEET, FOOT_RADIUS_M, GOOD, quadruped_xml
 from sanity_cases import moved
 from scipy.spatial.transform import Rotation
+from straight import fitted_acceleration
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
-from gauge_envs.evaluation.laws import fitted_acceleration
+from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
 from gauge_envs.tools.sanity.exchange.scenes import scenes
@@ -121,12 +122,19 @@ def test_what_does_not_stand_has_no_foot(name: str, reason: str) -> None:
     assert read.inapplicable[Need.FOOT] == reason
 
 
-def test_a_model_that_is_nowhere_has_no_foot(tmp_path: Path) -> None:
-    """MuJoCo compiles a position of NaN."""
+@pytest.mark.parametrize(
+    "ball",
+    [
+        '<body pos="nan 0 1"><freejoint/><geom size=".1"/></body>',
+        '<body><freejoint/><geom size=".1"/><body><joint range="nan 1" limited="true"/><geom size=".1"/></body></body>',
+    ],
+)
+def test_a_model_that_is_nowhere_is_refused(ball: str, tmp_path: Path) -> None:
+    """MuJoCo compiles a position and a range of NaN."""
     path = tmp_path / "nowhere.xml"
-    ball = '<body pos="nan 0 1"><freejoint/><geom size=".1"/></body>'
     path.write_text(f'<mujoco><worldbody><geom type="plane" size="1 1 1"/>{ball}</worldbody></mujoco>')
-    assert configuration(path).inapplicable[Need.FOOT] == "the poses of the model's geoms are not finite"
+    with pytest.raises(TargetError, match="the poses of the model's geoms are not finite"):
+        configuration(path)
 
 
 BIPED = """<mujoco><asset><mesh name="wedge" vertex="-.1 -.03 0 .1 -.03 0 -.1 .03 0 .1 .03 0 -.1 0 .05"/></asset>

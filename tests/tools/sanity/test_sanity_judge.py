@@ -287,6 +287,11 @@ def test_a_cube_at_rest_is_inside(resting: Path) -> None:
         pytest.param(lambda rows: [row[:8] for row in rows], "no column 'qz'", id="no-qz"),
         pytest.param(lambda rows: [row[:11] for row in rows], "no column 'vz_m_per_s'", id="no-vz"),
         pytest.param(with_field(1, 2, "1000"), "'cube' starts at .* write the start before the first step", id="start"),
+        pytest.param(
+            lambda rows: [*rows[:7], [*rows[7][:5], *"0000", *rows[7][9:]], *rows[8:]],
+            "a quaternion of 'cube' has no length at 0.012 s",
+            id="no-length",
+        ),
         pytest.param(with_field(1, 5, "3"), "the first quaternion of 'cube' has the length 3", id="length"),
     ],
 )

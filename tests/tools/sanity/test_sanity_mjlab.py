@@ -222,7 +222,7 @@ def test_a_robot_that_is_not_here_is_left_out(tmp_path: Path) -> None:
         (
             "iterations: 10",
             f"iterations: {2**63}",
-            "sim.mujoco.iterations is 9223372036854775808, which MuJoCo does not",
+            "iterations is 9223372036854775808, which MuJoCo does not",
         ),
         ("contype: 1", "contype: -0.5", "contype is -0.5, which MuJoCo does not take"),
         ("[0.03, 1]", "[a, 1]", "solref is ('a', 1), which MuJoCo does not take"),

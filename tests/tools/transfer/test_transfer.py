@@ -306,7 +306,7 @@ def test_command_reports_and_draws(tmp_path) -> None:
     arguments = [
         "transfer", f"{__name__}:pumping", "--trust", "--id", "GAUGE/Pendulum-Limit-metal",
         "--to", "mujoco:timestep_s=0.0005555555555555556", "sigmas=2", "--out", str(picture),
-        "--fail-below", "101",
+        "fail_below=101",
     ]  # fmt: skip
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 1, result.output

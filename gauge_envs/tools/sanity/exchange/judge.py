@@ -405,7 +405,7 @@ class _Motion:
         return interval_s
 
     def check_finite(self, times_s: FloatArray, numbers: FloatArray) -> None:
-        """Raise an error for numbers that are not finite or huge, shape [body_count, sample_count, width]."""
+        """Raise an error for numbers that are no motion, shape [body_count, sample_count, width]."""
         bad = ~(np.abs(numbers) <= LARGEST)
         if bad.any():
             body, row, column = (int(index) for index in np.argwhere(bad)[bad.nonzero()[1].argmin()])
@@ -413,6 +413,8 @@ class _Motion:
                 f"{self.file.parent.name}/{self.file.name}: {COLUMNS[2 + column]} of {self.scene.recorded[body]!r} is "
                 f"{numbers[body, row, column]:g} at {times_s[row]:.3g} s"
             )
+        for body, row in np.argwhere(np.linalg.norm(numbers[..., 3:7], axis=2) < UNIT_LENGTH):
+            raise self.error(f"a quaternion of {self.scene.recorded[body]!r} has no length at {times_s[row]:.3g} s")
 
     def check_start(self, body: RigidBody, numbers: FloatArray) -> None:
         """Raise an error if a body does not start as in the scene; numbers have the shape [7 or 10]."""

@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model_settings import COLUMNS, ContactPairs, PairKind, can_move, contact_settings
+from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup
@@ -109,8 +110,6 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, f
     if not touching:
         raise NoFootError("the model has no ground that a moving geom can touch")
     stance = stance_of(model, np.asarray(up))
-    if not np.isfinite(stance.positions_m).all():
-        raise NoFootError("the poses of the model's geoms are not finite")
     robot_of = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
     robots = {robot_of[geom] for geom in touching}
     joints, bodies = driven(model)
@@ -195,6 +194,8 @@ def stance_of(model: mujoco.MjModel, up: NDArray[np.float64]) -> Stance:
             place = model.jnt_qposadr[joint]
             data.qpos[place] = np.clip(data.qpos[place], *model.jnt_range[joint])
     mujoco.mj_kinematics(model, data)
+    if not (np.isfinite(data.geom_xpos).all() and np.isfinite(data.geom_xmat).all()):
+        raise TargetError("the poses of the model's geoms are not finite: it states a NaN or an infinite number")
     turn = Rotation.identity()
     if up[2] < 1.0:
         turn = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])[0]
