@@ -151,7 +151,7 @@ def test_the_phenomenon_reads_a_known_motion(parts: Parts, monkeypatch: pytest.M
     drift = parts[0].drift()
     times = [0.0, 0.25, 0.5]
     across = drift.scenario.scene.body("board").pose.rotation.apply([[0.0, 1e-3 * way, 0.0] for way in (0, 2, 7)])
-    assert drift.read(moved(drift.scenario, times, cube=across)).value == pytest.approx(7.0)
+    assert drift.value(moved(drift.scenario, times, cube=across)) == pytest.approx(7.0)
     assert phenomenon("slide-wood").scenario.name != drift.scenario.name
 
 

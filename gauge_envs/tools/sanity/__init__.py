@@ -13,9 +13,9 @@ from gauge_envs.tools import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.against import Comparison, compare
-    from gauge_envs.tools.sanity.exchange.export import export
     from gauge_envs.tools.sanity.exchange.judge import judge
     from gauge_envs.tools.sanity.exchange.loop import run as run_exported
+    from gauge_envs.tools.sanity.exchange.scenes import export
     from gauge_envs.tools.sanity.model import (
         Cause,
         ContactGroup,
@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.stacks import configuration
     from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
     from gauge_envs.tools.sanity.stacks.newton import newton_configuration
-
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 
 __all__ = [
     "BackendMuJoCoWarp",
@@ -72,5 +69,5 @@ if not TYPE_CHECKING:  # With it, a type checker would accept any name.
     __getattr__ = door(
         __name__,
         *("model", "robot.foot", "stacks", "run", "against", "stacks.gymnasium_env", "stacks.newton"),
-        *("exchange.export", "exchange.judge", "mujoco_warp_run"),
+        *("exchange.scenes", "exchange.judge", "mujoco_warp_run"),
     )

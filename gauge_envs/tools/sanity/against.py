@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from typing import Any
@@ -104,19 +104,11 @@ class Comparison:
         changed = (row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE))
         return tuple(sorted(changed, key=lambda row: (row.change is not Change.LARGE, -float(f"{_size(row):.2g}"))))
 
-    @property
-    def largest(self) -> ChangeRow | None:
-        """The row that changes most; None for no change."""
-        return next(iter(self.changed), None)
-
     def to_dict(self) -> dict[str, Any]:
         """Return all attributes, JSON-ready."""
-        return json_ready(asdict(replace(self, trained=_bare(self.trained), deployed=_bare(self.deployed))))
-
-
-def _bare(configuration: TrainingConfiguration) -> TrainingConfiguration:
-    """Return a configuration without its model, which is not written."""
-    return replace(configuration, robot=None)
+        # The targets' own models are not written.
+        bare = {name: replace(getattr(self, name), robot=None) for name in ("trained", "deployed")}
+        return json_ready(asdict(replace(self, **bare)))
 
 
 def compare(
@@ -141,7 +133,7 @@ def compare(
     targets = [configuration(target) for target in (trained, deployed)]
     with ExitStack() as stack:
         names = dict.fromkeys(target.backend for target in targets)
-        engines = {name: stack.enter_context(Engine(name, simulation_limit_s(time_limit_s))) for name in names}
+        engines = {name: stack.enter_context(closing(Engine(name, simulation_limit_s(time_limit_s)))) for name in names}
         limit_s = math.inf if time_limit_s is None else time_limit_s
         known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
         sides = [_Side(target, known[target.backend]) for target in targets]
@@ -207,12 +199,7 @@ class _Side:
         return float(used[0]["friction"][0]) if used else None
 
     def restitution(self, rebound: float | None, real: float) -> float | None:
-        """Return the restitution that a foot meets; None when unknown.
-
-        Args:
-            rebound: Rebound of a ball; None when unknown.
-            real: Rebound of a real ball.
-        """
+        """Return the restitution that a foot meets, by the rebounds of a ball and of a real one; None if unknown."""
         foot = self.configuration.foot_contact
         if foot is None:
             return None

@@ -236,8 +236,7 @@ def sanity_export(
     """
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
-    from gauge_envs.tools.sanity.exchange.export import export
-    from gauge_envs.tools.sanity.exchange.scenes import scenes
+    from gauge_envs.tools.sanity.exchange.scenes import export, scenes
 
     written = export(folder, only=only or [])
     text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"

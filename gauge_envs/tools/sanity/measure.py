@@ -10,8 +10,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -27,12 +26,11 @@ from gauge_envs.tools.sanity.model import (
     Curve,
     Need,
     PhenomenonResult,
-    Reality,
     TrainingConfiguration,
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena import phenomenon as phenomenon_of
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon, PhenomenonValue
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
 SIMULATION_LIMIT_S = 600.0
@@ -85,10 +83,8 @@ class Engine:
         self._backend = backend(engine) if isinstance(engine, str) else engine
         self.name, self.versions = self._backend.name, self._backend.versions()
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+    def close(self) -> None:
+        """End the process of the engine."""
         self._worker.close()
 
     def call(self, function: _Run, scenario: Scenario, settings: Mapping[str, Any]) -> Any:
@@ -177,7 +173,7 @@ class Measurements:
             died = isinstance(rollout, EngineDiedError)
             remark = str(rollout) if died else f"diverged: {rollout}"
             return Measured(verdict=Verdict.WRONG, remark=remark, engine_died=died)
-        return judged(phenomenon.read(rollout), phenomenon.reality, rollout)
+        return judged(phenomenon, rollout)
 
     def _rollout(self, scenario: Scenario, settings: Mapping[str, Any]) -> Rollout | DeclinedError | DivergedError:
         key = _key(scenario, settings)
@@ -199,19 +195,21 @@ def _key(scenario: Scenario, settings: Mapping[str, Any]) -> tuple[str, str]:
     return scenario.name, json.dumps(json_ready(settings), sort_keys=True)
 
 
-def judged(measured: PhenomenonValue, reality: Reality, rollout: Rollout) -> Measured:
-    """Return the outcome of a phenomenon whose value was measured in a rollout."""
-    if not math.isfinite(measured.value):
-        return Measured(verdict=Verdict.WRONG, remark=measured.failure or "it does not happen", rollout=rollout)
-    deviation = abs(measured.value - reality.value) / reality.tolerance
-    if measured.failure:
+def judged(phenomenon: Phenomenon, rollout: Rollout) -> Measured:
+    """Return the outcome of a phenomenon in a rollout of its scenario."""
+    failure = "" if phenomenon.failure is None else phenomenon.failure(rollout)
+    value, reality = float(phenomenon.value(rollout)), phenomenon.reality
+    if not math.isfinite(value):
+        return Measured(verdict=Verdict.WRONG, remark=failure or "it does not happen", rollout=rollout)
+    deviation = abs(value - reality.value) / reality.tolerance
+    if failure:
         deviation = max(deviation, FAILURE_DEVIATION)
     verdict = Verdict.VISIBLE if deviation <= VISIBLE_WITHIN else Verdict.WRONG
     return Measured(
-        value=measured.value,
+        value=value,
         deviation=deviation,
         verdict=Verdict.INSIDE if deviation <= INSIDE_WITHIN else verdict,
-        remark=measured.failure,
+        remark=failure,
         rollout=rollout,
     )
 

@@ -40,6 +40,11 @@ class Verdict(StrEnum):
     DECLINED = "declined"
     """Not measured: it does not apply to the target, or the backend cannot build the scene with these settings."""
 
+    @property
+    def is_off(self) -> bool:
+        """Whether it is visible or wrong."""
+        return self in (Verdict.VISIBLE, Verdict.WRONG)
+
 
 class RealityKind(StrEnum):
     """What a row is compared with."""
@@ -296,11 +301,6 @@ class Reality:
         """Return what a law states, with a tolerance and its reason."""
         return cls(kind=RealityKind.LAW, value=value, tolerance=tolerance, source=source, rationale=rationale)
 
-    @property
-    def interval(self) -> tuple[float, float]:
-        """Lowest and highest value of the verdict `inside`."""
-        return self.value - self.tolerance, self.value + self.tolerance
-
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
@@ -417,13 +417,13 @@ class PhenomenonResult:
 
     phenomenon: str
     title: str
-    experiment: str
+    experiment: str = ""
     unit: str
     reality: Reality
-    default: float | None
-    configured: float | None
+    default: float | None = None
+    configured: float | None = None
     verdict: Verdict
-    default_verdict: Verdict
+    default_verdict: Verdict = Verdict.DECLINED
     cause: Cause | None = None
     remark: str = ""
     curve: Curve | None = None
@@ -436,7 +436,7 @@ class PhenomenonResult:
     @property
     def is_flag(self) -> bool:
         """Whether the row is visible or wrong, and counts."""
-        return self.verdict in (Verdict.VISIBLE, Verdict.WRONG) and not self.advisory
+        return self.verdict.is_off and not self.advisory
 
     @property
     def deviation(self) -> float:

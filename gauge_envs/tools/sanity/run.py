@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -27,7 +28,6 @@ from gauge_envs.tools.sanity.measure import (
 )
 from gauge_envs.tools.sanity.model import (
     INSIDE_WITHIN,
-    ContactCapacity,
     Cure,
     GroupOutcome,
     PhenomenonResult,
@@ -49,21 +49,6 @@ WARP_S = 1.1
 LIMITS = ("njmax", "naconmax")
 """Changes that belong to the memory for contacts, not to the model."""
 
-OFF = (Verdict.VISIBLE, Verdict.WRONG)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Candidate:
-    """Changes that may mend flags.
-
-    Attributes:
-        changes: New values by name of the setting, and rows of arrays of the model.
-        texts: Changes that are no settings, in words that can be pasted.
-    """
-
-    changes: Mapping[str, Any]
-    texts: tuple[str, ...] = ()
-
 
 def applied(
     configuration: TrainingConfiguration, changes: Mapping[str, Any]
@@ -83,10 +68,11 @@ def applied(
         settings = {**configuration.settings, **others}
         read = replace(configuration, settings=settings, contact_groups=groups, **gravity)
     else:
+        from gauge_envs.tools.sanity.robot.mujoco_feet import geom_name
         from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
         model, geoms = robot.changed(others)
-        own = {name: [robot.geom_name(geom) for geom in several] for name, several in geoms.items()}
+        own = {name: [geom_name(robot.model, geom) for geom in several] for name, several in geoms.items()}
         read = mujoco_configuration(
             model,
             name=configuration.name,
@@ -99,19 +85,17 @@ def applied(
             read, language=configuration.language, trains_on=configuration.trains_on, capacity=configuration.capacity
         )
     if limits and read.capacity is not None:
-        read = replace(read, capacity=_larger(read.capacity, limits))
+        larger = replace(read.capacity.limits, **limits)
+        read = replace(read, capacity=replace(read.capacity, limits=larger))
     return read, own
-
-
-def _larger(capacity: ContactCapacity, limits: Mapping[str, Any]) -> ContactCapacity:
-    return replace(capacity, limits=replace(capacity.limits, **limits))
 
 
 def find_cure(
     configuration: TrainingConfiguration,
     dialect: Dialect,
     measurements: Measurements,
-    candidates: Sequence[Candidate],
+    candidates: Sequence[Mapping[str, Any]],
+    texts: Sequence[str],
     rows: Mapping[str, bool],
 ) -> Cure | None:
     """Return the candidate that mends most flags, as measured after it was applied; None when none mends one.
@@ -120,33 +104,35 @@ def find_cure(
         configuration: The checked configuration.
         dialect: Dialect of the target.
         measurements: Measurements on the engine of the rows.
-        candidates: Changes, the preferred ones first.
+        candidates: Changes of settings and of rows of arrays of the model, the preferred ones first.
+        texts: What belongs to all of them and is no setting, in words that can be pasted.
         rows: Ids of the rows that count, and whether they are flagged.
     """
     verdicts, engine = _where_it_trains(configuration, dialect, measurements, rows)
     flags = [name for name, is_flag in rows.items() if is_flag and verdicts(configuration, name) is not Verdict.INSIDE]
     best: tuple[tuple[float, ...], Cure] | None = None
-    for candidate in candidates:
+    for changes in candidates:
         try:
-            cured, own = applied(configuration, candidate.changes)
+            cured, own = applied(configuration, changes)
         except GaugeError:
             continue
         mended = [name for name in flags if verdicts(cured, name) is Verdict.INSIDE]
-        new = tuple(n for n, was in rows.items() if not was and verdicts(cured, n) in OFF) if mended else ()
+        new = tuple(n for n, was in rows.items() if not was and verdicts(cured, n).is_off) if mended else ()
         if len(mended) <= len(new):
             continue
         count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
         left = [name for name in flags if name not in mended]
-        parts = [f"{_text(dialect, candidate, own, configuration.robot)}: {count}{engine}"]
+        shown = " and ".join([*_pasted(dialect, changes, own, configuration.robot), *texts])
+        parts = [f"{shown}: {count}{engine}"]
         parts += [f"left: {', '.join(left)}"] * bool(left) + [f"new flags: {', '.join(new)}"] * bool(new)
         cure = Cure(
-            changes=candidate.changes,
+            changes=changes,
             line="; ".join(parts),
             flag_count=len(flags),
             mended_count=len(mended),
             new_flags=new,
         )
-        worth = (float(len(mended) - len(new)), -float(len(candidate.changes)))
+        worth = (float(len(mended) - len(new)), -float(len(changes)))
         if best is None or worth > best[0]:
             best = worth, cure
         if not left and not new:
@@ -154,15 +140,17 @@ def find_cure(
     return None if best is None else best[1]
 
 
-def _text(dialect: Dialect, candidate: Candidate, own: Mapping[str, Sequence[str]], robot: Robot | None) -> str:
-    """Return a change as it is pasted; geoms that state an attribute themselves are named."""
-    settings = {n: v for n, v in candidate.changes.items() if "[" not in n and n != "gravity"}
+def _pasted(
+    dialect: Dialect, changes: Mapping[str, Any], own: Mapping[str, Sequence[str]], robot: Robot | None
+) -> list[str]:
+    """Return the parts of a change as it is pasted; geoms that state an attribute themselves are named."""
+    settings = {n: v for n, v in changes.items() if "[" not in n and n != "gravity"}
     default = {n: v for n, v in settings.items() if n not in own or robot is None or robot.needs_default(n, v)}
     parts = [dialect.paste_text(default)] if default else []
     for name, geoms in own.items():
         shown = ", ".join(geoms[:3]) + (f" and {len(geoms) - 3} more" if len(geoms) > 3 else "")
         parts.append(f"{dialect.assignment(name, settings[name])} in {shown}, which the default does not reach")
-    return " and ".join([*parts, *candidate.texts])
+    return parts
 
 
 def _where_it_trains(
@@ -231,7 +219,7 @@ def check(
     started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only, include_deformables=include_deformables)
-    with Engine(configuration.backend, simulation_limit_s(time_limit_s)) as engine:
+    with closing(Engine(configuration.backend, simulation_limit_s(time_limit_s))) as engine:
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
         run = _Run(measurements, configuration, explain=explain)
         rows = []
@@ -258,13 +246,7 @@ def check(
 
 
 class _Run:
-    """Measures all phenomena in a configuration, and explains what is flagged.
-
-    Args:
-        measurements: Measurements on the backend.
-        configuration: The checked configuration.
-        explain: Whether to find causes.
-    """
+    """Measures all phenomena in a configuration, and explains what is flagged."""
 
     def __init__(self, measurements: Measurements, configuration: TrainingConfiguration, *, explain: bool) -> None:
         self._explain = explain
@@ -301,11 +283,9 @@ class _Run:
         fixes = stated_fixes(self._configuration, self._dialect, flags)
         texts = tuple(dict.fromkeys(text for name, (text, _) in fixes.items() if name != CAPACITY_ID))
         changes = {key: value for _, several in fixes.values() for key, value in several.items()}
-        candidates = [Candidate(changes={**one, **changes}, texts=texts) for one in found]
-        if changes:
-            candidates.append(Candidate(changes=changes, texts=texts))
+        candidates = [{**one, **changes} for one in found] + [changes] * bool(changes)
         counted = {row.phenomenon: row.is_flag for row in rows if row.is_flag or row.verdict is Verdict.INSIDE}
-        cure = partial(find_cure, self._configuration, self._dialect, self._measurements, candidates, counted)
+        cure = partial(find_cure, self._configuration, self._dialect, self._measurements, candidates, texts, counted)
         return self._in_time(cure) if candidates else None
 
     def _in_time(self, work: Callable[[], Any]) -> Any:

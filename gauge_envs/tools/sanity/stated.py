@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 GRAVITY_ROW = PhenomenonResult(
     phenomenon=GRAVITY_ID,
     title="gravity: size and direction",
-    experiment="",
     unit="m/s^2",
     reality=Reality.law(
         GRAVITY_M_PER_S2,
@@ -40,7 +39,6 @@ GRAVITY_ROW = PhenomenonResult(
         rationale="covers every place on Earth, 9.76 to 9.83 m/s^2, and a tilt of 0.3 degrees",
     ),
     default=GRAVITY_M_PER_S2,
-    configured=None,
     verdict=Verdict.INSIDE,
     default_verdict=Verdict.INSIDE,
 )
@@ -49,7 +47,6 @@ GRAVITY_ROW = PhenomenonResult(
 CAPACITY_ROW = PhenomenonResult(
     phenomenon=CAPACITY_ID,
     title="contact capacity: constraint rows and contacts that find no place in the engine's memory",
-    experiment="",
     unit="1",
     reality=Reality.law(
         0.0,
@@ -57,10 +54,7 @@ CAPACITY_ROW = PhenomenonResult(
         source="no contact and no joint limit of the target's own model may be left out",
         rationale="rows are whole numbers",
     ),
-    default=None,
-    configured=None,
     verdict=Verdict.INSIDE,
-    default_verdict=Verdict.DECLINED,
 )
 """Rows of a world and contacts of a world that do not fit."""
 

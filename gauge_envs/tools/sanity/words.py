@@ -259,7 +259,7 @@ def measured_text(value: float | None) -> str:
 
 def verdict_text(row: PhenomenonResult) -> str:
     """Return the verdict, and for a visible or wrong value its difference from reality, in per cent below 100 %."""
-    if not _is_off(row):
+    if not row.verdict.is_off:
         return row.verdict.value
     word, effect = "advisory" if row.advisory else row.verdict.value, row.effect
     if effect is None or row.reality.limits:
@@ -272,9 +272,9 @@ def verdict_text(row: PhenomenonResult) -> str:
 def responsible_text(row: PhenomenonResult) -> str:
     """Return the remark of a row, the geoms that decide it, and its responsible settings."""
     parts = (
-        f"worst: {row.geoms}" if row.geoms and _is_off(row) else "",
+        f"worst: {row.geoms}" if row.geoms and row.verdict.is_off else "",
         row.remark,
-        row.advisory if _is_off(row) else "",
+        row.advisory if row.verdict.is_off else "",
         row.consequence.removesuffix("."),
         "" if row.cause is None else row.cause.line,
     )
@@ -283,20 +283,16 @@ def responsible_text(row: PhenomenonResult) -> str:
 
 def tally_text(report: Report) -> str:
     """Return the number of rows with each verdict."""
-    counting = [row for row in report.rows if not row.advisory or not _is_off(row)]
+    counting = [row for row in report.rows if not row.advisory or not row.verdict.is_off]
     counts = {verdict.value: sum(row.verdict is verdict for row in counting) for verdict in _present(report)}
     counts["advisory"] = len(report.rows) - len(counting)
     text = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
     return "; ".join((text or "nothing was measured", *report.notes, f"{report.wall_s:.0f} s"))
 
 
-def _is_off(row: PhenomenonResult) -> bool:
-    return row.verdict in (Verdict.VISIBLE, Verdict.WRONG)
-
-
 def _present(report: Report) -> list[Verdict]:
     """Return the verdicts that occur in rows that count, the worst first."""
-    found = {row.verdict for row in report.rows if not (row.advisory and _is_off(row))}
+    found = {row.verdict for row in report.rows if not (row.advisory and row.verdict.is_off)}
     return [v for v in (Verdict.WRONG, Verdict.VISIBLE, Verdict.INSIDE, Verdict.DECLINED) if v in found]
 
 

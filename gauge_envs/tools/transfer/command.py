@@ -146,9 +146,10 @@ def transfer_envelope(
     each world.
     """
     from gauge_envs.envs.control.tasks import control_tasks
+    from gauge_envs.pages.document import save_file
     from gauge_envs.pages.figures import save_png
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
-    from gauge_envs.tools.transfer.randomization import write_randomization
+    from gauge_envs.tools.transfer.randomization import randomization_files
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
     known = {"samples": PositiveInt, "batch": PositiveInt, "seed": NonNegativeInt, "width": float}
@@ -166,10 +167,12 @@ def transfer_envelope(
         else:
             found = experiment_envelope(subject, **common)
     report = envelope_report(found)
-    writers = {
-        ".png": lambda file: save_png(draw_envelope(found, report), file),
-        "": lambda file: "\n".join(map(str, write_randomization(file, found.id, found.scene, found.parameters, width))),
-    }
+
+    def write_ranges(folder: Path) -> str:
+        code = randomization_files(found.id, found.scene, found.parameters, width)
+        return "\n".join(str(save_file(folder / name, text)) for name, text in code.items())
+
+    writers = {".png": lambda file: save_png(draw_envelope(found, report), file), "": write_ranges}
     print_document(envelope_document(report), form, files=files, writers=writers)
 
 

@@ -133,23 +133,22 @@ def experiment_envelope(
     parameters = uncertain_parameters(experiment)
     sigmas = _points(experiment.id, parameters, samples, seed)
     common: dict[str, Any] = {"backend": backend, "settings": settings}
-    (calibrated,) = _batch(experiment, [{}], **common)
-    assert calibrated.frames is not None
+    ((calibrated, path),) = _batch(experiment, [{}], **common)
+    assert path is not None
     # The solution of the calibrated scene is no reference for other constants.
-    is_scored = calibrated.score is not None and band_grade(experiment.name) is not BandGrade.MODEL
+    is_scored = calibrated is not None and band_grade(experiment.name) is not BandGrade.MODEL
     values: list[float] = []
     endings: list[str] = []
     for first in range(0, samples, _checked_batch(batch)):
         rows = sigmas[first : first + batch]
-        for one in _batch(experiment, [overrides_at(parameters, row.tolist()) for row in rows], **common):
-            endings.append("complete" if one.frames is not None else "diverged")
-            if one.frames is None:
+        for score, frames in _batch(experiment, [overrides_at(parameters, row.tolist()) for row in rows], **common):
+            endings.append("diverged" if frames is None else "complete")
+            if frames is None:
                 values.append(np.nan)
             elif is_scored:
-                values.append(np.nan if one.score is None else one.score)
+                values.append(np.nan if score is None else score)
             else:
-                away = np.sum((one.frames - calibrated.frames) ** 2, axis=1)
-                values.append(float(np.sqrt(np.mean(away))))
+                values.append(float(np.sqrt(np.mean(np.sum((frames - path) ** 2, axis=1)))))
         notify(len(values))
     return Envelope(
         id=experiment.id,
@@ -161,19 +160,16 @@ def experiment_envelope(
         parameters=parameters,
         sigmas=sigmas,
         values=np.array(values),
-        calibrated=calibrated.score if is_scored and calibrated.score is not None else 0.0,
+        calibrated=calibrated if is_scored and calibrated is not None else 0.0,
         endings=tuple(endings),
         calibrated_ending="complete",
     )
 
 
-@dataclass(frozen=True, eq=False)
-class _Outcome:
-    score: float | None
-    frames: FloatArray | None
-
-
-def _batch(experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], **arguments: Any) -> list[_Outcome]:
+def _batch(
+    experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], **arguments: Any
+) -> list[tuple[float | None, FloatArray | None]]:
+    """Run an experiment with some parameters; return the score and the frames of each, None for what it lacks."""
     envs = GaugeVectorEnv(experiment.variant, num_envs=len(parameters), world_parameters=parameters, **arguments)
     try:
         envs.reset(seed=0)
@@ -183,7 +179,7 @@ def _batch(experiment: TaskExperiment, parameters: Sequence[Mapping[str, Any]], 
             _, _, terminations, truncations, _ = envs.step(actions)
             over |= terminations | truncations
         return [
-            _Outcome(
+            (
                 None if score is None else score.rmse_normalized,
                 None if episode.fault is not None else episode.trajectory().frames,
             )
@@ -378,14 +374,10 @@ def envelope_report(envelope: Envelope) -> EnvelopeReport:
         for parameter, column, slope in zip(envelope.parameters, sigmas.T, slopes, strict=True)
     ]
     same = sum(ending == envelope.calibrated_ending for ending in envelope.endings)
+    shared = ("id", "backend", "quantity", "unit", "policy", "calibrated")
     return EnvelopeReport(
-        id=envelope.id,
-        backend=envelope.backend,
-        quantity=envelope.quantity,
-        unit=envelope.unit,
-        policy=envelope.policy,
+        **{name: getattr(envelope, name) for name in shared},
         samples=len(envelope.values),
-        calibrated=envelope.calibrated,
         low=low,
         median=median,
         high=high,

@@ -177,20 +177,16 @@ def other_worlds(
         for number in sigmas:
             for one in uncertain:
                 for sign in (-1.0, 1.0):
-                    yield _moved(engine, settings, one, sign * number)
-
-
-def _moved(engine: str, settings: Mapping[str, Any], one: UncertainParameter, sigmas: float) -> ReplayWorld:
-    return ReplayWorld(
-        name=f"{_titled(engine, settings)}, {one.name} {'+' if sigmas > 0 else '-'} {abs(sigmas):g} sigma",
-        kind=WorldKind.CONSTANT,
-        backend=engine,
-        settings=settings,
-        parameters=overrides_at([one], [sigmas]),
-        changed=one.name,
-        sigmas=sigmas,
-        source=one.source,
-    )
+                    yield ReplayWorld(
+                        name=f"{_titled(engine, settings)}, {one.name} {'+' if sign > 0 else '-'} {number:g} sigma",
+                        kind=WorldKind.CONSTANT,
+                        backend=engine,
+                        settings=settings,
+                        parameters=overrides_at([one], [sign * number]),
+                        changed=one.name,
+                        sigmas=sign * number,
+                        source=one.source,
+                    )
 
 
 def _titled(engine: str, settings: Mapping[str, Any]) -> str:

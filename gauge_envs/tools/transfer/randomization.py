@@ -12,13 +12,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from string import Template
 from typing import Any
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import UncertainParameter
-from gauge_envs.pages.document import save_file
 from gauge_envs.pages.text import with_unit
 from gauge_envs.scene import Box, RigidBody, Scene, Sphere
 
@@ -61,14 +59,6 @@ def ranges_of(parameters: Sequence[UncertainParameter], width: float = 2.0) -> l
         else ParameterRange(parameter=one, low=-width * one.std, high=width * one.std)
         for one in parameters
     ]
-
-
-def write_randomization(
-    folder: Path, task: str, scene: Scene, parameters: Sequence[UncertainParameter], width: float = 2.0
-) -> list[Path]:
-    """Write the files of `randomization_files` to a folder, and return their paths."""
-    texts = randomization_files(task, scene, parameters, width)
-    return [save_file(folder / name, text) for name, text in texts.items()]
 
 
 def randomization_files(

@@ -140,12 +140,7 @@ def transfer_report(replays: Replays) -> TransferReport:
 
 
 def _estimate(value: float, table: NDArray[np.float64]) -> Estimate:
-    """Return a mean with its interval.
-
-    Args:
-        value: The mean.
-        table: What scatters about it, or about zero, shape [policies, starts].
-    """
+    """Return a mean with its interval, from what scatters about it or about zero, shape [policies, starts]."""
     means = [table.mean(axis=1 - axis) for axis in (0, 1) if table.shape[axis] > 1]
     if not means:
         return Estimate(value=value)

@@ -70,9 +70,8 @@ def video_score(
     """
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
-    from gauge_envs.tools.video.overlay import save_overlay
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import score_document
+    from gauge_envs.tools.video.words import save_overlay, score_document
 
     names, details = arguments.split_details(words, fps=float, size=_size)
     chosen = video_task(task)

@@ -134,7 +134,6 @@ class Sight:
         confidence: Confidence from 0 to 1.
         size_ratio: Apparent size against that in the first frame.
         twins: Other patches of the same size and colour in the picture.
-        changed_share: Share of the picture that differs from the background, the object left out.
     """
 
     x_px: float = math.nan
@@ -142,7 +141,6 @@ class Sight:
     confidence: float = 0.0
     size_ratio: float = math.nan
     twins: int = 0
-    changed_share: float = 0.0
 
 
 @dataclass(kw_only=True)
@@ -206,15 +204,14 @@ class PatchFollower:
         near = [one for one in scored if one[1] <= gate]
         moving = cv2.dilate(mask, np.ones((15, 15), np.uint8)).astype(bool)
         self._background.follow(picture, moving)
-        total = float(mask.mean())
         if not near:
             self._motion.update(None)
-            return Sight(changed_share=total)
+            return Sight()
         score, _, label, colour = max(near, key=lambda one: one[0])
         if self._is_cut(stats[label], mask.shape):
             # The centre of the part that is left is not that of the object.
             self._motion.update(None)
-            return Sight(changed_share=total)
+            return Sight()
         weights = np.where(labels == label, difference, 0.0)
         ys, xs = np.nonzero(weights)
         place = np.array([np.average(xs), np.average(ys)])
@@ -235,7 +232,6 @@ class PatchFollower:
             confidence=min(1.0, score**0.5),
             size_ratio=math.sqrt(area / self._area_px),
             twins=twins,
-            changed_share=total - area / mask.size,
         )
 
     def _is_cut(self, box: NDArray[np.int32], shape: tuple[int, ...]) -> bool:

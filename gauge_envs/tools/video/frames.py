@@ -424,11 +424,7 @@ def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
             break
         shares = np.array([repeats[place].mean() for place in places])
         rhythm = shares >= CLEAR_SHARE
-        is_clear = (rhythm | (shares <= 1.0 - CLEAR_SHARE)).all()
-        if (
-            is_clear
-            and not rhythm.all()
-            and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm)) >= (LEAST_REPEATS)
-        ):
+        is_clear = (rhythm | (shares <= 1.0 - CLEAR_SHARE)).all() and not rhythm.all()
+        if is_clear and sum(int(repeats[places[i]].sum()) for i in np.flatnonzero(rhythm)) >= LEAST_REPEATS:
             return rhythm
     return None

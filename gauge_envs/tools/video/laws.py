@@ -51,7 +51,6 @@ class AccelerationFit:
         release_s: Time of the release, on the clock of the samples [s].
         qfi: Quadratic form improvement: F statistic of a further term in the fourth power of time, 1.
         r2: Coefficient of determination of the linear relation, 1.
-        residual_m: Residuals of the linear relation [m], shape [sample_count].
     """
 
     a_m_per_s2: float
@@ -59,7 +58,6 @@ class AccelerationFit:
     release_s: float
     qfi: float
     r2: float
-    residual_m: FloatArray
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +85,6 @@ class OscillationFit:
         equilibrium_rad: Angle of equilibrium [rad].
         amplitude_rad: Amplitude at the first sample [rad].
         r2: Coefficient of determination, 1.
-        residual_rad: Residuals [rad], shape [sample_count].
     """
 
     period_s: float
@@ -95,7 +92,6 @@ class OscillationFit:
     equilibrium_rad: float
     amplitude_rad: float
     r2: float
-    residual_rad: FloatArray
 
 
 def fit_constant_acceleration(
@@ -138,7 +134,6 @@ def fit_constant_acceleration(
         release_s=release,
         qfi=qfi,
         r2=1.0 - linear / spread if spread > 0.0 else float("nan"),
-        residual_m=residual,
     )
 
 
@@ -227,7 +222,6 @@ def fit_damped_oscillation(
         equilibrium_rad=float(equilibrium),
         amplitude_rad=float(np.hypot(cosine, sine)),
         r2=1.0 - float(residual @ residual) / spread,
-        residual_rad=residual,
     )
 
 

@@ -45,17 +45,9 @@ class Lens:
         straight = bent
         # A fixed point; OpenCV's five iterations leave 0.01 px at the corners of a wide lens.
         for _ in range(20):
-            straight = bent / self._stretch(straight)
+            square = (straight**2).sum(axis=1, keepdims=True)
+            straight = bent / (1.0 + self.distortion[0] * square + self.distortion[1] * square**2)
         return straight
-
-    def pixels(self, normalized: FloatArray) -> FloatArray:
-        """Return the pixels of normalized coordinates, both of shape [count, 2]."""
-        return _homogeneous(self.matrix, normalized * self._stretch(normalized))
-
-    def _stretch(self, normalized: FloatArray) -> FloatArray:
-        """Return the factor by which distortion moves points from the centre, shape [count, 1]."""
-        square = (normalized**2).sum(axis=1, keepdims=True)
-        return np.asarray(1.0 + self.distortion[0] * square + self.distortion[1] * square**2)
 
     def drawn(self, rng: np.random.Generator) -> Lens:
         """Return the lens with a focal length within its uncertainty."""
@@ -182,11 +174,6 @@ class PlaneView:
         """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
         straight = points_px if self.lens is None else self.lens.straight(points_px)
         return _homogeneous(self.source.to_plane(self.lens), straight)
-
-    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
-        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
-        straight = _homogeneous(np.linalg.inv(self.source.to_plane(self.lens)), points_m)
-        return straight if self.lens is None else self.lens.pixels(straight)
 
     def drawn(self, rng: np.random.Generator) -> PlaneView:
         """Return the view with calibration and pivot moved within their uncertainty."""

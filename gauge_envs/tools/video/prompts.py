@@ -11,7 +11,9 @@ from collections.abc import Callable
 from functools import cache, partial
 from http.client import HTTPException
 from importlib.metadata import version
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 from urllib.error import HTTPError, URLError
 from urllib.parse import quote
 from urllib.request import Request, urlopen
@@ -184,30 +186,7 @@ def _note() -> str:
         for file in input_files()
     )
     changes = "\n".join(f"- `{wood}` is `{plastic}`" for wood, plastic in PLASTIC_CHANGES)
-    return f"""# Inputs of the world-model track
-
-First frames and prompts of GAUGE (arXiv 2608.05948), from {REPOSITORY},
-commit {COMMIT}. Its README states the MIT licence.
-
-Give a model `TASK.png` (832 x 480 pixels) and the text of `TASK.txt`. The text of `negative_prompt.txt` is for models
-that take a negative prompt; the paper reports them with and without it. Name the videos `MODEL/TASK.mp4`, and
-`gauge video report DIR` scores them.
-
-## What differs from the repository
-
-`{PLASTIC_PROMPT}` is not the file of the repository: `input/text prompts/slope slider/prompt(plastic).txt`
-holds the prompt of the plastic cube on the turntable. It is `{WOOD_PROMPT}` with the changes below, which is the
-text in the paper, letter by letter.
-
-{changes}
-
-All other prompts are unchanged. Two slips in them are in the paper too: the prompt of the metal cube on the slope has a
-friction between plastic and wood, and the prompts of the plastic and the metal cube on the turntable speak of a wood
-cube at the end.
-
-## Files
-
-| file | in the repository | bytes | SHA-256 |
-|---|---|---|---|
-{rows}
-"""
+    text = (files("gauge_envs.tools.video") / NOTE).read_text(encoding="utf-8")
+    return Template(text).substitute(
+        repository=REPOSITORY, commit=COMMIT, plastic=PLASTIC_PROMPT, wood=WOOD_PROMPT, changes=changes, rows=rows
+    )

@@ -105,7 +105,8 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
     small, factor = _shrunk(picture)
     ours, ours_like = finder.detectAndCompute(small, None)
-    known, known_like = finder.detectAndCompute(stretched_picture(first_frame), None)
+    whole = stretched((first_frame.shape[1], first_frame.shape[0])).applied(first_frame)
+    known, known_like = finder.detectAndCompute(whole, None)
     if ours_like is None or known_like is None or min(len(ours), len(known)) < LEAST_INLIERS:
         return replace(plain, support=0.0, problem="the first frames have too few points to be compared")
     pairs = [pair for pair in cv2.BFMatcher().knnMatch(ours_like, known_like, k=2) if len(pair) == 2]
@@ -139,11 +140,6 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     return replace(best, inliers=count, support=share) if is_simple else free
 
 
-def stretched_picture(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a picture that fills the reference grid."""
-    return stretched((picture.shape[1], picture.shape[0])).applied(picture)
-
-
 # --- outlines --------------------------------------------------------------------------------------------------------
 
 
@@ -169,7 +165,16 @@ class _Scene:
 
     def distance_px(self, one: Registration) -> float:
         """Return the mean square distance by which the outline must be moved and scaled to meet the edges [px]."""
-        move = self._move(one)
+        distances, strength, is_seen = self._profiles(one)
+        along = distances[strength.argmax(axis=1)]
+        arms = self.points - self.points.mean(axis=0)
+        basis = np.column_stack([self.normals, self.normals * arms])
+        weights = np.where(is_seen, strength.max(axis=1), 0.0)
+        for _ in range(6):
+            found, *_ = np.linalg.lstsq(basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None)
+            # Edges of other things lie far from the common motion.
+            weights = np.where(is_seen, strength.max(axis=1), 0.0) / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
+        move = found[:2] + arms * found[2:]
         return float(np.sqrt((move**2).sum(axis=1).mean()))
 
     def _profiles(self, one: Registration) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
@@ -183,20 +188,6 @@ class _Scene:
         values = cv2.remap(self._light, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         strength = np.abs(values[:, 2:] - values[:, :-2]).astype(float)
         return distances[1:-1], strength, is_seen
-
-    def _move(self, one: Registration) -> FloatArray:
-        """Return the motion of the outline's points that brings it to the edges [px]: a shift and a factor per axis."""
-        distances, strength, is_seen = self._profiles(one)
-        along = distances[strength.argmax(axis=1)]
-        middle = self.points.mean(axis=0)
-        arms = self.normals * (self.points - middle)
-        basis = np.column_stack([self.normals, arms])
-        weights = np.where(is_seen, strength.max(axis=1), 0.0)
-        for _ in range(6):
-            found, *_ = np.linalg.lstsq(basis * np.sqrt(weights)[:, None], along * np.sqrt(weights), rcond=None)
-            # Edges of other things lie far from the common motion.
-            weights = np.where(is_seen, strength.max(axis=1), 0.0) / (1.0 + ((along - basis @ found) / 1.5) ** 2) ** 2
-        return np.asarray(found[:2] + (self.points - middle) * found[2:])
 
 
 def _candidates(size_px: tuple[int, int]) -> list[Registration]:

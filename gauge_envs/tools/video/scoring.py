@@ -15,18 +15,8 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError, VideoError
 from gauge_envs.files import json_ready
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import ArrayFrames, FileFrames, Frames
-from gauge_envs.tools.video.laws import (
-    WINDOW,
-    apices,
-    displacement_px,
-    dynamic_error,
-    fit_constant_acceleration,
-    fit_damped_oscillation,
-    momentum_transfer,
-    retained,
-    swing_angles_rad,
-)
 from gauge_envs.tools.video.plane import PlaneView, frontal_task, frontal_track
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
@@ -238,7 +228,7 @@ def score_track(
             raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = retained(track, task)
+    span = laws.retained(track, task)
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
         span = (int(found[0]), int(found[-1])) if len(found) else None
@@ -282,14 +272,14 @@ def _metrics(
     rows = rows[track.is_found[rows]]
     times_s = track.times_s[rows]
     if task.motion in (Motion.SLIDE, Motion.FALL):
-        along_m = displacement_px(track, task)[rows] * scale_m_per_px
+        along_m = laws.displacement_px(track, task)[rows] * scale_m_per_px
         # The release falls between two frames, within one of the first retained.
-        fit = fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
-        fixed = fit_constant_acceleration(times_s, along_m)
+        fit = laws.fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
+        fixed = laws.fit_constant_acceleration(times_s, along_m)
         late = {}
-        if len(times_s) >= WINDOW + LEAST_RETAINED:
+        if len(times_s) >= laws.WINDOW + LEAST_RETAINED:
             # The paper does not state where rest ends: with a start that is one window later.
-            later = fit_constant_acceleration(times_s[WINDOW:], along_m[WINDOW:])
+            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[laws.WINDOW :])
             late["a_one_window_later_m_s2"] = later.a_m_per_s2
         return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
@@ -299,7 +289,7 @@ def _metrics(
             "release_s": fit.release_s,
         }
     if task.motion is Motion.TURN:
-        error = dynamic_error(
+        error = laws.dynamic_error(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
         sizes = error.accelerations_m_per_s2
@@ -308,18 +298,18 @@ def _metrics(
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
         }
-    angles = swing_angles_rad(track, task)[rows]
+    angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
-        swing = fit_damped_oscillation(times_s, angles, guess=guess)
+        swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
         return {"r2": swing.r2, "pd_s": swing.period_s}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),
         }
     assert task.rest_px is not None
-    events = apices(times_s, angles)
+    events = laws.apices(times_s, angles)
     heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
-    return {"mte": momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))}, {
+    return {"mte": laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))}, {
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }

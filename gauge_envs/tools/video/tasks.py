@@ -1,7 +1,7 @@
 """Define the five tasks of the world-model track: the law, the object, and where it stands in the known first frame.
 
 Every video model gets the same first frame. Numbers in pixels were read from those frames, on their grid of 832 x 480
-pixels with the origin in the top left corner. Sizes in metres are those of the real objects.
+pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
 """
 
 from __future__ import annotations
@@ -11,9 +11,12 @@ import math
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import cache
+from importlib.resources import files
+from typing import Any
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.files import toml_document
 from gauge_envs.references.tables import scoring_folder
 from gauge_envs.scene import Scene
 
@@ -41,6 +44,10 @@ class Motion(StrEnum):
     """A row of hanging balls transfers the momentum of one ball to the last one."""
     PENDULUM = "pendulum"
     """A ball on a rod swings, damped."""
+
+
+DIRECTIONS = {Motion.SLIDE: SLOPE_DIRECTION, Motion.FALL: (0.0, 1.0)}
+"""Directions of straight motions in the first frames."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,69 +105,16 @@ def _scene(task: str) -> Scene:
     return load_experiment(task).scene
 
 
+@cache
 def video_tasks() -> tuple[VideoTask, ...]:
     """Return all tasks, in the order of the published table."""
-    slides = (
-        ("wood", 60.0, (607.0, 53.0), 2.58),
-        ("plastic", 60.2, (618.5, 71.0), 2.57),
-        ("metal", 59.5, (603.0, 71.0), 2.67),
-    )
-    turns = (("wood", 84.6, (257.0, 232.0)), ("plastic", 85.6, (257.0, 239.0)), ("metal", 86.5, (256.0, 238.0)))
-    return (
-        *(
-            VideoTask(
-                id=f"SlopeSlider-2-{material}",
-                motion=Motion.SLIDE,
-                size_m=0.05,
-                size_px=size_px,
-                centre_px=centre_px,
-                direction=SLOPE_DIRECTION,
-                real={"qfi": 0.0, "a_m_s2": a_m_per_s2},
-            )
-            for material, size_px, centre_px, a_m_per_s2 in slides
-        ),
-        *(
-            VideoTask(
-                id=f"Turntable-2-{material}",
-                motion=Motion.TURN,
-                size_m=0.05,
-                size_px=size_px,
-                centre_px=centre_px,
-                pivot_px=(411.0, 238.0),
-                real={"de_n": 0.0},
-            )
-            for material, size_px, centre_px in turns
-        ),
-        VideoTask(
-            id="BouncingBall-rubber",
-            motion=Motion.FALL,
-            size_m=0.06,
-            size_px=49.2,
-            centre_px=(529.0, 44.6),
-            direction=(0.0, 1.0),
-            real={"qfi": 0.0, "a_m_s2": 9.81},
-        ),
-        VideoTask(
-            id="NewtonsCradle-metal",
-            motion=Motion.CRADLE,
-            size_m=0.02,
-            size_px=37.2,
-            centre_px=(71.0, 93.0),
-            pivot_px=(477.0, 90.0),
-            rest_px=(477.0, 347.0),
-            release_height_m=0.13294,
-            real={"mte": 1.0},
-        ),
-        VideoTask(
-            id="Pendulum-metal",
-            motion=Motion.PENDULUM,
-            size_m=0.06,
-            size_px=46.0,
-            centre_px=(465.0, 263.5),
-            pivot_px=(413.2, 58.3),
-            real={"r2": 1.0, "pd_s": 1.06},
-        ),
-    )
+    entries = toml_document((files("gauge_envs.tools.video") / "tasks.toml").read_bytes())["task"]
+    tasks = []
+    for entry in entries:
+        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in entry.items()}
+        motion = Motion(values.pop("motion"))
+        tasks.append(VideoTask(motion=motion, direction=DIRECTIONS.get(motion), **values))
+    return tuple(tasks)
 
 
 def video_task(name: str) -> VideoTask:

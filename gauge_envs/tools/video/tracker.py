@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,10 +29,6 @@ LOST_SHARE = 0.02
 
 LEAST_TWIN_FRAMES = 3
 """Fewest frames with a second object of the same size and colour that are no accident of a mask."""
-
-
-class _Follower(Protocol):
-    def see(self, picture: Picture) -> Sight: ...
 
 
 def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
@@ -91,7 +86,9 @@ def _is_cut(frames: Frames, cadence: Cadence) -> bool:
     return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
 
 
-def _follower(pictures: Callable[[], Iterator[Picture]], count: int, first: Picture, task: VideoTask) -> _Follower:
+def _follower(
+    pictures: Callable[[], Iterator[Picture]], count: int, first: Picture, task: VideoTask
+) -> DiskFollower | FaceFollower | PatchFollower:
     centre = np.array(task.centre_px)
     if task.motion is Motion.TURN:
         return FaceFollower(first, centre_px=centre, size_px=task.size_px)

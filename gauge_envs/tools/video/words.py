@@ -1,4 +1,4 @@
-"""The world-model track in words and on a page: tasks, and scores of videos with their intervals."""
+"""The world-model track in words, on a page and drawn into its videos: tasks, and scores with their intervals."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.table import Column, Table, grid
 from gauge_envs.tools.video import METRICS, Grade, VideoScore, VideoTask, video_task, video_tasks
-from gauge_envs.tools.video.frames import FileFrames, cv2
-from gauge_envs.tools.video.overlay import drawn_frames
+from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.tasks import published_results
 
 TITLES = {
@@ -223,3 +222,53 @@ def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
         _, packed = cv2.imencode(".jpg", small, [cv2.IMWRITE_JPEG_QUALITY, 75])
         source = f"data:image/jpeg;base64,{b64encode(packed.tobytes()).decode('ascii')}"
         yield element("img", loading="lazy", alt=f"frame {number}", src=source)
+
+
+# --- the track in its video ------------------------------------------------------------------------------------------
+
+COUNTED = (80, 200, 80)
+DROPPED = (150, 150, 150)
+MARKED = (60, 60, 230)
+"""Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
+
+
+def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
+    """Write a video with the track, and return its path; its folder is created.
+
+    Args:
+        source: The video that was scored.
+        result: Its result.
+        path: File to write, MP4.
+    """
+    write_mp4(path, drawn_frames(source, result), source.fps)
+    return path
+
+
+def drawn_frames(source: Frames, result: VideoScore) -> Iterator[Picture]:
+    """Yield the frames of a video on the reference grid, with the track drawn into them."""
+    for number, picture in enumerate(source.pictures(result.track.registration)):
+        yield _drawn(picture, result, number)
+
+
+def _drawn(picture: Picture, result: VideoScore, number: int) -> Picture:
+    drawn = picture.copy()
+    track, span = result.track, result.interval_frames
+    # A frame that repeats a picture shows the place of the one before.
+    row = max(0, int(np.searchsorted(track.frames, number, side="right")) - 1)
+    for frame, place in zip(track.frames[: row + 1], track.points_px[: row + 1], strict=True):
+        if np.isfinite(place).all():
+            counts = span is not None and span[0] <= frame <= span[1]
+            cv2.circle(drawn, (round(place[0]), round(place[1])), 2, COUNTED if counts else DROPPED, -1)
+    if np.isfinite(track.points_px[row]).all():
+        x, y = track.points_px[row]
+        cv2.drawMarker(drawn, (round(x), round(y)), MARKED, cv2.MARKER_CROSS, 22, 2)
+    values = [f"{name} {value:.3g}" for name, value in result.metrics.items() if value is not None]
+    is_counted = span is not None and span[0] <= number <= span[1]
+    state = "counted" if is_counted else "dropped"
+    seen = f"frame {number}, {state}, confidence {track.confidence[row]:.2f}"
+    lines = [seen, f"{result.grade.value}: {', '.join(values)}"]
+    for line, text in enumerate(lines):
+        place = (10, drawn.shape[0] - 30 + 20 * line)
+        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (0, 0, 0), 3, cv2.LINE_AA)
+        cv2.putText(drawn, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255, 255, 255), 1, cv2.LINE_AA)
+    return drawn

@@ -28,7 +28,7 @@ def rows(comparison: Comparison) -> dict[str, ChangeRow]:
 def test_nothing_changes_between_equals() -> None:
     comparison = compare(model(), model(), only=["gravity,rest-height,slide-turned"])
     assert {row.change for row in comparison.rows} == {Change.NONE}
-    assert comparison.largest is None
+    assert comparison.changed == ()
 
 
 def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:

@@ -12,8 +12,7 @@ from sanity_cases import CHEETAH
 from gauge_envs.backends import backend
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.sanity import check
-from gauge_envs.tools.sanity.alternatives import alternatives
-from gauge_envs.tools.sanity.cause import find_cause
+from gauge_envs.tools.sanity.cause import alternatives, find_cause
 from gauge_envs.tools.sanity.measure import Measured, Measurements
 from gauge_envs.tools.sanity.model import Cause, PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena

@@ -34,9 +34,8 @@ def deformable() -> list[Phenomenon]:
 
 
 def read(phenomenon: Phenomenon, rollout: Rollout) -> float:
-    reading = phenomenon.read(rollout)
-    assert reading.failure == ""
-    return reading.value
+    assert phenomenon.failure is None
+    return float(phenomenon.value(rollout))
 
 
 def markers_m(phenomenon: Phenomenon) -> NDArray[np.float64]:

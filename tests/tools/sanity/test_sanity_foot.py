@@ -25,7 +25,7 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
 from gauge_envs.tools.sanity.exchange.scenes import scenes
-from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.phenomena import phenomenon
 from gauge_envs.tools.sanity.phenomena.foot import DEPTH_MM, DROP_M, PUSH, foot_scene
 from gauge_envs.tools.sanity.robot.foot import REFERENCE_FOOT, FootGeometry
@@ -329,7 +329,7 @@ def test_acceleration_is_read_along_the_slope(name: str) -> None:
     times = np.linspace(0.0, 0.5, 126)
     downhill = slide.scenario.scene.body("ground").pose.rotation.apply([1.0, 0.0, 0.0])
     rollout = moved(slide.scenario, times, foot=np.outer(0.5 * 1.3 * times**2, downhill))
-    assert slide.read(rollout).value == pytest.approx(1.3)
+    assert slide.value(rollout) == pytest.approx(1.3)
     (contact,) = slide.scenario.scene.contacts
     slope = -np.arcsin(downhill[2])
     if name == "foot-push":
@@ -343,9 +343,7 @@ def test_creep_counts_after_settling() -> None:
     times = np.linspace(0.0, 1.0, 401)
     downhill = creep.scenario.scene.body("ground").pose.rotation.apply([1.0, 0.0, 0.0])
     along = 0.002 * (1.0 - np.exp(-times / 0.02)) + 0.007 * times
-    assert creep.read(moved(creep.scenario, times, foot=np.outer(along, downhill))).value == pytest.approx(
-        7.0, abs=1e-3
-    )
+    assert creep.value(moved(creep.scenario, times, foot=np.outer(along, downhill))) == pytest.approx(7.0, abs=1e-3)
 
 
 def landing(heights_m: np.ndarray, times: np.ndarray) -> Any:
@@ -364,12 +362,12 @@ def test_a_landing_has_a_depth_a_hop_and_a_time() -> None:
     # A hop of 2 mm lasts 40 ms.
     dip += np.where((after >= 0.02) & (after < 0.06), 0.002 * np.sin(np.pi * (after - 0.02) / 0.04), 0.0)
     rollout = landing(dip, times)
-    assert row("foot-landing-depth").read(rollout).value == pytest.approx(3.0, abs=0.01)
-    assert row("foot-rebound").read(rollout).value == pytest.approx(0.2, abs=1e-3)
-    rest = row("foot-rest").read(rollout)
-    assert rest.value == pytest.approx(0.06, abs=2e-3) and not rest.failure
+    assert row("foot-landing-depth").value(rollout) == pytest.approx(3.0, abs=0.01)
+    assert row("foot-rebound").value(rollout) == pytest.approx(0.2, abs=1e-3)
+    rest = judged(row("foot-rest"), rollout)
+    assert rest.value == pytest.approx(0.06, abs=2e-3) and not rest.remark
     shaking = landing(np.where(after < 0.0, dip, 0.002 * np.sin(60.0 * after)), times)
-    assert row("foot-rest").read(shaking).failure == "it still moves at the end"
+    assert judged(row("foot-rest"), shaking).remark == "it still moves at the end"
 
 
 def test_the_lowest_sole_counts_when_the_body_leans() -> None:
@@ -381,7 +379,7 @@ def test_the_lowest_sole_counts_when_the_body_leans() -> None:
     states["foot"][30:, 3:7] = Rotation.from_euler("y", 1.0, degrees=True).as_quat(scalar_first=True)
     side = REFERENCE_FOOT.half_side_m
     expected = 1e3 * side * np.sin(np.radians(1.0))
-    assert depth.read(replace(rollout, states=states)).value == pytest.approx(expected, rel=1e-6)
+    assert depth.value(replace(rollout, states=states)) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_tolerance_of_a_landing_is_that_of_a_rubber_ball() -> None:

@@ -17,7 +17,7 @@ from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_
 from gauge_envs.runs.rollout import DeclinedError, DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.model import Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
@@ -102,7 +102,7 @@ def test_creep_counts_after_settling() -> None:
     downhill = creep.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     settling = 0.002 * (1.0 - np.exp(-times / 0.02))
     rollout = moved(creep.scenario, times, cube=(settling + 0.007 * times)[:, None] * downhill)
-    assert creep.read(rollout).value == pytest.approx(7.0, abs=1e-3)
+    assert creep.value(rollout) == pytest.approx(7.0, abs=1e-3)
 
 
 def test_resting_height_is_along_the_normal() -> None:
@@ -111,8 +111,8 @@ def test_resting_height_is_along_the_normal() -> None:
     normal = rest.scenario.scene.body("board").pose.rotation.apply([0.0, 0.0, 1.0])
     sunk = moved(rest.scenario, times, cube=np.outer(np.where(times > 0.0, -0.0012, 0.0), normal))
     flat = moved(rest.scenario, times)
-    assert rest.read(flat).value == pytest.approx(0.0, abs=2e-3)
-    assert rest.read(sunk).value - rest.read(flat).value == pytest.approx(-1.2, abs=1e-9)
+    assert rest.value(flat) == pytest.approx(0.0, abs=2e-3)
+    assert rest.value(sunk) - rest.value(flat) == pytest.approx(-1.2, abs=1e-9)
 
 
 @pytest.mark.parametrize("material", ["wood", "plastic", "metal"])
@@ -122,12 +122,12 @@ def test_slide_reads_acceleration_from_rest(material: str) -> None:
     downhill = slide.scenario.scene.body("board").pose.rotation.apply([1.0, 0.0, 0.0])
     law = slide.reality.value
     rollout = moved(slide.scenario, times, cube=(0.5 * law * times**2)[:, None] * downhill)
-    assert slide.read(rollout).value == pytest.approx(law)
+    assert slide.value(rollout) == pytest.approx(law)
     # What moves the cube before it has settled does not count: a speed that it then has is no acceleration.
     pushed = moved(slide.scenario, times, cube=(0.06 * times + 0.5 * law * times**2)[:, None] * downhill)
-    assert slide.read(pushed).value == pytest.approx(law)
+    assert slide.value(pushed) == pytest.approx(law)
     late = moved(slide.scenario, times, cube=(0.6 * law * times**2)[:, None] * downhill)
-    assert slide.read(late).value == pytest.approx(1.2 * law)
+    assert slide.value(late) == pytest.approx(1.2 * law)
     # Real slides show a friction of their own, and the cube has it.
     friction = next(c.friction for c in slide.scenario.scene.contacts if "board" in c.second)
     assert friction == pytest.approx({"wood": 0.257145, "plastic": 0.236133, "metal": 0.270867}[material])
@@ -144,7 +144,7 @@ def test_rebound_of_an_ideal_ball(restitution: float, interval: float) -> None:
         drop = ball.pose.position_m[2] - rebound.scenario.scene.body("ground").pose.position_m[2] - 0.03
         height = _bounces_m(times, drop, restitution) - drop
         displacements[ball.name.replace("-", "_")] = np.outer(height, [0.0, 0.0, 1.0])
-    assert rebound.read(moved(rebound.scenario, times, **displacements)).value == pytest.approx(restitution, rel=2e-3)
+    assert rebound.value(moved(rebound.scenario, times, **displacements)) == pytest.approx(restitution, rel=2e-3)
 
 
 def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
@@ -160,8 +160,8 @@ def _bounces_m(times_s: NDArray, drop_m: float, restitution: float) -> NDArray:
 
 def test_a_ball_that_stays_down_is_a_failure() -> None:
     rebound = one("rebound")
-    reading = rebound.read(moved(rebound.scenario, np.linspace(0.0, 0.85, 400)))
-    assert (reading.value, reading.failure) == (0.0, "5 of 5 drops do not leave the ground again")
+    reading = judged(rebound, moved(rebound.scenario, np.linspace(0.0, 0.85, 400)))
+    assert (reading.value, reading.remark) == (0.0, "5 of 5 drops do not leave the ground again")
 
 
 def test_only_the_last_ball_may_leave() -> None:
@@ -170,11 +170,11 @@ def test_only_the_last_ball_may_leave() -> None:
     after = np.clip(times - 0.25, 0.0, None)
     swing = np.outer(0.1 * np.sin(np.pi * after / 0.3) ** 2, [0.0, 0.0, 1.0])
     fallen = np.outer(np.where(times > 0.2, -0.138251, 0.0), [0.0, 0.0, 1.0])
-    good = momentum.read(moved(momentum.scenario, times, ball_1=fallen, ball_5=swing))
+    good = judged(momentum, moved(momentum.scenario, times, ball_1=fallen, ball_5=swing))
     assert good.value == pytest.approx(np.sqrt(0.1 / 0.138251), rel=1e-4)
-    assert good.failure == ""
-    bad = momentum.read(moved(momentum.scenario, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
-    assert bad.failure.startswith("2 of 5 balls swing out")
+    assert good.remark == ""
+    bad = judged(momentum, moved(momentum.scenario, times, ball_1=fallen, ball_4=0.5 * swing, ball_5=swing))
+    assert bad.remark.startswith("2 of 5 balls swing out")
 
 
 def test_depth_of_a_point_in_the_recess() -> None:
@@ -184,7 +184,7 @@ def test_depth_of_a_point_in_the_recess() -> None:
     floor = scene.body("squarebase").pose.position_m[2] - 0.0125
     times = np.array([0.0, 0.1])
     displacement = np.outer([0.0, 1.0], [0.0, 0.0, floor - tip[2] - 0.0031])
-    assert point.read(moved(point.scenario, times, pyramid=displacement)).value == pytest.approx(3.1)
+    assert point.value(moved(point.scenario, times, pyramid=displacement)) == pytest.approx(3.1)
 
 
 def test_lag_of_a_cube_behind_the_rod() -> None:
@@ -193,7 +193,7 @@ def test_lag_of_a_cube_behind_the_rod() -> None:
     speeds = {"rod": -0.037, "cube": -0.035}
     displacements = {name: np.outer(speed * times, [1.0, 0.0, 0.0]) for name, speed in speeds.items()}
     rollout = moved(carry.scenario, times, **displacements)
-    assert carry.read(rollout).value == pytest.approx(4.0)
+    assert carry.value(rollout) == pytest.approx(4.0)
 
 
 # --- reality ---------------------------------------------------------------------------------------------------------
@@ -222,7 +222,7 @@ def test_interval_covers_further_trials() -> None:
         known = Reality.measured(
             float(row[:7].mean()), scatter=float(row[:7].std(ddof=1)), trial_count=7, source="normal"
         )
-        low, high = known.interval
+        low, high = known.value - known.tolerance, known.value + known.tolerance
         hits += low <= row[7] <= high
     assert hits / len(trials) == pytest.approx(0.95, abs=0.006)
 

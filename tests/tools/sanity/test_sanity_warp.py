@@ -179,7 +179,7 @@ def test_sliding_and_driving_follow_the_laws() -> None:
             interval_s=0.002,
             speed_limit_m_per_s=one.scenario.scene.speed_limit_m_per_s,
         )
-        assert abs(one.read(rollout).value - one.reality.value) <= one.reality.tolerance, one.id
+        assert abs(one.value(rollout) - one.reality.value) <= one.reality.tolerance, one.id
 
 
 def test_limits_of_the_engine_are_described() -> None:

@@ -34,13 +34,24 @@ class ObliqueClip:
     places_px: FloatArray
 
 
+def to_picture_px(view: PlaneView, points_m: FloatArray) -> FloatArray:
+    """Return places in the picture of a calibrated camera [px] of places in the plane [m], both of shape [count, 2]."""
+    assert isinstance(view.source, Pose) and view.lens is not None
+    matrix = np.linalg.inv(view.source.to_plane(view.lens))
+    straight = np.column_stack([points_m, np.ones(len(points_m))]) @ matrix.T
+    normalized = straight[:, :2] / straight[:, 2:]
+    square = (normalized**2).sum(axis=1, keepdims=True)
+    bent = normalized * (1.0 + view.lens.distortion[0] * square + view.lens.distortion[1] * square**2)
+    return np.asarray(bent @ view.lens.matrix[:2, :2].T + view.lens.matrix[:2, 2])
+
+
 def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
     """Return a clip of a task from a random camera, 20 to 43 degrees off the normal of the plane."""
     task = video_task(name)
     place, truth, duration_s, motion = _motion(name, rng)
     true_view = replace(_camera(task.motion, rng), **motion)
     times = np.arange(int(duration_s * FPS)) / FPS
-    places = true_view.to_picture_px(np.array([place(t)[0] for t in times]))
+    places = to_picture_px(true_view, np.array([place(t)[0] for t in times]))
     return ObliqueClip(
         task=name,
         truth=truth,
@@ -85,7 +96,7 @@ def _from_points(view: PlaneView, rng: np.random.Generator) -> PlaneView:
     """Return the view of a user who has read four points of the plane in the picture."""
     corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
     pairs = PointPairs(
-        points_px=view.to_picture_px(corners), points_m=corners, sigma_px=POINTS_SIGMA_PX, sigma_m=0.0005
+        points_px=to_picture_px(view, corners), points_m=corners, sigma_px=POINTS_SIGMA_PX, sigma_m=0.0005
     )
     return replace(view, source=pairs.drawn(rng))
 

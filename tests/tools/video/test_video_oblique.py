@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 cv2 = pytest.importorskip("cv2")
 
-from oblique import FPS, SIZE_PX, ObliqueClip, oblique_clip  # noqa: E402
+from oblique import FPS, SIZE_PX, ObliqueClip, oblique_clip, to_picture_px  # noqa: E402
 from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
@@ -88,7 +88,7 @@ def test_a_view_agrees_with_opencv(task: str) -> None:
     projected, _ = cv2.projectPoints(
         world, source.rvec, source.tvec, lens.matrix, np.array([*lens.distortion, 0.0, 0.0])
     )
-    assert view.to_picture_px(places_m) == pytest.approx(projected[:, 0], abs=1e-6)
+    assert to_picture_px(view, places_m) == pytest.approx(projected[:, 0], abs=1e-6)
     assert view.to_plane_m(projected[:, 0]) == pytest.approx(places_m, abs=1e-6)
 
 
@@ -200,7 +200,7 @@ def _recorded(name: str) -> dict[str, NDArray[np.float64]]:
 def _seen(view: PlaneView, world_m: NDArray[np.float64]) -> NDArray[np.float64]:
     source = view.source
     assert isinstance(source, Pose)
-    return view.to_picture_px((world_m - source.point_m) @ source.axes.T)
+    return to_picture_px(view, (world_m - source.point_m) @ source.axes.T)
 
 
 def _view(text: str, tmp_path: Path) -> PlaneView:

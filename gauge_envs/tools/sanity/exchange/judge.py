@@ -27,8 +27,8 @@ from gauge_envs.runs.rollout import DivergedError, Rollout
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Sphere
 from gauge_envs.scene.geometry import FloatArray, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.tools.sanity.exchange.export import MOST_MANIFEST_BYTES
-from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, FORMAT, MANIFEST, MOTION, VERSION, ExportedScene, scenes
+from gauge_envs.tools.sanity.exchange import scenes as exported
+from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, ExportedScene
 from gauge_envs.tools.sanity.measure import Measured, curve_of, judged, result_of
 from gauge_envs.tools.sanity.model import PhenomenonResult, Report, TrainingConfiguration, Verdict
 from gauge_envs.tools.sanity.phenomena import GRAVITY_ID, selection
@@ -64,11 +64,10 @@ def judge(folder: Path, *, only: Sequence[str] = (), engine: str = "") -> Report
         The report, with a row for each phenomenon in a fixed order, and neither causes nor values of a preset.
     """
     started = time.perf_counter()
-    exported = _exported(folder)
     chosen = selection(only)
     outcomes = {
         scene: _read(folder, scene)
-        for scene in exported
+        for scene in _exported(folder)
         if any(one.id in chosen for one in scene.phenomena) or (GRAVITY_ID in chosen and scene.name == FREE_FALL)
     }
     configuration = _configuration(folder, engine, outcomes)
@@ -88,19 +87,19 @@ def _exported(folder: Path) -> tuple[ExportedScene, ...]:
     """Return the scenes of a folder, which must be those of this version of the package."""
     path = folder / MANIFEST
     with os_errors(lambda cause: TargetError(f"{path}: cannot be read: {cause}: export with gauge sanity export")):
-        raw = read_regular(path, MOST_MANIFEST_BYTES)
+        raw = read_regular(path, exported.MOST_MANIFEST_BYTES)
     try:
         content = json_document(raw)
     except ValueError as error:
         raise TargetError(f"{path}: {error}: export again with gauge sanity export") from None
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if not isinstance(content, dict) or content.get("format") != exported.FORMAT:
         raise TargetError(f"{path}: is no manifest of gauge sanity export")
-    if content.get("version") != VERSION:
-        raise TargetError(f"{path}: has version {content.get('version')!r}, expected {VERSION}: export again")
+    if content.get("version") != exported.VERSION:
+        raise TargetError(f"{path}: has version {content.get('version')!r}, expected {exported.VERSION}: export again")
     listed = content.get("scenes")
     named = (one for one in (listed if isinstance(listed, list) else ()) if isinstance(one, dict))
     entries = {one["name"]: one for one in named if isinstance(one.get("name"), str)}
-    known = {scene.name: scene for scene in scenes()}
+    known = {scene.name: scene for scene in exported.scenes()}
     if not entries or not set(entries) <= set(known):
         raise TargetError(f"{path}: lists no scenes, or unknown ones: export again")
     for name, entry in entries.items():
@@ -187,8 +186,8 @@ def _measured(phenomenon: Phenomenon, outcome: _Outcome) -> Measured:
         return Measured(verdict=Verdict.WRONG, remark=f"diverged: {outcome}")
     if isinstance(outcome, str):
         return Measured(verdict=Verdict.DECLINED, remark=outcome)
-    measured = judged(phenomenon.read(outcome), phenomenon.reality, outcome)
-    if measured.verdict in (Verdict.VISIBLE, Verdict.WRONG) and measured.value is not None:
+    measured = judged(phenomenon, outcome)
+    if measured.verdict.is_off and measured.value is not None:
         text = _friction_text(phenomenon, measured.value)
         return replace(measured, remark="; ".join(part for part in (measured.remark, text) if part))
     return measured
@@ -477,13 +476,8 @@ def _rollout(scene: ExportedScene, interval_s: float, numbers: FloatArray) -> Ro
             if own.shape[1] == 7:
                 state[:-1, 7:10] = np.diff(own[:, :3], axis=0) / interval_s
                 state[-1, 7:10] = state[-2, 7:10]
-            state[:, 10:] = _turn_rates(state[:, 3:7], interval_s)
+            turns = Rotation.from_quat(state[:, 3:7], scalar_first=True)
+            state[:-1, 10:] = (turns[1:] * turns[:-1].inv()).as_rotvec() / interval_s
+            state[-1, 10:] = state[-2, 10:]
         states[body.name] = state
     return Rollout(scene=scene.scenario.scene, times_s=interval_s * np.arange(count, dtype=np.float64), states=states)
-
-
-def _turn_rates(quaternions: FloatArray, interval_s: float) -> FloatArray:
-    """Return angular velocities from each sample to the next [rad/s], shape [sample_count, 3]; the last one again."""
-    turns = Rotation.from_quat(quaternions, scalar_first=True)
-    rates = (turns[1:] * turns[:-1].inv()).as_rotvec() / interval_s
-    return np.concatenate([rates, rates[-1:]])

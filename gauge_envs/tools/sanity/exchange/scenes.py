@@ -1,19 +1,42 @@
-"""Describe the scenes of a sanity check for users of other simulators: the manifest of an exported folder."""
+"""Describe the scenes of a sanity check, and write them for any simulator.
+
+A folder has MJCF, USD, URDF, drivers, a manifest and a loop that runs them.
+
+Example:
+    >>> from pathlib import Path
+    >>> from gauge_envs.tools.sanity import export
+    >>> written = export(Path("my_engine"), only=["creep-wood"])  # doctest: +SKIP
+"""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import csv
+import io
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
+from importlib.resources import files
+from inspect import getsource
+from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
+from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.mujoco.mjcf_writer import described_xml, start_notes
 from gauge_envs.backends.shared.pair_values import Combination, body_values, pair_values
-from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.files import json_ready, versions
+from gauge_envs.errors import ParameterError, ResultFileError, UnsupportedSceneError
+from gauge_envs.files import MEGABYTE, json_document, json_ready, os_errors, read_regular, versions, write_texts
 from gauge_envs.scene import Hinge, Motion, RigidBody, Scene
+from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.meshes import body_mass_properties
-from gauge_envs.tools.assets import BodyFile, body_files
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.scene.usd.writer import scene_stage
+from gauge_envs.tools.assets import SOURCE, BodyFile, body_files
+from gauge_envs.tools.sanity.exchange.loop import run as run_exported
 from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -59,7 +82,7 @@ class ExportedScene:
     def entry(self) -> dict[str, Any]:
         """Return the description of the scene, JSON-ready."""
         scene = self.scenario.scene
-        files = body_files(scene)
+        described = body_files(scene)
         constants = _body_constants(scene)
         return json_ready(
             {
@@ -68,7 +91,7 @@ class ExportedScene:
                 "seconds": self.scenario.seconds,
                 "longest_interval_s": self.scenario.interval_s,
                 "gravity_m_per_s2": [0.0, 0.0, -scene.gravity_m_per_s2],
-                "bodies": [_body(body, files[body.name], constants.get(body.name, {})) for body in scene.bodies],
+                "bodies": [_body(body, described[body.name], constants.get(body.name, {})) for body in scene.bodies],
                 "hinges": [joint_fields(joint) for joint in scene.joints if isinstance(joint, Hinge)],
                 "contacts": [
                     {name: getattr(contact, name) for name in ("first", "second", *CONSTANTS)}
@@ -145,11 +168,7 @@ def _body(body: RigidBody, file: BodyFile, constants: Mapping[str, Mapping[str, 
 
 
 def _body_constants(scene: Scene) -> dict[str, dict[str, dict[str, float]]]:
-    """Return friction and restitution of each body by rule of combination, where the rule can give those of all pairs.
-
-    Returns:
-        Value by name of the body, constant and rule.
-    """
+    """Return the constants of each body by name and rule of combination, where the rule can give those of all pairs."""
     alike: dict[tuple[bool, ...], list[str]] = {}
     for body in scene.bodies:
         sides = (side for contact in scene.contacts for side in (contact.first, contact.second))
@@ -175,3 +194,105 @@ def _phenomenon(one: Phenomenon) -> dict[str, Any]:
     described = {name: getattr(one, name) for name in ("id", "title", "quantity", "unit")}
     reality = {name: getattr(one.reality, name) for name in ("value", "tolerance", "source", "rationale")}
     return {**described, "kind": one.reality.kind.value, **reality}
+
+
+# --- files -----------------------------------------------------------------------------------------------------------
+
+MOST_MANIFEST_BYTES = 4 * MEGABYTE
+"""Largest size of a manifest."""
+
+USD_SAMPLES_PER_FRAME = 6
+"""Time samples of driven bodies per frame of 1/30 s in a USD file."""
+
+DRIVER_COLUMNS = (
+    *(*COLUMNS, "wx_rad_per_s", "wy_rad_per_s", "wz_rad_per_s"),
+    *("ax_m_per_s2", "ay_m_per_s2", "az_m_per_s2", "bx_rad_per_s2", "by_rad_per_s2", "bz_rad_per_s2"),
+)
+"""Columns of a file with the motion of driven bodies, in the world frame."""
+
+
+def export(folder: Path, *, only: Sequence[str] = ()) -> list[Path]:
+    """Write the scenes of rigid bodies of a sanity check.
+
+    Motion files of an earlier run in the folder stay.
+
+    Args:
+        folder: New or empty folder, or one of an earlier export.
+        only: Ids of phenomena or patterns such as `creep-*`; the scenes of all when empty.
+
+    Returns:
+        The written files.
+    """
+    chosen = scenes(only)
+    if not chosen:
+        raise ParameterError(f"{', '.join(only)}: these rows have no scene to export: see gauge list phenomena")
+    _check_folder(folder)
+    with os_errors(lambda cause: ResultFileError(f"{folder}: cannot be written: {cause}: choose another folder")):
+        return write_texts(folder, _texts(chosen))
+
+
+def _check_folder(folder: Path) -> None:
+    """Raise an error if a folder holds anything but an earlier export."""
+    try:
+        if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+            return
+        known = json_document(read_regular(folder / MANIFEST, MOST_MANIFEST_BYTES))
+    except (OSError, ValueError):
+        known = None
+    if not isinstance(known, dict) or known.get("format") != FORMAT:
+        raise ResultFileError(f"{folder}: is no empty folder and no earlier export: choose a new folder")
+
+
+def _texts(chosen: Sequence[ExportedScene]) -> Iterator[tuple[str, str]]:
+    """Yield the path below the folder and the text of each file."""
+    program = files("gauge_envs.tools.sanity.exchange")
+    for scene in chosen:
+        yield f"{scene.name}/scene.xml", _mjcf(scene)
+        yield f"{scene.name}/scene.usda", _usd(scene)
+        for file in body_files(scene.scenario.scene).values():
+            for name, text in file.texts.items():
+                yield f"{scene.name}/urdf/{name}", text
+        if scene.scenario.scene.drivers:
+            yield f"{scene.name}/{DRIVERS}", _drivers(scene)
+    yield "gauge_loop.py", (program / "loop.py").read_text(encoding="utf-8")
+    readme = (program / "readme.md").read_text(encoding="utf-8")
+    yield "README.md", readme.replace("LOOP\n", getsource(run_exported))
+    # Written last: a folder with a manifest is complete.
+    yield MANIFEST, json.dumps(manifest(chosen), indent=1, allow_nan=False) + "\n"
+
+
+def _mjcf(scene: ExportedScene) -> str:
+    simulation = BackendMuJoCo().build(scene.scenario.scene)
+    notes = [
+        f"Scene {scene.name!r} of a sanity check, from {scene.scenario.id}.",
+        "Options and contact constants are those of gauge-envs' preset: replace them by your own.",
+        *start_notes(simulation),
+    ]
+    if scene.scenario.scene.drivers:
+        notes.append(f"Driven bodies have free joints and follow {DRIVERS}.")
+    text = described_xml(simulation, scene.name, [*notes, SOURCE])
+    simulation.close()
+    return text
+
+
+def _usd(scene: ExportedScene) -> str:
+    stage = scene_stage(scene.scenario.scene, samples_per_frame=USD_SAMPLES_PER_FRAME)
+    layer = stage.GetRootLayer()
+    layer.documentation = f"Scene {scene.name!r} of a sanity check, from {scene.scenario.id}. {SOURCE}"
+    return str(layer.ExportToString())
+
+
+def _drivers(scene: ExportedScene) -> str:
+    scenario = scene.scenario
+    stream = io.StringIO(newline="")
+    out = csv.writer(stream, lineterminator="\n")
+    out.writerow(DRIVER_COLUMNS)
+    for driver in scenario.scene.drivers:
+        frame_count = 2 + math.ceil(scenario.seconds * FRAME_RATE_HZ)
+        path = DriverPath(driver, scenario.scene, frame_count, interval_s=scenario.interval_s)
+        still = np.zeros(path.motion_count)
+        for index in range(round(scenario.seconds / scenario.interval_s) + 2):
+            pose, velocity, acceleration = path.interval(index, still)
+            numbers = (*pose.position_m, *pose.quaternion, *velocity.tolist(), *acceleration.tolist())
+            out.writerow([repr(index * scenario.interval_s), driver.body, *map(repr, numbers)])
+    return stream.getvalue()

@@ -32,6 +32,9 @@ ROBOT_IDS = (
 )
 """Rows on the target's own model: its rollout, and what it states."""
 
+MATERIALS = ("wood", "plastic", "metal")
+"""Materials of the cubes."""
+
 RIGID: Mapping[str, tuple[str, ...]] = {
     "foot-creep": ("foot", "creep"),
     "foot-push": ("foot", "push"),
@@ -39,23 +42,17 @@ RIGID: Mapping[str, tuple[str, ...]] = {
     "foot-landing-depth": ("foot", "depth"),
     "foot-rebound": ("foot", "rebound"),
     "foot-rest": ("foot", "rest"),
-    "creep-wood": ("friction", "creep", "wood"),
-    "creep-plastic": ("friction", "creep", "plastic"),
-    "creep-metal": ("friction", "creep", "metal"),
+    **{f"creep-{material}": ("friction", "creep", material) for material in MATERIALS},
     "rest-height": ("friction", "rest_height", "wood"),
     RELEASE_ID: ("friction", "thrown", "wood"),
-    "slide-wood": ("friction", "slide", "wood"),
-    "slide-plastic": ("friction", "slide", "plastic"),
-    "slide-metal": ("friction", "slide", "metal"),
+    **{f"slide-{material}": ("friction", "slide", material) for material in MATERIALS},
     "slide-turned": ("friction", "turned_slide", "wood"),
     "rebound": ("impact", "rebound"),
     "rebound-slow": ("impact", "slow_rebound"),
     "momentum": ("impact", "momentum"),
     "period": ("rigid", "period"),
     "energy": ("rigid", "energy"),
-    "carry-wood": ("friction", "carry", "wood"),
-    "carry-plastic": ("friction", "carry", "plastic"),
-    "carry-metal": ("friction", "carry", "metal"),
+    **{f"carry-{material}": ("friction", "carry", material) for material in MATERIALS},
     "slip": ("friction", "slip"),
     "seam": ("rigid", "seam"),
     "point": ("rigid", "point"),

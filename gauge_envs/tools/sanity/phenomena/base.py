@@ -8,25 +8,14 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
+import numpy as np
+
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
-
-
-@dataclass(frozen=True, kw_only=True)
-class PhenomenonValue:
-    """Value of a phenomenon in a rollout.
-
-    Attributes:
-        value: Value in the phenomenon's unit.
-        failure: Failure that no real trial shows, independent of the value; empty when there is none.
-    """
-
-    value: float
-    failure: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -88,20 +77,9 @@ class Phenomenon:
     @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
-        contact = (Need.CONTACT,) if self.scenario.scene.contacts else ()
-        friction = (Need.FRICTION,) if self.needs_friction else ()
-        return (
-            Need.GRAVITY,
-            *contact,
-            *friction,
-            *((Need.FOOT,) * self.needs_foot),
-            *((Need.SPACE,) * self.needs_space),
-        )
-
-    def read(self, rollout: Rollout) -> PhenomenonValue:
-        """Return what is measured in a rollout of the scenario."""
-        failure = "" if self.failure is None else self.failure(rollout)
-        return PhenomenonValue(value=float(self.value(rollout)), failure=failure)
+        contact = (Need.CONTACT,) * bool(self.scenario.scene.contacts)
+        friction = (Need.FRICTION,) * self.needs_friction
+        return (Need.GRAVITY, *contact, *friction, *(Need.FOOT,) * self.needs_foot, *(Need.SPACE,) * self.needs_space)
 
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"
@@ -144,6 +122,12 @@ def position_scatter_mm(variant: str) -> float:
     baseline = published_baselines(variant)["rmse"]
     assert baseline.std is not None, "every RMSE is published with its standard deviation"
     return float(((baseline.mean**2 + baseline.std**2) / 3.0) ** 0.5)
+
+
+def acceleration(rollout: Rollout, displacement_mm: FloatArray, start_s: float, end_s: float) -> float:
+    """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
+    part = rollout.between(start_s, end_s)
+    return 2e-3 * float(np.polyfit(rollout.times_s[part], displacement_mm[part], 2)[0])
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:

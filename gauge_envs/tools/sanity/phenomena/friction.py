@@ -21,6 +21,7 @@ from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
     Trace,
+    acceleration,
     facts,
     position_scatter_mm,
     recorded,
@@ -125,10 +126,6 @@ def creep(material: str) -> Phenomenon:
 
 def rest_height(material: str) -> Phenomenon:
     """Return the gap between a cube at rest and its board."""
-
-    def heights_mm(rollout: Rollout) -> FloatArray:
-        return _gap_mm(rollout.scene) + _on_board_mm(rollout)[:, 2]
-
     return Phenomenon(
         title="resting height: gap between cube and board",
         quantity="gap",
@@ -136,36 +133,31 @@ def rest_height(material: str) -> Phenomenon:
         unit="mm",
         reality=rigid_law("rigid bodies touch", 0.5, "the edge of 50 mm of the cube"),
         needs_friction=True,
-        value=lambda rollout: heights_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
-        trace=Trace(label="gap [mm]", values=heights_mm, is_level=True),
+        value=lambda rollout: _gaps_mm(rollout)[rollout.between(SETTLED_S, HOLD_S)].mean(),
+        trace=Trace(label="gap [mm]", values=_gaps_mm, is_level=True),
     )
 
 
 def thrown(material: str) -> Phenomenon:
     """Return the height to which a cube that touches its board at the start is thrown."""
     held = rest_height(material)
-    heights_mm = held.trace.values if held.trace is not None else None
-    assert heights_mm is not None, "the resting height has a curve"
-
-    def height_mm(rollout: Rollout) -> float:
-        return float(heights_mm(rollout).max() - max(heights_mm(rollout)[-1], 0.0))
-
     return replace(
         held,
         title="release: height to which a cube that touches its board is thrown, above where it settles",
         quantity="height",
         scenario=replace(held.scenario, name=f"release-{material}", released="", seconds=HOLD_S),
         reality=rigid_law("a body that is laid down stays there", 0.5, "the edge of 50 mm of the cube"),
-        value=height_mm,
+        value=lambda rollout: _gaps_mm(rollout).max() - max(_gaps_mm(rollout)[-1], 0.0),
     )
 
 
-def _gap_mm(scene: Scene) -> float:
-    """Return the gap between the faces of cube and board at the start [mm]."""
-    cube, board = scene.body("cube"), scene.body("board")
+def _gaps_mm(rollout: Rollout) -> FloatArray:
+    """Return the gap between the faces of cube and board [mm], shape [sample_count]."""
+    cube, board = rollout.scene.body("cube"), rollout.scene.body("board")
     assert isinstance(cube.shape, Box) and isinstance(board.shape, Box)
     height = board.pose.to_body(np.asarray(cube.pose.position_m))[2]
-    return 1e3 * float(height - 0.5 * (cube.shape.size_m[2] + board.shape.size_m[2]))
+    start = float(height - 0.5 * (cube.shape.size_m[2] + board.shape.size_m[2]))
+    return 1e3 * start + _on_board_mm(rollout)[:, 2]
 
 
 # --- sliding ---------------------------------------------------------------------------------------------------------
@@ -191,15 +183,9 @@ def sliding(title: str, scenario: Scenario, downhill_mm: Callable[[Rollout], Flo
         unit="m/s^2",
         reality=real,
         needs_friction=True,
-        value=lambda rollout: _steady_acceleration(rollout, downhill_mm(rollout)),
+        value=lambda rollout: acceleration(rollout, downhill_mm(rollout), STEADY_SLIDE_S, SLIDE_S),
         trace=Trace(label="displacement downhill [mm]", values=downhill_mm, reality=reality),
     )
-
-
-def _steady_acceleration(rollout: Rollout, downhill_mm: FloatArray) -> float:
-    """Return the acceleration of a slide after the body has settled [m/s^2]."""
-    late = rollout.between(STEADY_SLIDE_S, SLIDE_S)
-    return 2e-3 * float(np.polyfit(rollout.times_s[late], downhill_mm[late], 2)[0])
 
 
 def real_slides(material: str, source: str = "") -> Reality:

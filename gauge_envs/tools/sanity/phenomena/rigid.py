@@ -24,6 +24,7 @@ from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
     Phenomenon,
     Trace,
+    acceleration,
     facts,
     recorded,
     recorded_reality,
@@ -49,10 +50,6 @@ def seam() -> Phenomenon:
     def slid_mm(rollout: Rollout) -> FloatArray:
         return np.asarray(1e3 * rollout.displacement("teh") @ downwards)
 
-    def acceleration(rollout: Rollout) -> float:
-        part = rollout.between(*SEAM_S)
-        return 2e-3 * float(np.polyfit(rollout.times_s[part], slid_mm(rollout)[part], 2)[0])
-
     return Phenomenon(
         title="sharp edges: tetrahedron slides down its seam",
         quantity="acceleration",
@@ -65,7 +62,7 @@ def seam() -> Phenomenon:
             more=f"; the tetrahedron has the calibrated mu = {friction:.3f}",
         ),
         needs_friction=True,
-        value=acceleration,
+        value=lambda rollout: acceleration(rollout, slid_mm(rollout), *SEAM_S),
         trace=Trace(label="displacement down the seam [mm]", values=slid_mm),
     )
 

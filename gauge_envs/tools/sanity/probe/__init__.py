@@ -10,7 +10,7 @@ from pathlib import Path
 
 __all__ = ["program_text"]
 
-PARTS = ("values", "mujoco_capture", "stack_captures", "program")
+PARTS = ("values", "mujoco_capture", "program")
 """Modules of the program, the later ones using the earlier ones; the last one has its documentation."""
 
 

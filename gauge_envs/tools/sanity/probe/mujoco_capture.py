@@ -16,23 +16,19 @@ FLAGS = {"disableflags": "mjtDisableBit", "enableflags": "mjtEnableBit"}
 WIDTHS = {
     "body": {"parentid": 1, "pos": 3, "quat": 4, "mass": 1, "ipos": 3, "iquat": 4, "inertia": 3, "mocapid": 1},
     "jnt": {"type": 1, "bodyid": 1, "pos": 3, "axis": 3, "limited": 1, "range": 2},
-    "geom": dict(
-        dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1),
-        friction=3,
-        solref=2,
-        solimp=5,
-        margin=1,
-        gap=1,
-        size=3,
-        pos=3,
-        quat=4,
-        rbound=1,
-    ),
-    "pair": dict(
-        {"dim": 1, "geom1": 1, "geom2": 1, "friction": 5, "solref": 2, "solreffriction": 2, "solimp": 5},
-        margin=1,
-        gap=1,
-    ),
+    "geom": {
+        **dict.fromkeys(("bodyid", "contype", "conaffinity", "condim", "priority", "solmix"), 1),
+        **dict.fromkeys(("margin", "gap", "rbound"), 1),
+        **dict.fromkeys(("friction", "size", "pos"), 3),
+        "solref": 2,
+        "solimp": 5,
+        "quat": 4,
+    },
+    "pair": {
+        **dict.fromkeys(("dim", "geom1", "geom2", "margin", "gap"), 1),
+        **dict.fromkeys(("solref", "solreffriction"), 2),
+        **dict.fromkeys(("friction", "solimp"), 5),
+    },
     "exclude": {"signature": 1},
 }
 ARRAYS = {f"{kind}_{name}": width for kind, columns in WIDTHS.items() for name, width in columns.items()}

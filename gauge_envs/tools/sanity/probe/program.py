@@ -30,16 +30,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.tools.sanity.probe.mujoco_capture import capture_mujoco, mujoco_model
-from gauge_envs.tools.sanity.probe.stack_captures import (
-    capture_genesis,
-    capture_isaaclab,
-    capture_maniskill,
-    capture_newton,
-    isaaclab_cfg,
-    maniskill_config,
-    newton_model,
-)
-from gauge_envs.tools.sanity.probe.values import ProbeError, is_of
+from gauge_envs.tools.sanity.probe.values import ProbeError, found, is_of, plain
 
 FORMAT, VERSION = "gauge-probe", 1
 
@@ -53,12 +44,45 @@ PACKAGES = (
 )
 """Packages whose versions are written if they are installed."""
 
+
+def isaaclab_cfg(target: Any) -> Any:
+    """Return the configuration of an environment of Isaac Lab; None for any other target."""
+    for value in (target, found(target, "cfg"), found(target, "unwrapped.cfg")):
+        if found(value, "sim.physx") is not None or found(value, "sim.physics_material") is not None:
+            return value
+    return None
+
+
+def capture_isaaclab(target: Any) -> dict[str, Any]:
+    """Return the configuration as Isaac Lab writes it to `env.yaml`; IsaacGym's has other keys."""
+    cfg = isaaclab_cfg(target)
+    if found(cfg, "sim.physx.num_position_iterations") is not None:
+        return {"kind": "isaacgym-cfg", "engine": "physx", "source": "IsaacGym", "data": {"cfg": plain(cfg)}}
+    entries = cfg.to_dict() if callable(getattr(cfg, "to_dict", None)) else cfg
+    source = f"Isaac Lab, {type(cfg).__name__}"
+    return {"kind": "isaaclab-cfg", "engine": "physx", "source": source, "data": {"cfg": plain(entries)}}
+
+
+def maniskill_config(target: Any) -> Any:
+    """Return the SimConfig of an environment of ManiSkill or of its class; None for any other target."""
+    for value in (target, found(target, "sim_config"), found(target, "unwrapped.sim_config")):
+        if is_of(value, "mani_skill", "SimConfig"):
+            return value
+    default = found(target, "_default_sim_config") if isinstance(target, type) else None
+    default = default.__get__(object()) if isinstance(default, property) else default
+    return default if is_of(default, "mani_skill", "SimConfig") else None
+
+
+def capture_maniskill(target: Any) -> dict[str, Any]:
+    """Return the fields of ManiSkill's SimConfig."""
+    data = {"sim_config": plain(maniskill_config(target))}
+    return {"kind": "maniskill-sim-config", "engine": "physx", "source": "ManiSkill, SimConfig", "data": data}
+
+
 CAPTURES: Any = (
     (lambda target: mujoco_model(target) is not None, capture_mujoco),
     (lambda target: isaaclab_cfg(target) is not None, capture_isaaclab),
     (lambda target: maniskill_config(target) is not None, capture_maniskill),
-    (lambda target: newton_model(target) is not None, capture_newton),
-    (lambda target: is_of(target, "genesis", "Scene"), capture_genesis),
 )
 """What can be captured: whether a target is of a kind, and the function that returns its entries of the file."""
 

@@ -339,13 +339,10 @@ class Source:
         """Return the value of an expression in a module; `UNKNOWN` when it is not stated."""
         frame = Frame(frame) if isinstance(frame, Module) else frame
         try:
-            return self._value_of(node, frame)
+            reader = getattr(self, f"_{type(node).__name__.lower()}", None)
+            return UNKNOWN if reader is None else reader(node, frame)
         except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError):
             return UNKNOWN
-
-    def _value_of(self, node: ast.expr, frame: Frame) -> Any:
-        reader = getattr(self, f"_{type(node).__name__.lower()}", None)
-        return UNKNOWN if reader is None else reader(node, frame)
 
     def _constant(self, node: ast.Constant, _: Frame) -> Any:
         return node.value

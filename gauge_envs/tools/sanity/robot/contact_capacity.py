@@ -39,16 +39,13 @@ def contact_capacity(
         unknown: Numbers of colliding geoms whose shape is not known.
         reason: Why the model's contacts cannot be counted; empty when they can.
     """
-    if reason:
-        return ContactCapacity(limits=limits, reason=reason)
-    if limits.njmax is None and limits.naconmax is None:
-        return ContactCapacity(limits=limits, reason="the engine chooses the limits")
-    if len(unknown):
-        return ContactCapacity(limits=limits, reason=f"the shape of {len(unknown)} colliding geoms is not known here")
-    if model.nhfield:
+    if not reason and limits.njmax is None and limits.naconmax is None:
+        reason = "the engine chooses the limits"
+    elif not reason and len(unknown):
+        reason = f"the shape of {len(unknown)} colliding geoms is not known here"
+    elif not reason and model.nhfield:
         reason = "engines find different numbers of contacts on a height field"
-        return ContactCapacity(limits=limits, reason=reason)
-    return ContactCapacity(limits=limits, need=contact_need(model))
+    return ContactCapacity(limits=limits, need=None if reason else contact_need(model), reason=reason)
 
 
 def contact_need(model: mujoco.MjModel) -> ContactNeed:

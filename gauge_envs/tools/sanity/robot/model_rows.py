@@ -16,7 +16,7 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, first_moving_body, support_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, first_moving_body, geom_name, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
@@ -48,6 +48,10 @@ class Finding:
     advisory: str = ""
 
 
+class NotApplicableError(Exception):
+    """A row does not apply to a robot; the message is the reason."""
+
+
 ROWS: dict[str, Callable[[Robot], Finding]] = {}
 """Function of each row, whose limits and words stand in `scoring/facts/robot_rows.toml`."""
 
@@ -56,10 +60,23 @@ def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], F
     """Return a decorator that adds the function of a row."""
 
     def keep(function: Callable[[Robot], Finding]) -> Callable[[Robot], Finding]:
-        ROWS[name] = function
+        def found(robot: Robot) -> Finding:
+            try:
+                return function(robot)
+            except NotApplicableError as reason:
+                return Finding(declined=str(reason))
+
+        ROWS[name] = found
         return function
 
     return keep
+
+
+def standing_of(robot: Robot) -> Standing:
+    """Return the robot that stands; rows that need one do not apply to a model without."""
+    if robot.standing is None:
+        raise NotApplicableError(NOT_STANDING)
+    return robot.standing
 
 
 def judged_row(name: str, found: Finding) -> PhenomenonResult:
@@ -72,7 +89,6 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
     return PhenomenonResult(
         phenomenon=name,
         title=known["title"],
-        experiment="",
         unit=known["unit"],
         reality=Reality(
             kind=RealityKind.LAW,
@@ -82,10 +98,8 @@ def judged_row(name: str, found: Finding) -> PhenomenonResult:
             rationale=known["consequence"],
             limits=known["limits"],
         ),
-        default=None,
         configured=None if found.declined or not np.isfinite(value) else float(value),
         verdict=Verdict.DECLINED if found.declined else verdict,
-        default_verdict=Verdict.DECLINED,
         cause=Cause(settings=tuple(found.changes), line=found.advice) if found.advice and is_off else None,
         remark=found.declined or found.remark,
         applies=not found.declined,
@@ -155,13 +169,11 @@ def _density(robot: Robot) -> Finding:
             }
         if found.declined or ratio > worst:
             name = body_name(robot, body)
-            worst, found = (
-                ratio,
-                Finding(
-                    value=value,
-                    remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
-                    advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
-                ),
+            worst = ratio
+            found = Finding(
+                value=value,
+                remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
+                advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
             )
     return replace(found, changes=changes)
 
@@ -247,9 +259,7 @@ def _limbs(robot: Robot) -> list[list[int]]:
 
 @row("robot-feet")
 def _feet(robot: Robot) -> Finding:
-    model, standing = robot.model, robot.standing
-    if standing is None:
-        return Finding(declined=NOT_STANDING)
+    model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
     known = [g for b in robot.bodies for g in _geoms(robot, b) if g not in robot.unknown]
     lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in known}
@@ -268,7 +278,7 @@ def _feet(robot: Robot) -> Finding:
     floor = int(next(g for g in robot.pairs.geoms[robot.foot_rows[0]] if g not in lows))
     offers = {"geom_contype": model.geom_conaffinity, "geom_conaffinity": model.geom_contype}
     changes = {f"{key}[{geom}]": int(other[floor]) or 1 for geom in lame for key, other in offers.items()}
-    names = ", ".join(robot.geom_name(geom) for geom in lame)
+    names = ", ".join(geom_name(robot.model, geom) for geom in lame)
     return Finding(
         value=float(len(lame)),
         remark=f"{names}: no partner on the ground" if lame else "",
@@ -294,7 +304,7 @@ def _friction(robot: Robot) -> Finding:
     for one in slippery:
         for geom in robot.pairs.geoms[one].tolist():
             changes |= {f"geom_condim[{geom}]": 3, f"geom_friction[{geom}]": np.array([0.8, 0.005, 0.0001])}
-    names = " with ".join(robot.geom_name(int(geom)) for geom in robot.pairs.geoms[row])
+    names = " with ".join(geom_name(robot.model, int(geom)) for geom in robot.pairs.geoms[row])
     rule = f"condim {constants[row, 0]:.0f}" if constants[row, 0] == 1 else "max of both, priority or explicit pair"
     return Finding(
         value=float(grips[row]),
@@ -322,8 +332,8 @@ def _floor_friction(robot: Robot) -> Finding:
             geom = pair[int(np.argmin(stated))]
             found = Finding(
                 value=met / least,
-                remark=f"{robot.geom_name(geom)} states {min(stated):g}, and the foot meets {met:g}",
-                advice=f'priority="1" for {robot.geom_name(geom)}',
+                remark=f"{geom_name(robot.model, geom)} states {min(stated):g}, and the foot meets {met:g}",
+                advice=f'priority="1" for {geom_name(robot.model, geom)}',
                 changes={f"geom_priority[{geom}]": 1},
             )
     return found
@@ -350,8 +360,8 @@ def _floor_tilt(robot: Robot) -> Finding:
     angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
     return Finding(
         value=angle if angle > 1e-4 else 0.0,
-        remark=robot.geom_name(geom),
-        advice=f'zaxis="0 0 1" for {robot.geom_name(geom)}',
+        remark=geom_name(robot.model, geom),
+        advice=f'zaxis="0 0 1" for {geom_name(robot.model, geom)}',
         changes={f"geom_quat[{geom}]": np.array([1.0, 0.0, 0.0, 0.0])} if not model.geom_bodyid[geom] else {},
     )
 
@@ -467,11 +477,11 @@ def _servo(robot: Robot) -> Finding:
 def _torque(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
-    model, data, found = robot.model, start(robot), Finding(declined="no joint states the limit of its torque")
-    assert robot.standing is not None, "a robot that floats stands"
+    model, data, standing = robot.model, start(robot), standing_of(robot)
+    found = Finding(declined="no joint states the limit of its torque")
     # Twice what a foot carries, at the height of the robot.
-    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(robot.standing.feet)
-    fair = 2.0 * load_n * robot.standing.height_m
+    load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(standing.feet)
+    fair = 2.0 * load_n * standing.height_m
     actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
     for dof, limit in _driven_dofs(robot):
         weight = abs(float(data.qfrc_bias[dof]))
@@ -518,8 +528,7 @@ def _delay(robot: Robot) -> Finding:
 
 def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: float) -> Finding:
     """Return the driven joint with the largest share of its torque; the advice leaves a part of the limit to spare."""
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+    standing_of(robot)
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
     limits = {}
     for dof, limit in _driven_dofs(robot):
@@ -554,8 +563,7 @@ def _frictionloss(robot: Robot) -> Finding:
 
 @row("robot-armature")
 def _armature(robot: Robot) -> Finding:
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+    standing_of(robot)
     model, data, found, changes = robot.model, start(robot), Finding(), {}
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
@@ -570,4 +578,4 @@ def _armature(robot: Robot) -> Finding:
                 remark=f"{_joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
                 advice=f'armature="{limb:.2g}" for {_joint_name(robot, dof)} and joints like it',
             )
-    return Finding(value=found.value, remark=found.remark, advice=found.advice, changes=changes)
+    return replace(found, changes=changes)

@@ -35,7 +35,7 @@ HELD_M_PER_S = 1e-3
 """Speed of falling below which the damping of a joint counts as holding a robot [m/s]."""
 
 MOST_GEOMS = 4
-"""Most geoms of a foot that are listed; of more, the others are counted."""
+"""Most geoms of a foot or of a group that are listed; of more, the others are counted."""
 
 Solid = Box | Sphere | Cylinder | Capsule | Ellipsoid | ConvexUnion
 
@@ -163,6 +163,17 @@ def ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING
     return np.flatnonzero((pairs.kinds == kind) & (pairs.kinds < PairKind.MOVING))
+
+
+def geom_name(model: mujoco.MjModel, geom: int) -> str:
+    """Return the name of a geom, or its number and its body."""
+    owner = model.body(int(model.geom_bodyid[geom])).name
+    return model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
+
+
+def shortened(names: list[str]) -> list[str]:
+    """Return names of geoms; of many, the number of the last ones."""
+    return names if len(names) <= MOST_GEOMS else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
 
 
 # --- stance ----------------------------------------------------------------------------------------------------------
@@ -308,10 +319,7 @@ def _geoms_text(model: mujoco.MjModel, geoms: Sequence[int], body: int) -> str:
     names = [model.geom(geom).name or f"geom {geom} of {owner}" for geom in geoms]
     known = {"MESH": "hull of a mesh"} | {kind: name for kind, (name, _) in SOLIDS.items()}
     kinds = [known.get(_kind(model, geom), "geom") for geom in geoms]
-    texts = [f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]
-    if len(texts) > MOST_GEOMS:
-        texts = [*texts[: MOST_GEOMS - 1], f"{len(texts) - MOST_GEOMS + 1} more"]
-    return ", ".join(texts)
+    return ", ".join(shortened([f"{name} ({kind})" for name, kind in zip(names, kinds, strict=True)]))
 
 
 def _sets(

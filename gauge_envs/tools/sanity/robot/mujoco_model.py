@@ -30,15 +30,12 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, read_foot
+from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
 from gauge_envs.tools.sanity.robot.robot import Robot, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
 """A gravity that differs from the standard one by less than this ratio gets no note."""
-
-MOST_GEOMS = 4
-"""Most geoms of a group that are listed; of a larger group, the others are counted."""
 
 MOST_GROUPS = 4
 """Most groups with other constants that get a note each."""
@@ -241,14 +238,8 @@ def _constant_text(value: Any) -> str:
 # --- names -----------------------------------------------------------------------------------------------------------
 
 
-def _geom_name(model: mujoco.MjModel, index: int) -> str:
-    """Return the name of a geom; its number and its body when it has no name."""
-    name = model.geom(index).name
-    return name or f"geom {index} of {model.body(int(model.geom_bodyid[index])).name or 'an unnamed body'}"
-
-
 def _geom_id(model: mujoco.MjModel, name: str) -> int:
-    names = [_geom_name(model, index) for index in range(model.ngeom)]
+    names = [geom_name(model, index) for index in range(model.ngeom)]
     if name not in names:
         raise TargetError(f"the model has no geom {name!r}; it has {', '.join(names)}")
     return names.index(name)
@@ -262,6 +253,5 @@ def _geoms_text(model: mujoco.MjModel, geoms: NDArray[np.intp], kind: PairKind) 
 
 
 def _listed(model: mujoco.MjModel, indices: NDArray[np.intp]) -> str:
-    names = [_geom_name(model, int(index)) for index in indices]
-    shown = names if len(names) <= MOST_GEOMS else [*names[: MOST_GEOMS - 1], f"{len(names) - MOST_GEOMS + 1} more"]
+    shown = shortened([geom_name(model, int(index)) for index in indices])
     return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"

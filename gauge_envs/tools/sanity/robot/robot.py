@@ -102,11 +102,6 @@ class Robot:
         is_planar = all(abs(axis @ normal) > 0.999 for axis in turning) and abs(normal[2]) < 1e-3
         return normal if is_planar and all(abs(axis @ normal) < 1e-3 for axis in sliding) else None
 
-    def geom_name(self, geom: int) -> str:
-        """Return the name of a geom, or its number and its body."""
-        owner = self.model.body(int(self.model.geom_bodyid[geom])).name
-        return self.model.geom(geom).name or f"geom {geom} of {owner or 'an unnamed body'}"
-
     def reached_by_default(self, name: str) -> list[int]:
         """Return geoms that take an attribute from the model's default class.
 

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cache
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
     Finding,
+    NotApplicableError,
     body_name,
     row,
     servos,
+    standing_of,
     start,
     torque_limits,
     without,
@@ -51,7 +53,7 @@ class Held:
 
     diverged_s: float
     height: float = 0.0
-    loads: dict[int, float] | None = None
+    loads: Mapping[int, float] = field(default_factory=dict)
     saturation: tuple[float, str] = (0.0, "")
     slip_mm_per_s: float = 0.0
 
@@ -64,26 +66,27 @@ def held(robot: Robot, slope_deg: float = 0.0) -> Held:
         robot: The robot, which stands.
         slope_deg: Slope of the ground along x, made by turning gravity [degrees].
     """
-    assert robot.standing is not None, "only a robot that stands is held"
-    model, data = robot.model, start(robot)
-    gravity, body = model.opt.gravity.copy(), robot.standing.body
+    model, data, standing = robot.model, start(robot), standing_of(robot)
+    gravity, body = model.opt.gravity.copy(), standing.body
     slope, size = np.radians(slope_deg), float(np.linalg.norm(gravity))
     up, bodies = np.asarray(robot.up), set(robot.bodies)
     along = np.cross([0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0], up)
     model.opt.gravity[:] = size * (np.sin(slope) * along - np.cos(slope) * up) if slope_deg else gravity
-    ground = _ground_m(robot)
+    # The height of the soles.
+    ground = min(float(point[2]) for point in standing.support_m.values())
     first = float(data.xpos[body] @ up) - ground
     steps, limits = max(1, round(HOLD_S / model.opt.timestep)), torque_limits(model)
     late = max(0, steps - round(LATE_S / model.opt.timestep))
     loads: dict[int, float] = {}
     torques, before = np.zeros(model.nv), np.zeros(3)
+    soles = [geoms[0] for geoms in standing.feet.values()]
     try:
         for step in range(steps):
             mujoco.mj_step(model, data)
             if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
                 return Held(diverged_s=(step + 1) * float(model.opt.timestep))
             if step == late:
-                before = _feet_m(robot, data)
+                before = data.geom_xpos[soles]
             if step >= late:
                 torques += np.abs(data.qfrc_actuator) / (steps - late)
                 _add_loads(robot, data, loads, bodies, 1.0 / (steps - late))
@@ -97,19 +100,8 @@ def held(robot: Robot, slope_deg: float = 0.0) -> Held:
         height=(float(data.xpos[body] @ up) - ground) / max(first, 1e-6),
         loads={one: load / weight for one, load in loads.items()},
         saturation=(float(ratio[dof]), model.joint(int(model.dof_jntid[dof])).name),
-        slip_mm_per_s=1e3 * float(np.linalg.norm(_feet_m(robot, data) - before, axis=-1).mean()) / LATE_S,
+        slip_mm_per_s=1e3 * float(np.linalg.norm(data.geom_xpos[soles] - before, axis=-1).mean()) / LATE_S,
     )
-
-
-def _ground_m(robot: Robot) -> float:
-    """Return the height of the soles in the pose in which the robot stands [m]."""
-    assert robot.standing is not None
-    return min(float(point[2]) for point in robot.standing.support_m.values())
-
-
-def _feet_m(robot: Robot, data: mujoco.MjData) -> NDArray[np.float64]:
-    assert robot.standing is not None
-    return np.asarray(data.geom_xpos[[geoms[0] for geoms in robot.standing.feet.values()]].copy())
 
 
 def _add_loads(robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodies: set[int], share: float) -> None:
@@ -123,16 +115,15 @@ def _add_loads(robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodie
             loads[own[0]] = loads.get(own[0], 0.0) + share * float(force[0])
 
 
-def _held(robot: Robot, slope_deg: float = 0.0, *, is_loaded: bool = True) -> Held | Finding:
-    """Return the motion of a robot that its servos hold, or why a row does not apply to it."""
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+def _held(robot: Robot, slope_deg: float = 0.0) -> Held:
+    """Return the motion of a robot that its servos hold."""
+    standing_of(robot)
     if not servos(robot.model).any():
-        return Finding(declined=NO_SERVO)
+        raise NotApplicableError(NO_SERVO)
     found = held(robot, slope_deg)
-    if is_loaded and not np.isfinite(found.diverged_s):
-        return found
-    return Finding(declined=f"the state diverges at {found.diverged_s:.3g} s") if is_loaded else found
+    if np.isfinite(found.diverged_s):
+        raise NotApplicableError(f"the state diverges at {found.diverged_s:.3g} s")
+    return found
 
 
 def _advisory(robot: Robot) -> str:
@@ -142,42 +133,29 @@ def _advisory(robot: Robot) -> str:
 
 @row("robot-holds")
 def _finite(robot: Robot) -> Finding:
-    if not robot.model.nv or robot.standing is None:
-        return Finding(declined=NOT_STANDING)
-    found = held(robot)
-    until = found.diverged_s
-    return Finding(
-        value=1.0 if np.isinf(until) else until / HOLD_S, remark="" if np.isinf(until) else f"diverges at {until:.3g} s"
-    )
+    until = held(robot).diverged_s
+    if np.isinf(until):
+        return Finding(value=1.0)
+    return Finding(value=until / HOLD_S, remark=f"diverges at {until:.3g} s")
 
 
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
-    found = _held(robot)
-    if isinstance(found, Finding):
-        return found
-    return Finding(value=max(found.height, 1e-3), advisory=_advisory(robot))
+    return Finding(value=max(_held(robot).height, 1e-3), advisory=_advisory(robot))
 
 
 @row("robot-loads")
 def _loads(robot: Robot) -> Finding:
-    found = _held(robot)
-    if isinstance(found, Finding):
-        return found
-    assert robot.standing is not None and found.loads is not None
-    feet = set(robot.standing.feet)
-    idle = [body for body in feet if found.loads.get(body, 0.0) < 0.01]
-    other = {body: load for body, load in found.loads.items() if body not in feet and load > 0.1}
-    shares = ", ".join(f"{body_name(robot, body)} {load:.0%}" for body, load in sorted(found.loads.items()))
+    loads, feet = _held(robot).loads, set(standing_of(robot).feet)
+    idle = [body for body in feet if loads.get(body, 0.0) < 0.01]
+    other = {body: load for body, load in loads.items() if body not in feet and load > 0.1}
+    shares = ", ".join(f"{body_name(robot, body)} {load:.0%}" for body, load in sorted(loads.items()))
     return Finding(value=float(len(idle) + len(other)), remark=shares, advisory=_advisory(robot))
 
 
 @row("robot-saturation")
 def _saturation(robot: Robot) -> Finding:
-    found = _held(robot)
-    if isinstance(found, Finding):
-        return found
-    value, joint = found.saturation
+    value, joint = _held(robot).saturation
     return Finding(value=value, remark=joint, advisory=_advisory(robot))
 
 
@@ -188,8 +166,6 @@ def _slip(robot: Robot) -> Finding:
     friction = float(robot.pairs.constants[robot.foot_rows, 1].min())
     slope = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
     found = _held(robot, slope)
-    if isinstance(found, Finding):
-        return found
     if not 0.7 < found.height < 1.3:
         return Finding(declined="the robot falls on the slope")
     return Finding(value=found.slip_mm_per_s, remark=f"{slope:.3g} degrees, friction {friction:.3g}")
@@ -197,6 +173,7 @@ def _slip(robot: Robot) -> Finding:
 
 @row("robot-overlap")
 def _overlap(robot: Robot) -> Finding:
+    standing_of(robot)
     model, data, bodies = robot.model, start(robot), set(robot.bodies)
     deepest, names = 0.0, ""
     for number in range(data.ncon):
@@ -204,8 +181,6 @@ def _overlap(robot: Robot) -> Finding:
         pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
         if set(pair) <= bodies and contact.exclude == 0 and -contact.dist > deepest:
             deepest, names = -float(contact.dist), " and ".join(body_name(robot, body) for body in pair)
-    if robot.standing is None:
-        return Finding(declined=NOT_STANDING)
     return Finding(
         value=1e3 * deepest,
         remark=names,
@@ -215,14 +190,12 @@ def _overlap(robot: Robot) -> Finding:
 
 @row("robot-energy")
 def _energy(robot: Robot) -> Finding:
-    if not robot.model.nv or robot.standing is None:
-        return Finding(declined=NOT_STANDING)
+    standing_of(robot)
     bare = without(robot.model, "contact", "actuation", "limit", "frictionloss", "damper", "equality")
     bare.opt.enableflags |= int(mujoco.mjtEnableBit.mjENBL_ENERGY)
     data, values = start(robot, bare), []
-    data.qvel[6 if robot.is_floating else 0 :] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[
-        6 if robot.is_floating else 0 :
-    ]
+    moving = slice(6 if robot.is_floating else 0, None)
+    data.qvel[moving] = np.random.default_rng(0).uniform(-1.0, 1.0, len(data.qvel))[moving]
     for _ in range(max(1, round(FREE_S / bare.opt.timestep))):
         mujoco.mj_step(bare, data)
         values.append(data.energy.copy())

@@ -85,7 +85,7 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
     if pair is not None and not reader.has_geoms:
         raise TargetError(f"{target}: pairs of geoms are those of a MuJoCo model, and the target has none")
     try:
-        return reader.read(target, pair)
+        return reader.read(target, pair) if reader.has_geoms else reader.read(target)
     except NotATargetError as error:
         raise TargetError(f"{error}; give {accepted()}") from error
 

@@ -160,10 +160,6 @@ def _is_warp(target: Any) -> bool:
 
 
 READERS = (
-    Reader(
-        "a mujoco.mjx.Model",
-        is_mjx_model,
-        lambda target, pair: _read(target, pair, "mjx.Model", "with MJX"),
-    ),
+    Reader("a mujoco.mjx.Model", is_mjx_model, lambda target, pair: _read(target, pair, "mjx.Model", "with MJX")),
     Reader("a mujoco_warp.Model, alone or with its Data as (model, data)", _is_warp, _read_warp),
 )

@@ -16,7 +16,7 @@ from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
 from gauge_envs.tools.sanity.stacks.documents import Table, file_value
-from gauge_envs.tools.sanity.stacks.reader import GeomPair, Reader, named_content
+from gauge_envs.tools.sanity.stacks.reader import Reader, named_content
 
 
 def _choice(*names: str) -> Kind:
@@ -173,7 +173,7 @@ def _configuration(
 # --- a scene in this process -----------------------------------------------------------------------------------------
 
 
-def _read_scene(scene: Any, _: GeomPair | None) -> TrainingConfiguration:
+def _read_scene(scene: Any) -> TrainingConfiguration:
     """Return the configuration of a scene; a built one also states the constants of its geoms.
 
     Judging needs an engine of the same precision, which Genesis has once per process.
@@ -230,7 +230,8 @@ def _is_options_file(target: Any) -> bool:
     return isinstance(values, dict) and all(isinstance(values.get(part), dict) for part in ("sim", "rigid"))
 
 
-def _read_options(path: Path) -> TrainingConfiguration:
+def _read_options(target: Any) -> TrainingConfiguration:
+    path = Path(target)
     note = "options state no precision: judged in single precision, Genesis's default"
     values = file_value(path, json_document)
     return _configuration(values, name=path.name, source=f"options file {path}", precision=32, notes=(note,))
@@ -240,10 +241,5 @@ DIALECTS = (GENESIS,)
 
 READERS = (
     Reader("a gs.Scene", lambda target: is_of(target, "genesis", "Scene"), _read_scene, has_geoms=False),
-    Reader(
-        "saved options of a Genesis scene (options.json)",
-        _is_options_file,
-        lambda target, _: _read_options(Path(target)),
-        has_geoms=False,
-    ),
+    Reader("saved options of a Genesis scene (options.json)", _is_options_file, _read_options, has_geoms=False),
 )

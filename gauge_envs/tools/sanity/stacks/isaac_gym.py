@@ -205,9 +205,6 @@ DIALECTS = (ISAAC_GYM,)
 
 READERS = (
     Reader(
-        "a YAML file of legged_gym, HumanoidVerse or ProtoMotions with its sim.physx",
-        _matches,
-        lambda target, _: _read(target),
-        has_geoms=False,
+        "a YAML file of legged_gym, HumanoidVerse or ProtoMotions with its sim.physx", _matches, _read, has_geoms=False
     ),
 )

@@ -367,10 +367,5 @@ def _read(target: Any) -> TrainingConfiguration:
 
 READERS = (
     # It takes every YAML file that another reader does not take.
-    Reader(
-        "the params/env.yaml of a training run with Isaac Lab",
-        _matches,
-        lambda target, _: _read(target),
-        has_geoms=False,
-    ),
+    Reader("the params/env.yaml of a training run with Isaac Lab", _matches, _read, has_geoms=False),
 )

@@ -205,6 +205,4 @@ def _read(target: Any) -> TrainingConfiguration:
 
 DIALECTS = (MANISKILL,)
 
-READERS = (
-    Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, lambda target, _: _read(target), has_geoms=False),
-)
+READERS = (Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, _read, has_geoms=False),)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ast
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, is_dataclass, replace
 from importlib.util import find_spec
@@ -151,14 +151,7 @@ def _capacity(table: Table, built: _Built) -> ContactCapacity | None:
 
 @dataclass(frozen=True, kw_only=True)
 class _Built:
-    """A compiled scene.
-
-    Attributes:
-        model: The compiled model, with the options of the configuration.
-        notes: What is left out.
-        incomplete: Why its contacts cannot be counted; empty when they can.
-        spec: The scene before it was compiled.
-    """
+    """A compiled scene with the options of the configuration, what is left out, and why contacts cannot be counted."""
 
     model: mujoco.MjModel
     notes: tuple[str, ...]
@@ -312,33 +305,29 @@ def mjlab_tasks() -> tuple[str, ...]:
 # --- readers ---------------------------------------------------------------------------------------------------------
 
 
-def _of_name(target: Any) -> tuple[Mapping[str, Any], str]:
-    """Return the configuration of a task, and its origin."""
-    name, source = str(target), _source()
-    tasks = _registered(source)
+def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    name, code = str(target), _source()
+    tasks = _registered(code)
     task = name.removeprefix(PREFIX)
     if task not in tasks:
         raise TargetError(f"{name}: mjlab has no task {task!r}; it has {', '.join(sorted(tasks))}")
     module, expression = tasks[task]
-    cfg = source.evaluate(expression, module)
+    cfg = code.evaluate(expression, module)
     if not isinstance(cfg, Instance):
         raise TargetError(f"{name}: its configuration is not stated in a way that is read")
-    return plain(cfg), f"mjlab {package_version(PACKAGE)}, task configuration"
+    source = f"mjlab {package_version(PACKAGE)}, task configuration"
+    return mjlab_configuration(plain(cfg), name=name, source=source, pair=pair)
 
 
-def _reader(
-    accepts: str,
-    matches: Callable[[Any], bool],
-    cfg_of: Callable[[Any], tuple[Mapping[str, Any], str]],
-    label: Callable[[Any], str] = str,
-) -> Reader:
-    """Return the reader of one kind of target that holds a task configuration."""
+def _read_file(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    path = Path(target)
+    cfg = read_yaml(path, takes_objects=True)
+    return mjlab_configuration(cfg, name=path.name, source=f"training run {target}", pair=pair)
 
-    def read(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
-        cfg, source = cfg_of(target)
-        return mjlab_configuration(cfg, name=label(target), source=source, pair=pair)
 
-    return Reader(accepts, matches, read)
+def _read_cfg(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
+    name, source = type(target).__name__, "task configuration of mjlab"
+    return mjlab_configuration(plain(target), name=name, source=source, pair=pair)
 
 
 def _is_cfg(target: Any) -> bool:
@@ -349,17 +338,11 @@ def _is_cfg(target: Any) -> bool:
 DIALECTS = (MJLAB,)
 
 READERS = (
-    _reader(
-        "a task configuration of mjlab",
-        _is_cfg,
-        lambda target: (plain(target), "task configuration of mjlab"),
-        lambda target: type(target).__name__,
-    ),
-    _reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), _of_name),
-    _reader(
+    Reader("a task configuration of mjlab", _is_cfg, _read_cfg),
+    Reader("a task of mjlab (mjlab:Mjlab-Velocity-Flat-Unitree-Go1)", has_start(PREFIX), _read_name),
+    Reader(
         "params/env.yaml of a training run of mjlab",
         lambda target: MUJOCO_SECTION.search(named_content(target, (".yaml", ".yml"), MEGABYTE)) is not None,
-        lambda target: (read_yaml(Path(target), takes_objects=True), f"training run {target}"),
-        lambda target: Path(target).name,
+        _read_file,
     ),
 )

@@ -154,7 +154,12 @@ def _registered(source: Source, suite: str) -> Mapping[str, Any]:
 
 def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
     task = playground_task(str(target))
-    packaged = _packaged(task)
+    try:
+        packaged = packaged_model(task.model_file, task.folders)
+    except TargetError as error:
+        raise TargetError(f"{PREFIX}{task.name}: {error}") from None
+    for option, value in task.options.items():
+        setattr(packaged.model.opt, option, value)
     notes = _missing_notes(packaged)
     if task.edits:
         notes.append(f"Playground changes {task.model_file.name} before it compiles it; the file is read as it is")
@@ -169,17 +174,6 @@ def _read_name(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
         unknown=packaged.substituted_geoms,
     )
     return _trained(read, packaged, task.config, worlds=task.world_count, notes=notes)
-
-
-def _packaged(task: PlaygroundTask) -> PackagedModel:
-    """Return the compiled model of a task, with the options that its code sets."""
-    try:
-        packaged = packaged_model(task.model_file, task.folders)
-    except TargetError as error:
-        raise TargetError(f"{PREFIX}{task.name}: {error}") from None
-    for option, value in task.options.items():
-        setattr(packaged.model.opt, option, value)
-    return packaged
 
 
 def _trained(
@@ -249,16 +243,8 @@ def _read_env(target: Any, pair: GeomPair | None) -> TrainingConfiguration:
 DIALECTS = (PLAYGROUND,)
 
 READERS = (
-    Reader(
-        "a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)",
-        has_start(PREFIX),
-        _read_name,
-    ),
-    Reader(
-        "an env of MuJoCo Playground",
-        _is_env,
-        _read_env,
-    ),
+    Reader("a task of MuJoCo Playground (playground:Go1JoystickFlatTerrain)", has_start(PREFIX), _read_name),
+    Reader("an env of MuJoCo Playground", _is_env, _read_env),
 )
 
 

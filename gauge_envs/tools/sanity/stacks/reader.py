@@ -28,14 +28,14 @@ class Reader:
         accepts: What a user gives, with an example, for messages: `a model file (.xml, .mjcf, .urdf)`.
         matches: Function that returns whether a target is of this kind, without side effects. It may look into a file,
             and must not raise an error.
-        read: Function that returns the configuration of a target of this kind. It gets a pair of geoms, or None, when
-            `has_geoms`. It raises `TargetError` for what it cannot read.
+        read: Function that returns the configuration of a target of this kind. When `has_geoms`, it also gets a pair of
+            geoms, or None. It raises `TargetError` for what it cannot read.
         has_geoms: Whether a target of this kind may have geoms from which a user chooses a pair.
     """
 
     accepts: str
     matches: Callable[[Any], bool]
-    read: Callable[[Any, GeomPair | None], TrainingConfiguration]
+    read: Callable[..., TrainingConfiguration]
     has_geoms: bool = True
 
 

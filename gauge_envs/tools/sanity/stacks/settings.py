@@ -26,7 +26,8 @@ class _SettingsFile(BaseModel):
     settings: dict[str, Any] = Field(default_factory=dict)
 
 
-def _read_file(path: Path) -> TrainingConfiguration:
+def _read_file(target: Any) -> TrainingConfiguration:
+    path = Path(target)
     values = file_value(path, toml_document if path.suffix.lower() == ".toml" else json_document)
     try:
         file = _SettingsFile.model_validate(values)
@@ -48,13 +49,13 @@ def _read_file(path: Path) -> TrainingConfiguration:
     )
 
 
-def _read_backend(text: str) -> TrainingConfiguration:
+def _read_backend(target: Any) -> TrainingConfiguration:
     """Return the configuration of `backend` or `backend:preset`."""
-    name, _, preset = text.partition(":")
+    name, _, preset = str(target).partition(":")
     settings = {"preset": preset} if preset else {}
     check_settings(name, settings)
     return TrainingConfiguration(
-        name=text,
+        name=str(target),
         source=f"backend {name}, {f'preset {preset}' if preset else 'default settings'}",
         backend=name,
         settings=settings,
@@ -63,16 +64,11 @@ def _read_backend(text: str) -> TrainingConfiguration:
 
 
 READERS = (
-    Reader(
-        "a settings file (.toml, .json)",
-        has_suffix(".toml", ".json"),
-        lambda target, _: _read_file(Path(target)),
-        has_geoms=False,
-    ),
+    Reader("a settings file (.toml, .json)", has_suffix(".toml", ".json"), _read_file, has_geoms=False),
     Reader(
         "a backend with or without a preset (mujoco:out_of_box)",
         lambda target: isinstance(target, str | Path) and str(target).partition(":")[0] in backend_names(),
-        lambda target, _: _read_backend(str(target)),
+        _read_backend,
         has_geoms=False,
     ),
 )

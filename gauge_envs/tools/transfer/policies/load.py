@@ -119,10 +119,6 @@ def _onnx(file: Path, *, observation_size: int) -> Policy:
     """Return the policy of an ONNX file: one input of shape [1, n] or [n]; the first output is the action.
 
     The network runs in another process, which has limits of memory, and of time for each action.
-
-    Args:
-        file: The file.
-        observation_size: Size n of the task's observation.
     """
     if find_spec("onnxruntime") is None:
         raise MissingExtraError("an ONNX policy", "onnx", ModuleNotFoundError(name="onnxruntime"))
@@ -248,8 +244,8 @@ class _Type:
 class _Array:
     """Stand-in of `numpy.ndarray`, which reads its state when asked. Numpy's own takes any state, and may crash."""
 
-    def __init__(self) -> None:
-        self._state: Any = ()
+    def __init__(self, state: Any = ()) -> None:
+        self._state = state
 
     def __setstate__(self, state: Any) -> None:
         self._state = state
@@ -264,12 +260,6 @@ class _Array:
             raise ValueError(f"an array is damaged: {error}") from error
 
 
-def _from_buffer(data: Any, kind: Any, shape: Any, order: Any) -> _Array:
-    array = _Array()
-    array.__setstate__((1, shape, kind, order == "F", data))
-    return array
-
-
 CLASSES: dict[tuple[str, str], Any] = {
     ("numpy", "dtype"): _Type,
     **{
@@ -278,7 +268,7 @@ CLASSES: dict[tuple[str, str], Any] = {
         for module, name, made in (
             ("multiarray", "_reconstruct", lambda *_: _Array()),
             ("multiarray", "scalar", lambda kind, data: kind.array(data).item()),
-            ("numeric", "_frombuffer", _from_buffer),
+            ("numeric", "_frombuffer", lambda data, kind, shape, order: _Array((1, shape, kind, order == "F", data))),
         )
     },
 }

@@ -204,16 +204,14 @@ def _with_sb3(file: Path, stated: Mapping[str, Any], observation_size: int) -> P
         import stable_baselines3
     except ImportError as error:
         raise MissingExtraError("a policy of Stable-Baselines3", "rl", error) from error
-    found = []
     for name in ("PPO", "A2C", "SAC", "TD3", "DDPG"):
         try:
-            found.append(getattr(stable_baselines3, name).load(file, device="cpu"))
+            model = getattr(stable_baselines3, name).load(file, device="cpu")
             break
         except Exception as error:  # The class of the algorithm is not in the file; the wrong one raises anything.
             reason = f"{type(error).__name__}: {str(error)[:120]}"
-    if not found:
+    else:
         raise PolicyError(f"{file}: Stable-Baselines3 cannot load it as PPO, A2C, SAC, TD3 or DDPG: {reason}")
-    model = found[0]
     if model.observation_space.shape != (observation_size,):
         raise PolicyError(
             f"{file}: the policy has observations of shape {model.observation_space.shape}, "
