@@ -13,8 +13,6 @@ experiments of other sources, which are registered too.
 The registration needs only names. Engines, SciPy and pydantic are imported at first use.
 """
 
-from __future__ import annotations
-
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 

@@ -1,7 +1,5 @@
 """Find data folders, read files of strangers within limits, write files whole, and prepare values for JSON."""
 
-from __future__ import annotations
-
 import errno
 import io
 import json

@@ -14,8 +14,6 @@ Then, every 1/180 s, the environment drives each kinematic body and advances the
 `gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace

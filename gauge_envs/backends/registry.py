@@ -1,7 +1,5 @@
 """Registry of backends, which installed packages provide through the entry-point group `gauge_envs.backends`."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Numerical settings of a backend: named presets and validated changes to them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass

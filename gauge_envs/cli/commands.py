@@ -3,8 +3,6 @@
 A new instrument is a folder in `gauge_envs.tools` and a line here. No tool is imported for the help of the command.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable
 from importlib import import_module

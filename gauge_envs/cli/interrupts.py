@@ -3,8 +3,6 @@
 Libraries may turn the exception into another one, or drop it in a callback. So the signal is also remembered.
 """
 
-from __future__ import annotations
-
 import _thread
 import os
 import signal

@@ -1,7 +1,5 @@
 """Streams of a command: stdout holds its results only."""
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Arguments of environments: their declaration, checks, plain form for a spec, and the starts of episodes."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace

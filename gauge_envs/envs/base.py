@@ -1,7 +1,5 @@
 """Bases of the environments: engine, spec, renderer, copies that continue bit for bit, and worlds in lockstep."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 

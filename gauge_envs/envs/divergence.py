@@ -1,7 +1,5 @@
 """Physical bounds of a scene; a simulation that leaves them has diverged, even where its numbers are finite."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

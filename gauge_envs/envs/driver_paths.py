@@ -1,7 +1,5 @@
 """Drive the kinematic bodies of a scene interval by interval."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

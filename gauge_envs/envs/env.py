@@ -1,7 +1,5 @@
 """The Gymnasium environment: one experiment, stepped at the frame rate of its real trials."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, ClassVar, Unpack
 

@@ -4,8 +4,6 @@ A world that is a simulation of its own advances by `Episode.advance`. Worlds th
 `Episode.simulated` yields where they must, six times a frame. `envs.lockstep` does both for many worlds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, cast

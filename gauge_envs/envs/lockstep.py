@@ -5,8 +5,6 @@ engine and experiment. `EpisodesAtOnce` of `envs.at_once` takes all worlds in ar
 one call and the experiment allows it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass

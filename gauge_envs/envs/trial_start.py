@@ -1,7 +1,5 @@
 """Start an episode as an imported trial starts: option `trial` of a reset."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

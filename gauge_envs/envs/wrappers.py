@@ -1,7 +1,5 @@
 """The wrapper that scores episodes. `gymnasium.make` applies it to every id of this suite, innermost."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """Deviation of a simulation, and of each real trial, from the mean of a band, as it is and after release alignment."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache

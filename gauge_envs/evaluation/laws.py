@@ -1,7 +1,5 @@
 """Closed forms: rigid motions until an event (a flight to a contact, a slide, a ride on a cloth), and a bar of foam."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Choose the band that an experiment is scored against."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

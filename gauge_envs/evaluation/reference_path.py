@@ -1,7 +1,5 @@
 """The reference as pictures and pages draw it: places in space, the same beside a simulation, and words for it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

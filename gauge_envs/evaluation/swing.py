@@ -1,7 +1,5 @@
 """Scores of a swing: the event metrics, their alternative estimators, and event times beside those of a recording."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -14,8 +14,6 @@ Samples of up to 10 frames after the last published one serve the release alignm
 frame is not shifted to earlier times. Later ones are not used.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """One experiment: its scene, and how it is observed and scored."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

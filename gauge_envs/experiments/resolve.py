@@ -1,7 +1,5 @@
 """Load an experiment: a variant of the package, a variant with the scene of a file, or an experiment file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path

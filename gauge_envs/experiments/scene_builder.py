@@ -1,7 +1,5 @@
 """Build the scene of one variant from its task file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import fields
 from fnmatch import fnmatchcase

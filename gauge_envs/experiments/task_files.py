@@ -3,8 +3,6 @@
 Everything that differs between variants is data in `tasks/*.toml`. No Python file holds a number of an experiment.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase

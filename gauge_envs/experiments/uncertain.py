@@ -1,7 +1,5 @@
 """Uncertain inputs of an experiment as parameters: friction, restitution, mass and start, each with its source."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

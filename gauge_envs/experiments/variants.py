@@ -3,8 +3,6 @@
 This module reads names alone and imports no pydantic model, so that importing the package is quick.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass

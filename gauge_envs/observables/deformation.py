@@ -7,8 +7,6 @@ elongation per length in each direction. What the map leaves is the non-affine r
 Placement errors of markers hardly enter: strain is relative to the markers' own places at rest.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

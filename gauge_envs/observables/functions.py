@@ -4,8 +4,6 @@ All functions are pure and vectorized over frames. Input is in metres, with NaN 
 units of the published scores: mm, rad and mm^2.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The kinds of generalized trajectory, their units, and the names of their coordinates."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from enum import StrEnum
 

@@ -5,8 +5,6 @@ marker, interpolated between nodes. The paper uses the nearest node, which moves
 default mesh; its scores then measure the mesh.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
 from functools import lru_cache, partial

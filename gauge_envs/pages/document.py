@@ -14,8 +14,6 @@ Example:
     [{'id': 'slide'}]
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum

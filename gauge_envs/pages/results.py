@@ -1,7 +1,5 @@
 """Results in words: labels of configurations, the metrics of their scores, and convergence."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

@@ -4,8 +4,6 @@ Their colours are those of the page, also in dark mode. A figure is 360 units wi
 page's on a phone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field

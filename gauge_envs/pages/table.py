@@ -5,8 +5,6 @@ and how to write it. In a terminal no cell is cut or wrapped. What does not fit 
 row.
 """
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass

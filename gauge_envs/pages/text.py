@@ -1,7 +1,5 @@
 """Texts of names, numbers and lists that all documents share."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

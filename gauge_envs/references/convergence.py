@@ -4,8 +4,6 @@
 measured.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from typing import Literal, get_args

@@ -1,7 +1,5 @@
 """The grade of a reference, in a module that imports nothing heavy."""
 
-from __future__ import annotations
-
 from enum import StrEnum
 
 

@@ -1,7 +1,5 @@
 """The metrics of the benchmark (paper, Table 5): names, titles, units and ideal values, each stated here alone."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated

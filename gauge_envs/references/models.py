@@ -5,8 +5,6 @@ A variant without a real reference may have `scoring/models/<variant>.npz` and a
 an engine: verification (ASME V&V 20), and not validation. It says nothing of reality.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache

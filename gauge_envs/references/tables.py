@@ -1,7 +1,5 @@
 """Read the CSV, TOML and JSON files of reference data, each row and table checked by a pydantic model."""
 
-from __future__ import annotations
-
 import csv
 import io
 from collections.abc import Iterator, Sequence

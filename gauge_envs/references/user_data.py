@@ -1,7 +1,5 @@
 """The folder of imported data, in a module that imports nothing heavy."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Runs of single episodes and of repeats, and their results."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

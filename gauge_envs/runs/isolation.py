@@ -7,8 +7,6 @@ stderr.
 A limit of memory is watched from outside, because engines that use a GPU reserve far more addresses than memory.
 """
 
-from __future__ import annotations
-
 import faulthandler
 import os
 import pickle

@@ -6,8 +6,6 @@ only if its g(t) is that of the file, bit for bit; the same versions of the pack
 that.
 """
 
-from __future__ import annotations
-
 import hashlib
 import io
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The request of a run: one experiment on one engine, once or with repeats."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scores of trajectory files of users."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from gauge_envs.errors import TrajectoryFileError

@@ -1,7 +1,5 @@
 """Measure how a simulated trajectory changes with each uncertain input: constants, start, tilt and time step."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace

@@ -16,8 +16,6 @@ flat plate with the lift slope C_l. No part does positive work on the motion rel
 The air is not moved by the cloth: there is no added mass, no wake, and no triangle shields another one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import asdict, dataclass
 

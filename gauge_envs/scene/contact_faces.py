@@ -1,7 +1,5 @@
 """Faces at which bodies touch at the start: along them, and not across, a body can start elsewhere."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from itertools import combinations

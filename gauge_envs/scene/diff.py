@@ -1,7 +1,5 @@
 """Differences between two scenes, field by field."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import fields, is_dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Prescribed motion of a driven body in intervals of uniform acceleration."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import lru_cache
 

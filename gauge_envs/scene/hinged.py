@@ -1,7 +1,5 @@
 """Rigid bodies that hinges join to trees: their order, their frames, and what contradicts a hinge."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Random start poses and velocities of a scene, like the scatter of manual set-ups of real trials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, replace

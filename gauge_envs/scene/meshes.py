@@ -1,7 +1,5 @@
 """Meshes of solids and cloth (polyhedra, prisms, regular grids, tetrahedra), and mass properties of solids."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull

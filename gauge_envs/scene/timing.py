@@ -1,7 +1,5 @@
 """Rates at which trajectories are recorded, scored and driven."""
 
-from __future__ import annotations
-
 FRAME_RATE_HZ = 30.0
 """Rate at which trajectories are recorded and scored [Hz] (paper, data acquisition)."""
 

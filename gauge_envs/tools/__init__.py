@@ -1,7 +1,5 @@
 """Instruments: one folder each. Each package lists the names that others may use."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any

@@ -1,7 +1,5 @@
 """Drake: rigid bodies with point and hydroelastic contact. The first build imports the engine, which takes a second."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Iterator, Mapping
 from functools import cache

@@ -7,8 +7,6 @@ Times are in steps and speeds in incoming speeds. The spring then has one consta
 the mass on the spring times the step.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal

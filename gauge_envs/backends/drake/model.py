@@ -1,7 +1,5 @@
 """Conversion of a scene to a Drake diagram: a multibody plant, its scene graph, and the collision geometry."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A scene in Drake, advanced step by step."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 The first build imports the engine and compiles its kernels, which takes up to two minutes.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any

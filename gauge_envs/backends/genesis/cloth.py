@@ -8,8 +8,6 @@ vibration w decays at the rate w^2 h / 2, as with a viscosity of the relaxation 
 exceeds 4 / 3.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Sequence
 from pathlib import Path

@@ -6,8 +6,6 @@ constants in its contacts. Both geoms of a pair have the same constants, so both
 bits let each pair collide with its own.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache

@@ -1,7 +1,5 @@
 """Genesis's import and start: quiet, on the CPU, once per process and precision."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import logging

@@ -6,8 +6,6 @@ so that a grid plane lies at each face of a grip. The points begin half a voxel 
 last one that they move.
 """
 
-from __future__ import annotations
-
 import tempfile
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

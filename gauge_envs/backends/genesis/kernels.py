@@ -3,8 +3,6 @@
 Each class reads and writes the arrays of a state, whose shapes are `shapes`, and holds nodes.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import genesis as gs

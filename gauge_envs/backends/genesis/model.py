@@ -1,7 +1,5 @@
 """A scene in Genesis: its rigid bodies as one entity, and the parts of its deformable bodies."""
 
-from __future__ import annotations
-
 import gc
 from dataclasses import dataclass
 from math import comb

@@ -1,7 +1,5 @@
 """What the deformable solvers of Genesis share: nodes, held nodes, states, and the rigid bodies that touch them."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any

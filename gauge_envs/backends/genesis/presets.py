@@ -3,8 +3,6 @@
 The content of a scene determines its preset; scores have no influence.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from typing import Any

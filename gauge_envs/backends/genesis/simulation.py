@@ -1,7 +1,5 @@
 """Genesis simulations and batched worlds: driving, forces, stepping and reading."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Sequence
 from importlib.metadata import version

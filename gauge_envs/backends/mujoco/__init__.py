@@ -1,7 +1,5 @@
 """MuJoCo backend, the default engine."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import MappingProxyType

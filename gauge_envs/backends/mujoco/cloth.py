@@ -10,8 +10,6 @@ By itself, MuJoCo's surface flex is an isotropic plate. Two of its compiled tabl
   along grid lines; other folds depend on the layout and weight of the diagonals, see `_diagonal_weight`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from math import sqrt
 

@@ -1,7 +1,5 @@
 """Constants of contacts: a recipe for each contact mode, and the user's settings that override it."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Parts of a MuJoCo model for the deformable bodies of a scene, with their attachments and contacts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 

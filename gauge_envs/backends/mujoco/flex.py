@@ -1,7 +1,5 @@
 """Common parts of all deformable bodies in MuJoCo, added before the model compiles and completed afterwards."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 

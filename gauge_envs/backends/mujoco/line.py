@@ -4,8 +4,6 @@ Both are one-dimensional flexes, inextensible and without twist. If a flex has a
 bending stiffness E I of a circular section. A rod has the Young's modulus of the scene; a rope has none.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 
 import mujoco

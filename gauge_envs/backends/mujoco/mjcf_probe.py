@@ -3,8 +3,6 @@
 The script imports nothing of this package. Argument: the file; without one, the model comes from standard input.
 """
 
-from __future__ import annotations
-
 import sys
 
 import mujoco

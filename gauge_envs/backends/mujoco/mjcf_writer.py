@@ -4,8 +4,6 @@ MuJoCo's public XML writer prints six significant digits and omits the compiled 
 module restores the digits from the editable model and adds the tables as custom numbers.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Conversion of a scene to a MuJoCo model."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from itertools import product
 

@@ -1,7 +1,5 @@
 """Differences between two compiled MuJoCo models that affect the physics."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -4,8 +4,6 @@ The rules for pairs of geoms that can collide, and for their constants, are thos
 detection" and "Contact parameters"), for all pairs at once.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum

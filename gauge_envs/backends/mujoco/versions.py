@@ -3,8 +3,6 @@
 Every setting and every kind of body that an older version lacks is declared here, and nowhere else.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -5,8 +5,6 @@ each pair; where neither has, both get a copy of their shapes for the constants 
 consist of particles, which share one friction.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Conversion of scenes to one Newton model and its stepper, for each of Newton's solvers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 

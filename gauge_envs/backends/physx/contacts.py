@@ -5,8 +5,6 @@ for each pair of constants in its contacts, with these constants as its material
 Collision groups let a copy touch only copies with the same constants, of bodies that have a contact.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """A PhysX simulation: driving, stepping and reading of its state."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 The first build imports the engine.
 """
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator, Mapping
 from types import MappingProxyType

@@ -1,7 +1,5 @@
 """Contact constants of bodies from those of pairs. Bullet multiplies the values of the two bodies."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ rope cannot stretch. A dynamic body to which an end is attached is part of the c
 coordinates. A soft body consists of linear tetrahedra with Bullet's Neo-Hookean energy, in its deformable world.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path

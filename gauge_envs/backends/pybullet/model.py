@@ -1,7 +1,5 @@
 """A scene as bodies, joints and collision filters of one PyBullet world."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A PyBullet simulation: driving, stepping and reading of its state."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -3,8 +3,6 @@
 The import of PyBullet discards its messages, which would mix with the output of a command.
 """
 
-from __future__ import annotations
-
 import ctypes
 import os
 import sys

@@ -1,7 +1,5 @@
 """Rapier: rigid bodies in single precision, with a native restitution and snapshots. The first build imports it."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType

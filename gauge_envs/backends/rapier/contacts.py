@@ -5,8 +5,6 @@ contact that lists it. Both colliders of a pair then have the constants of the p
 groups belong to each contact, one for either side. A collider only meets the other side of its own contact.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

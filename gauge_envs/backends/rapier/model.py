@@ -1,7 +1,5 @@
 """A Rapier world of a scene: bodies, colliders and joints."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from typing import Any
 

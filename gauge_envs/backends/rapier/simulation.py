@@ -1,7 +1,5 @@
 """Simulations and batched worlds on top of Rapier worlds: driving, stepping and reading of states."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from importlib.metadata import version
 

@@ -1,7 +1,5 @@
 """Attachments of deformable bodies to rigid bodies and to each other, and the ends of ropes and rods."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from types import UnionType

@@ -1,7 +1,5 @@
 """What the backends of this package share: extras, versions and settings, and sentences for declined scenes."""
 
-from __future__ import annotations
-
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

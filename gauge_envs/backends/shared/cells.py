@@ -1,7 +1,5 @@
 """Cell size of deformable bodies, for every engine: its meaning, its bounds, and a check for a scene."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from math import prod
 from typing import Annotated

@@ -1,7 +1,5 @@
 """Regular triangle mesh of a cloth, for every engine."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

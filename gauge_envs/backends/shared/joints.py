@@ -1,7 +1,5 @@
 """Joints of a scene, for every engine: start rates, motors, and which terms one drive of an engine can be."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Impacts for engines without a restitution: that of a spring and a damper, and the speed at which a scene has it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

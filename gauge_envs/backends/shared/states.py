@@ -3,8 +3,6 @@
 An engine that cannot restore a state bit for bit replays all calls since the reset.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials."""
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping
 from dataclasses import replace

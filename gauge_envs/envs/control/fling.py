@@ -1,7 +1,5 @@
 """Swing a hanging cloth as high as a budget of the rod's speed allows."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """Base of the turntable and the slope task: a cube that only friction holds on a body that turns."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any, ClassVar

@@ -1,7 +1,5 @@
 """The tasks that bring a cube to a goal in the least time that its friction allows: carry and push."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections.abc import Sequence

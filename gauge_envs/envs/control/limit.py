@@ -1,7 +1,5 @@
 """Limit of a law in a control task, its uncertainty, and what a policy reached relative to it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from enum import StrEnum
 

@@ -1,7 +1,5 @@
 """Swing the pendulum to a height with the least work."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace

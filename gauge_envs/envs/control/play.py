@@ -1,7 +1,5 @@
 """Episodes of policies in control tasks, and how closely an engine follows the law."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

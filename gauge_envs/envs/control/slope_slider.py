@@ -1,7 +1,5 @@
 """Tilt the board as far as the cube holds."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar

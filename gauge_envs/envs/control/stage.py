@@ -1,7 +1,5 @@
 """A driven body that actions accelerate along fixed axes, and the shortest way to bring it to rest at a place."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

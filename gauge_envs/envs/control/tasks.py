@@ -1,7 +1,5 @@
 """List of the control tasks: their ids and entry points."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from gymnasium.envs.registration import register, registry

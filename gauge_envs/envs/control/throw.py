@@ -1,7 +1,5 @@
 """Bounce a ball on a plate as high as its restitution allows."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from typing import Any, ClassVar

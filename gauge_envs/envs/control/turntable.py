@@ -1,7 +1,5 @@
 """Turn the turntable as fast as the cube holds."""
 
-from __future__ import annotations
-
 import math
 
 from gauge_envs.envs.control.friction import FrictionLimit

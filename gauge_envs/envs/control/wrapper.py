@@ -1,7 +1,5 @@
 """The wrapper that reports control tasks, and the entry point of their ids, which applies it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -4,8 +4,6 @@ The expectation comes before the run: from the start, the drivers, strings and h
 where it is of positions. It decides the picture alone, so that a coarse guess is enough.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import mujoco

@@ -4,8 +4,6 @@ The estimates are coarse: a driven body follows its driver, a swing is as high o
 until the floor, a loose cloth falls by half its size. No engine runs for them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

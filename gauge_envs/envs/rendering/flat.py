@@ -1,7 +1,5 @@
 """The parallel projection of scenes for films that are measured: even light, a still backdrop, plain colours."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 

@@ -5,8 +5,6 @@ printed plastic, polished metal, black rubber and cream foam. The recordings sho
 do not say which they are; the colours of the six fabrics only tell them apart. No colour is a measurement.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The renderer of a scene: one for all engines, from poses and nodes, without a display."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from contextlib import suppress

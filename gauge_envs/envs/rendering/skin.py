@@ -3,8 +3,6 @@
 The order of the nodes differs between engines, so the mesh follows from their rest positions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import mujoco

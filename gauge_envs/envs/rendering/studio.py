@@ -1,7 +1,5 @@
 """The look of pictures: light ground with a fine grid, soft light, and the colours of the materials."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 

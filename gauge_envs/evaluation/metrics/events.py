@@ -5,8 +5,6 @@ raises ShapeError for wrong input. The paper leaves two estimators open. `longes
 `spectral_peak_period` also compute the alternatives, so that a report can state what the choice does.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ A trajectory is a float array of shape [frame_count, coordinate_count] in its ob
 NaN is a value that was not measured. Only the real mean may hold it; elsewhere all values must be finite.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reader of deformable bodies, attachments, markers and air of USD layers that this package wrote."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import fields
 from typing import Any

@@ -1,7 +1,5 @@
 """Common parts of the writer and the reader of USD layers: names, records of written values, driver motions as JSON."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

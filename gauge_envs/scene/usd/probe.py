@@ -4,8 +4,6 @@ The script is started by `source.Source` and imports nothing of this package. Ar
 prims, and the folders in which all files that it refers to must be; without folders, they may be anywhere.
 """
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

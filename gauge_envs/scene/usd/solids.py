@@ -1,7 +1,5 @@
 """Reader of the shape and the mass of a USD body from its colliders."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import combinations

@@ -6,8 +6,6 @@ the body. Newton's importer takes the axes of the body's own frame and the veloc
 this package. The `gauge:` doubles beside them are those of the scene: of the body origin, in the world frame.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from pxr import Gf, Sdf, Usd, UsdPhysics
 

@@ -10,8 +10,6 @@ the standard attribute, from which the reader detects the edited one. A derived 
 as the mesh of a cloth, contains its written value and the names of the attributes to edit instead.
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Iterable, Sequence

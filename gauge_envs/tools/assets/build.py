@@ -4,8 +4,6 @@ The files in `assets/` are built from the task files and checked in. Other tools
 copy of a USD layer or of an MJCF file can be the scene of an experiment (`experiments.scene_source`).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Write variants as USD layers and MJCF files, with parameters and sources in the header."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

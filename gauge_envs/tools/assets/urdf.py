@@ -4,8 +4,6 @@ URDF has no free bodies beside each other, no planes, no friction and no restitu
 plane is a large box below it, and contact constants are in the manifest beside the files.
 """
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

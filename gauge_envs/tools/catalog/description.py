@@ -3,8 +3,6 @@
 The terminal page of `gauge show` and the page of a family in the documentation are both made from it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 import math

@@ -1,7 +1,5 @@
 """Which engines can run which experiments."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 

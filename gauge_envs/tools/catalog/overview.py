@@ -3,8 +3,6 @@
 To compute the rows takes seconds: each scene is built, and each engine is asked for what it lacks.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence

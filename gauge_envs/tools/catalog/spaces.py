@@ -1,7 +1,5 @@
 """Action and observation spaces of an experiment as rows of tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 

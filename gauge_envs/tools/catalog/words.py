@@ -1,7 +1,5 @@
 """Experiments and control tasks in words: the list, and each in full."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Results of any configurations side by side: their scores, costs and distances, and what the data say of them."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Distance between the trajectories of two configurations."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product

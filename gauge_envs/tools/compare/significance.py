@@ -1,7 +1,5 @@
 """Two-sided p-values of differences from paired draws, for one pair, one pair over experiments, and many pairs."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """Engines side by side: scores, ranks and pairs within each grade, cost, distances and a summary."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial

@@ -11,8 +11,6 @@ and k = rho C / (2 mass per area):
   tan a = tan a0 exp(-k |u| t).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

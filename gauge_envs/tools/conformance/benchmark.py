@@ -1,7 +1,5 @@
 """Going back to a state in scenes of the benchmark. These checks are the last, since they take the longest."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 

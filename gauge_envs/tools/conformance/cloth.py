@@ -10,8 +10,6 @@ cell. In tension the fit ignores nodes within one width of the clamp, which hind
 K_s / K_sh is 2.7 in all scenes (`lab.STRETCH_OVER_SHEAR`), so that every engine can represent the fabric.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Contacts: friction, rebound, and energy that must not grow."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

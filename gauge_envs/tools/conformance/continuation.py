@@ -1,7 +1,5 @@
 """Going back to a state: in flight, at rest, in stacks, on edges, under a wrench, and in copies."""
 
-from __future__ import annotations
-
 import pickle
 from collections.abc import Callable
 from contextlib import closing

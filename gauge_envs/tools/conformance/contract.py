@@ -1,7 +1,5 @@
 """Conventions of the contract: finite states, units, frames, order, time, reset and repeatability."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Driven bodies: they follow their drivers, carry what rests on them, and push balls that collide."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Applied wrenches, absolute inertia, and the centre and inertia of a solid of several pieces."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace

@@ -7,8 +7,6 @@ A bar of mass m hangs on a horizontal hinge at the distance c from its centre, w
 A bar at rest stays at rest while the other torques together are at most the dry friction.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Closed forms, reference integrations and fits to which the checks compare an engine, and shared measurements."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """One canonical check per phenomenon on many engines, each with its solvers and presets: a matrix."""
 
-from __future__ import annotations
-
 import json
 import math
 import shlex

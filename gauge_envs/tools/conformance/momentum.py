@@ -12,8 +12,6 @@ angle is f, the distance of each centre from the axis is d, the mass is m, and t
 own centre is I. Then each body has the kinetic energy (I + m d^2 cos^2 f) f'^2 / 2, which is constant.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Single rigid bodies: free fall, pendulum, string; and which pairs of bodies collide."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Run checks on a backend."""
 
-from __future__ import annotations
-
 import math
 import pickle
 import time

@@ -1,7 +1,5 @@
 """Shapes in contact: heights at rest of every shape on every other one; rolling and sliding on a leaning plane."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

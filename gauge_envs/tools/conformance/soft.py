@@ -4,8 +4,6 @@ The method is that of `cloth`: the body's own weight is the load, the centre of 
 strains are small. The fit ignores nodes within one width of the clamp, which hinders contraction.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Torque-free spin: the reported velocities."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import wraps

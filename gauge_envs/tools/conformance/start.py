@@ -1,7 +1,5 @@
 """Start velocities of bodies without gravity and contact: straight flight and free rotation."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Results of conformance checks in words: tables of engines and checks, diagnoses, and matrices of configurations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import datetime

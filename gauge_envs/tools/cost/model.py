@@ -21,8 +21,6 @@ step and the iterations. All distances are those of `ErrorMeasure`, in the unit 
 Cost is the least CPU time over repeats per simulated second; it is wall time if a result states no CPU time.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Download the GAUGE dataset; only this module needs a network and the extra `data`."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is wrong with a file or folder of a dataset."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from gauge_envs.files import printable

@@ -11,8 +11,6 @@ The rate is that of the file, or of its time column. Unit and rate are never inf
 has none, the caller states them (`Stated`). Columns of other names are not read.
 """
 
-from __future__ import annotations
-
 import csv
 import re
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Import a dataset folder, one variant after another, with one trial in memory at a time."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable, Iterator
 from contextlib import closing

@@ -17,8 +17,6 @@ real ones; a user who knows better gives it as the dataset's folder. A trial tha
 in the published form if that is there.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -6,8 +6,6 @@ an object with `x`, `y`, `z` per marker id. Each list has one sample per frame; 
 captured.
 """
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Tables of imports and of the state of the dataset."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 

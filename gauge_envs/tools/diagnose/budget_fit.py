@@ -1,7 +1,5 @@
 """Nested least-squares fits that split an error into release time, offset and rate."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass

@@ -16,8 +16,6 @@ depends on the order, because one change can replace another. Each part therefor
 paper.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Error budget of one episode: the parts of its stages, the rest, and published scores beside it."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum

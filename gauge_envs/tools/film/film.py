@@ -1,7 +1,5 @@
 """Films and strips of result files: the episodes are run again and drawn side by side."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack

@@ -1,7 +1,5 @@
 """Panels of a film: episodes of engines with references, tracked points and their paths so far, and real recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path

@@ -3,8 +3,6 @@
 The result file has g(t) alone, so the episode is run again (`runs.replay`), which fails if g(t) differs from the file.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Write films frame by frame, whole or not at all."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -7,8 +7,6 @@ The residuals are not white: what a model leaves out lasts. So the covariance is
 M summed over blocks of the logs (Liang and Zeger, Biometrika 73, 1986), and its quantile is Student's.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial

@@ -1,7 +1,5 @@
 """Scenes of logged joints: one joint with its load, or the chain of an experiment, at the angles of a log."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Identified settings of joints as tables, and in the language of each engine."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 

@@ -1,7 +1,5 @@
 """Check submissions: their files, what they state, their trajectories, their scores, and a sample run again."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase

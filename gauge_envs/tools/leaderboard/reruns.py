@@ -1,7 +1,5 @@
 """Run a sample of a submission's episodes again, and compare their trajectories."""
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

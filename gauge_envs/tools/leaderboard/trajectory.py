@@ -4,8 +4,6 @@ A simulation has the grid, the start and the speeds of the scene, and is no copy
 beside those that the file states.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import replace

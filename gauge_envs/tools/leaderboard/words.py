@@ -1,7 +1,5 @@
 """The check of a leaderboard, and its table: scores with intervals, and means within each grade alone."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from typing import Any
 

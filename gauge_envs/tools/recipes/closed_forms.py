@@ -1,7 +1,5 @@
 """MuJoCo's contact constraint in closed form."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """What contact settings of an engine mean: the behaviour that they give, by simulation and in closed form."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from contextlib import suppress

@@ -1,7 +1,5 @@
 """Recipes of fabrics: an engine's constants for a measured fabric, and the stiffness that a simulated strip has."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping

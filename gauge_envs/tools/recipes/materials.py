@@ -3,8 +3,6 @@
 All numbers are those of the task files; none stands here.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Measure contact settings on an engine: friction, restitution, depth at rest and creep."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from gauge_envs.runs.rollout import DivergedError

@@ -4,8 +4,6 @@ A plate of 120 mm rests, creeps and slides, and balls of 30 mm radius drop, all 
 without turning, others may tip, hop and spin. The scenes go through the contract of backends alone.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing

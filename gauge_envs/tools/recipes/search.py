@@ -1,7 +1,5 @@
 """Find contact settings that give a behaviour, by simulation."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Recipes, what contact settings mean, and measured materials and fabrics, as tables."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial

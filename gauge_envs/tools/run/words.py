@@ -1,7 +1,5 @@
 """Results of episodes beside the published scores: what the numbers mean, and what was not run and why."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import Any

@@ -7,8 +7,6 @@ Example:
     ['step', 'gravity']
 """
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Sanity checks for continuous integration: JUnit, SARIF, and workflow commands of GitHub."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

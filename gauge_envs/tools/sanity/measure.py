@@ -3,8 +3,6 @@
 A backend runs in this process; one of another package runs in another process, which may crash, exit or hang.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import time

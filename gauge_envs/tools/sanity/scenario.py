@@ -1,7 +1,5 @@
 """Run scenes of the suite with a configuration's settings, at the configuration's own step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass, field, replace

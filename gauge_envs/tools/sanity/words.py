@@ -3,8 +3,6 @@
 The page is one HTML file: no script, no other file, no network.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 from dataclasses import replace

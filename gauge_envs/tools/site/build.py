@@ -4,8 +4,6 @@ A replay is data of a page: shapes, quantized poses and nodes, and the real traj
 numbers of 16 bits between the ends of their range, orientations the components of the quaternion times 32767.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 from base64 import b64encode

@@ -1,7 +1,5 @@
 """The page of one experiment: curves over reality, scores, pairs, replay, error budgets, convergence, origin."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np

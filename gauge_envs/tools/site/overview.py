@@ -1,7 +1,5 @@
 """The first page: which engine is how far from reality, in what, and with what certainty."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial

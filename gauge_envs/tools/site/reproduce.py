@@ -1,7 +1,5 @@
 """How to reproduce a number: the command that makes its result, with engine, settings, start, seed and versions."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -4,8 +4,6 @@ What runs in a lane is the same function everywhere, so results have the same bi
 machines.
 """
 
-from __future__ import annotations
-
 import os
 import sys
 from collections.abc import Sequence

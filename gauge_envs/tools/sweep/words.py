@@ -1,7 +1,5 @@
 """Tables of sweeps: the plan and the outcomes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Run an experiment or a control task at many points of its measured uncertainty, and sum up what it does."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence

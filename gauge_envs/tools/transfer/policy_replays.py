@@ -1,7 +1,5 @@
 """Replay policies of a control task where they were trained, and in other engines, settings and constants."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing

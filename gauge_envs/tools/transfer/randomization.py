@@ -3,8 +3,6 @@
 The code is in `templates`: parts of a file below a line with their name, with `$name` for what a task fills in.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

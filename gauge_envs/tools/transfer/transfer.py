@@ -1,7 +1,5 @@
 """Reward that policies were promised in training, against the reward that they keep in other worlds."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence

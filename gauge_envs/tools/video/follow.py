@@ -4,8 +4,6 @@ Each follower returns where the object is in each frame, how sure that is, and w
 model, so a text prompt is not needed: the first frame of each task is known.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field

@@ -4,8 +4,6 @@ A source is read more than once, so frames are decoded again instead of being ke
 would take gigabytes.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass

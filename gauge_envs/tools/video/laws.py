@@ -12,8 +12,6 @@ Example:
     2.58
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

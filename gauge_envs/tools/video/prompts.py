@@ -4,8 +4,6 @@ They are files of the benchmark and no part of this package. `scoring/published/
 each one is, its size and its hash.
 """
 
-from __future__ import annotations
-
 import hashlib
 from collections.abc import Callable
 from functools import cache, partial

@@ -5,8 +5,6 @@ the first frame, the known outline of the object decides: at the right registrat
 With the first frame, its points are found again.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

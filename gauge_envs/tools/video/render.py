@@ -4,8 +4,6 @@ The view is a parallel projection with the scale, the place and the direction of
 with the exact track of the object, which the tracker has to find.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace

@@ -4,8 +4,6 @@ Every video model gets the same first frame. Numbers in pixels were read from th
 pixels with the origin in the top left corner. `tasks.toml` holds the numbers.
 """
 
-from __future__ import annotations
-
 import csv
 import math
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Hold the track of an object in a video, and read one that another tracker has made."""
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -1,7 +1,5 @@
 """Track the object of a task through a video, and name what makes the track doubtful: its camera and scene too."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

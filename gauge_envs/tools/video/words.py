@@ -1,7 +1,5 @@
 """The world-model track in words, on a page and drawn into its videos: tasks, and scores with their intervals."""
 
-from __future__ import annotations
-
 from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Contact settings of each engine in its own terms."""
 
-from __future__ import annotations
-
 from importlib import import_module
 
 from gauge_envs.errors import UnknownNameError

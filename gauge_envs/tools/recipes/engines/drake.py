@@ -1,7 +1,5 @@
 """Drake's point contact: stiffness and dissipation of geometries."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self

@@ -1,7 +1,5 @@
 """Genesis's contact settings: the friction of materials, and the constants of the constraint solver."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self

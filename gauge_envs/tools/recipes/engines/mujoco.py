@@ -1,7 +1,5 @@
 """MuJoCo's contact settings, and those of the engines that run its equations."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, ClassVar, Self
 

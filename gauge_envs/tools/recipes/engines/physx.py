@@ -1,7 +1,5 @@
 """SAPIEN's PhysX: materials of shapes and the scene's contact options."""
 
-from __future__ import annotations
-
 from typing import ClassVar, Self
 
 from pydantic import Field

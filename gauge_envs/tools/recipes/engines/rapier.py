@@ -1,7 +1,5 @@
 """Rapier's collider coefficients and integration parameters."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from typing import Any, ClassVar, Self

@@ -6,8 +6,6 @@ Example:
     >>> report = judge(Path("my_engine"))  # doctest: +SKIP
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

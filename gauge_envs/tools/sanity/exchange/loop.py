@@ -8,8 +8,6 @@ This file needs Python alone. Give `run` a function that makes your world of one
     world.step(count)             simulate so many steps
 """
 
-from __future__ import annotations
-
 import csv
 import json
 from collections.abc import Callable, Collection

@@ -1,7 +1,5 @@
 """Define a phenomenon: a scenario, a measured number, and its value in reality, from the facts of real trials."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Cloth carries a cube, sags under its weight, and lags behind a rod that flings i
 oscillates, two balls fall into a rope, and the foot of a rod is dragged over a board.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ states for it, and slides with that of the measured wooden cube. The values are 
 is how far a real body may differ from them. Without a configuration, the rows have the foot of a small quadruped.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 from typing import Any

@@ -4,8 +4,6 @@ A sliding cube has the friction that the same trials show, so that the row judge
 a turntable rotates with the plate if friction suffices, and slips when the plate stops.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -3,8 +3,6 @@
 The ball has the restitution that the same trials show, so that the row judges what an engine makes of it.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ A tetrahedron slides down a seam, and a pyramid falls on its tip. A wall of 118 
 swings for a hundred seconds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

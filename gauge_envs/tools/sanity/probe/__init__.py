@@ -3,8 +3,6 @@
 Its modules run with Python 3.8 and import nothing but the standard library; `program_text` joins them into one file.
 """
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

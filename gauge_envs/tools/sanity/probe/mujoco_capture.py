@@ -1,7 +1,5 @@
 """Read compiled models of MuJoCo and MJX, and what environments state beside them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from gauge_envs.tools.sanity.probe.values import ProbeError, flat, found, is_number, is_of

@@ -16,8 +16,6 @@ has the environment, model or configuration already writes it itself:
     gauge_probe.save(env, "robot.gaugeprobe.json")
 """
 
-from __future__ import annotations
-
 import argparse
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Turn values of any library into those of JSON, and find attributes of objects without importing their classes."""
 
-from __future__ import annotations
-
 import dataclasses
 import enum
 import math

@@ -5,8 +5,6 @@ syntax tree is evaluated: names, attributes, arithmetic, literals, and calls of 
 Of other packages, only the functions that the caller states are known. Everything else has the value `UNKNOWN`.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import PackageNotFoundError, version

@@ -4,8 +4,6 @@ Engines on a GPU reserve memory for contacts before they run. What finds no plac
 the ground or pass through each other.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import mujoco

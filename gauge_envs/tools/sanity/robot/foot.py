@@ -4,8 +4,6 @@ A single ball would roll and a single capsule would fall over. A robot keeps the
 In the scenes, four copies of the foot in one rigid body do the same.
 """
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import dataclass
 from functools import cached_property

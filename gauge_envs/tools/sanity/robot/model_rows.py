@@ -1,7 +1,5 @@
 """Judge what the target's own model states: masses, contacts of its feet, and what drives and brakes its joints."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace

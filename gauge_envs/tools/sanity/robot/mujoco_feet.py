@@ -1,7 +1,5 @@
 """Find the feet of a robot in a MuJoCo model: the geoms that stand on the ground, and the mass that they carry."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 

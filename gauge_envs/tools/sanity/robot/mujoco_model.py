@@ -5,8 +5,6 @@ runs with each set of moving geoms on the ground, against which feet, wheels and
 collide are considered: `mjData.contact` lists only those that touch at the moment.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The target's own model: its robot, what is known of it, and a copy with changes as a user would paste them."""
 
-from __future__ import annotations
-
 import copy
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """Run the target's own robot in its own settings: held at the pose in which it stands, and moving freely."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cache

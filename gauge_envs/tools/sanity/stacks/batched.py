@@ -5,8 +5,6 @@ from the first world: its bodies, geoms, contact constants and options. Bodies a
 matter, since only constants are read.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Define a dialect: the settings of a backend in the words of a training stack, read and written by one table."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property

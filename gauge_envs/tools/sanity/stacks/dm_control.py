@@ -3,8 +3,6 @@
 The package needs a MuJoCo of its own version. Its XML files do not, so they are read from its folder.
 """
 
-from __future__ import annotations
-
 import ast
 from dataclasses import replace
 from typing import Any

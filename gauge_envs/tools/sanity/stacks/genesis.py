@@ -4,8 +4,6 @@ Changes are arguments of a scene, such as `rigid_options=gs.options.RigidOptions
 solver's `sol_params` for constants of contacts.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Gymnasium environments, by id or as an object: those of this suite, and those with a MuJoCo model."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from pathlib import Path

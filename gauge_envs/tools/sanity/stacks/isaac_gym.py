@@ -5,8 +5,6 @@ IsaacGym combines by their mean. Changes are lines `sim.physx.bounce_threshold_v
 configuration object, and overrides on the command line of Hydra without the spaces.
 """
 
-from __future__ import annotations
-
 import inspect
 from collections.abc import Mapping
 from dataclasses import replace

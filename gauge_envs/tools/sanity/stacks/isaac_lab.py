@@ -5,8 +5,6 @@ more, which a reader of this file cannot see; notes say where that matters. Chan
 `__post_init__` of a configuration class: `self.sim.physx.bounce_threshold_velocity = 0.2`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace

@@ -5,8 +5,6 @@ its source is evaluated for its `_default_sim_config`. Changes are a SimConfig:
 `SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Mapping
 from dataclasses import is_dataclass

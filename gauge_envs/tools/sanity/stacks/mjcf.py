@@ -3,8 +3,6 @@
 Changes are elements of MJCF: `<option cone="elliptic"/>`, `<default><geom solref="0.02 1"/></default>`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -6,8 +6,6 @@ backend, which runs the same solver. Changes are Python: `SolverMuJoCo(model, it
 `ShapeConfig(ke=2500, kd=100)`.
 """
 
-from __future__ import annotations
-
 import copy
 import warnings
 from collections.abc import Mapping

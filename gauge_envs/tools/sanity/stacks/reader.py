@@ -1,7 +1,5 @@
 """Define a reader: one kind of target, how it is recognized, and how its configuration is read."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass

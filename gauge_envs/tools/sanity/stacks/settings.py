@@ -1,7 +1,5 @@
 """This package's own settings: a settings file, or a backend with or without a preset; changes are lines of TOML."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -3,8 +3,6 @@
 Statistics that `VecNormalize` of Stable-Baselines3 saves are read without running code of the file.
 """
 
-from __future__ import annotations
-
 import importlib
 import io
 import pickle

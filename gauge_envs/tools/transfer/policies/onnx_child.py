@@ -6,8 +6,6 @@ and then one with each observation, of 64-bit floats. Each is answered with a me
 floats, or `-` and why there is none. A message is its length, 8 bytes, and its content.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

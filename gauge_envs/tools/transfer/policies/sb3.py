@@ -1,7 +1,5 @@
 """Policies in files of Stable-Baselines3, built from their weights, so that no code of the file runs."""
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile
