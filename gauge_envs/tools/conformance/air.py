@@ -47,14 +47,9 @@ FALL_S, SETTLED_S = 0.8, 0.6
 
 @Check(
     "air-terminal",
-    title="air, terminal velocity",
     scene="a free horizontal sheet of cloth, 0.15 m by 0.15 m, that falls through still air",
-    measures="mean speed of the falling sheet, 0.6 to 0.8 s after its release",
-    law="v = sqrt(2 m g / (rho C_n A))",
     source=SOURCE,
-    unit="m/s",
     tolerance=TOLERANCE,
-    diagnosis="check the factor 1/2, the area of each triangle, and that a face counts once and not from both sides",
 )
 def _air_terminal(lab: Lab) -> Measurement:
     air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT)
@@ -110,15 +105,9 @@ def _carried(lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float) -> 
 
 @Check(
     "air-pressure",
-    title="air, pressure on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_n alone",
-    measures="displacement of the sheet along its normal after 0.25 s",
-    law="w t - ln(1 + k w t) / k, k = rho C_n / (2 mass per area), w = wind along the normal",
     source=SOURCE,
-    unit="mm",
     tolerance=TOLERANCE,
-    diagnosis="the pressure is quadratic in the normal component of the velocity relative to the wind, and acts along "
-    "the normal",
 )
 def _air_pressure(lab: Lab) -> Measurement:
     return _carried(lab, 1, ACROSS_M_PER_S, normal_coefficient=COEFFICIENT)
@@ -126,15 +115,9 @@ def _air_pressure(lab: Lab) -> Measurement:
 
 @Check(
     "air-friction",
-    title="air, friction on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_t alone",
-    measures="displacement of the sheet in its plane after 0.25 s",
-    law="w t - ln(1 + k w t) / k, k = rho C_t / (2 mass per area), w = wind in the sheet's plane",
     source=SOURCE,
-    unit="mm",
     tolerance=TOLERANCE,
-    diagnosis="the friction is quadratic in the tangential component of the velocity relative to the wind, and C_t "
-    "counts both sides",
 )
 def _air_friction(lab: Lab) -> Measurement:
     return _carried(lab, 0, ALONG_M_PER_S, tangential_coefficient=COEFFICIENT)
@@ -142,14 +125,8 @@ def _air_friction(lab: Lab) -> Measurement:
 
 @Check(
     "air-lift",
-    title="air, lift on an inclined sheet",
     scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_l alone",
-    measures="angle between the sheet's plane and its velocity relative to the air, 0.1 s after the start",
-    law="tan a = tan a0 exp(-k w t), k = rho C_l / (2 mass per area)",
-    source="lift of a flat plate, C_l sin a cos a (scene.Air)",
-    unit="deg",
     tolerance=Tolerance("as for the drag; the speed is a difference of places", relative=0.02, absolute=0.2),
-    diagnosis="the lift is perpendicular to the relative velocity and does no work on it",
 )
 def _air_lift(lab: Lab) -> Measurement:
     rollout, moved = _in_wind(lab, 0.1, lift_coefficient=COEFFICIENT)
@@ -165,14 +142,8 @@ def _air_lift(lab: Lab) -> Measurement:
 
 @Check(
     "air-energy",
-    title="still air gives no energy",
     scene="a horizontal strip of cloth of 0.15 m in still air, held at one end, that falls and swings",
-    measures="largest gain of kinetic and potential energy of the strip, over the released potential energy",
-    law="T + V <= initial T + V; no part of the force does positive work in still air",
-    source="drag opposes the motion, lift is perpendicular to it",
-    unit="%",
     tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
-    diagnosis="a force has the wrong sign, or explicit steps are too long for a light cloth",
 )
 def _air_energy(lab: Lab) -> Measurement:
     cloth = sheet(FABRIC, Pose(position_m=(0.0, 0.0, 1.0)), (0.15, 0.075))

@@ -135,26 +135,13 @@ _hanging = rollout_of("a strip of cloth, 0.3 m by 0.075 m, that hangs from its u
 """It sags by 0.8 mm, its largest strain is 0.5 %, and its period 51 ms."""
 
 
-@_hanging.check(
-    "cloth-start",
-    title="cloth, start",
-    measures="largest distance between the sheet's edges and the bounding box of its nodes, in its frame, at the start",
-    law="Cloth.size_m, Cloth.pose",
-    **NODES,
-    diagnosis="nodes are world positions in metres; the sheet is centred on its pose, warp along x",
-)
+@_hanging.check("cloth-start", **NODES)
 def _cloth_start(rollout: Rollout) -> Measurement:
     found = bounds_error(local_nodes(rollout)[0], (*strip_of(rollout).size_m, 0.0))
     return replace(found, hint="positions are in mm" if found.measured > 1e4 else "")
 
 
-@Check(
-    "cloth-pinned-edge",
-    title="cloth, attached edge follows its driven body",
-    scene=STRIP_ON_ROD,
-    measures="largest distance of an attached node from its place on the driven rod, within 0.5 s",
-    **ATTACHED,
-)
+@Check("cloth-pinned-edge", scene=STRIP_ON_ROD, **ATTACHED)
 def _cloth_pinned_edge(lab: Lab) -> Measurement:
     return attachment_error(lab.rollout(strip_on_rod(), 0.5), "cloth")
 
@@ -166,13 +153,7 @@ _cantilever = rollout_of(
 
 @_cantilever.check(
     "cloth-clamp",
-    title="cloth, depth of the clamp",
-    measures="largest distance from the strip's edge of a node that does not move, beyond the 50 mm of the clamp",
-    law="Region.depth_m",
-    source="contract (scene.Region)",
-    unit="mm",
     tolerance=Tolerance("of free nodes 1 mm beyond the clamp, each droops by a micrometre or more", absolute=1.0),
-    diagnosis="the attachment holds one line of nodes too many: only nodes within depth_m of the side are attached",
 )
 def _cloth_clamp(rollout: Rollout) -> Measurement:
     local, cloth = local_nodes(rollout), strip_of(rollout)
@@ -183,16 +164,9 @@ def _cloth_clamp(rollout: Rollout) -> Measurement:
 
 @_hanging.check(
     "cloth-stretch",
-    title="cloth, stretch stiffness K_s",
-    measures="K_s from the mean sag of a strip under its own weight, at least one width from its clamped edge",
-    law="u(s) = rho g (L s - s^2 / 2) / K_s",
-    source="uniaxial tension with free transverse edges (scene.Cloth)",
-    unit="N/m",
     tolerance=Tolerance(
         "nonlinear laws differ by the largest strain, 0.5 % in equilibrium and 1 % at the lowest point", relative=0.02
     ),
-    diagnosis="check the membrane's constants (K_s is the uniaxial stiffness: K_s = 4 mu (lambda + mu) / (lambda + "
-    "2 mu)), the mass of the nodes, and the solver's convergence: without it the strip hangs too low",
 )
 def stretch_stiffness(rollout: Rollout) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
@@ -225,14 +199,7 @@ def _sheared(lab: Lab) -> Rollout:
 
 @_sheared.check(
     "cloth-shear",
-    title="cloth, shear stiffness K_sh",
-    measures="K_sh from the mean sag, at middle height, of an upright sheet clamped along both upright edges",
-    law="w(s) = rho g (L s - s^2) / (2 K_sh)",
-    source="simple shear of a wide sheet (scene.Cloth)",
-    unit="N/m",
     tolerance=Tolerance("the free edges and the mesh's diagonals contribute a few per cent", relative=0.05),
-    diagnosis="check the membrane's shear constant (K_sh = mu if isotropic); springs along mesh edges alone give "
-    "K_s / 2 or less",
 )
 def _cloth_shear(rollout: Rollout) -> Measurement:
     rest, now = equilibrium(rollout, 0.15)
@@ -247,18 +214,11 @@ def _cloth_shear(rollout: Rollout) -> Measurement:
 
 @_cantilever.check(
     "cloth-bending",
-    title="cloth, bending stiffness",
-    measures="bending stiffness per width from the mean droop of a strip clamped at one end, along the warp",
-    law="D w'' = rho g (L - s)^2 / 2",
-    source="heavy elastica at small slope; D = K_theta on a square grid (scene/fabrics.py)",
-    unit="N m",
     tolerance=Tolerance(
         "K_theta belongs to a hinge, and triangulations distribute it differently: the paper's mapping gives "
         "0.88 along grid lines",
         relative=0.2,
     ),
-    diagnosis="check the conversion of K_theta to the constant of an edge (its length, its neighbours' heights), and "
-    "that a clamp of 50 mm holds the slope: it must hold two lines of nodes",
 )
 def bending_stiffness(rollout: Rollout) -> Measurement:
     """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
@@ -274,14 +234,7 @@ def bending_stiffness(rollout: Rollout) -> Measurement:
 
 
 @_cantilever.check(
-    "cloth-energy",
-    title="cloth gains no energy",
-    measures="largest gain of kinetic and potential energy of the drooping strip, over the released potential energy",
-    law="T + V <= initial T + V; elastic energy is not negative and starts at 0",
-    source="elasticity is passive",
-    unit="%",
-    tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
-    diagnosis="the solver makes energy: long steps, too few iterations, or explicit integration of the stiffness",
+    "cloth-energy", tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0)
 )
 def _cloth_energy(rollout: Rollout) -> Measurement:
     local = local_nodes(rollout)
@@ -314,16 +267,9 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
 
 @_sliding.check(
     "cloth-slide",
-    title="cloth slides on 30 degrees",
-    measures="acceleration downhill of a sheet with friction 0.3, mean over its nodes, quadratic fit from 0.1 to 0.4 s",
-    law="a = g (sin 30 - mu cos 30)",
-    source="Coulomb",
-    unit="m/s^2",
     tolerance=Tolerance(
         "a sheet has many light contacts that flutter: some of them are open at any time", relative=0.05
     ),
-    diagnosis="check the friction of cloth against rigid bodies: engines often take it from one global constant, or "
-    "combine it differently from that of rigid pairs",
 )
 def _cloth_slide(rollout: Rollout) -> Measurement:
     window = rollout.between(0.1, 0.4)
@@ -333,13 +279,7 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
 
 @_sliding.check(
     "cloth-rests",
-    title="cloth lies on what it touches",
-    measures="largest difference between a node's height over the slab and half the thickness, 0.3 to 0.4 s",
-    law="height = thickness / 2",
-    source="contact (scene.Contact), thickness (scene.Cloth)",
-    unit="mm",
     tolerance=Tolerance("twice the real trials' scatter; folding cloth needs a layer of about 2 mm", absolute=2.0),
-    diagnosis="it falls through, sinks in, or floats on a collision radius larger than half its thickness",
 )
 def _cloth_rests(rollout: Rollout) -> Measurement:
     height = _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3

@@ -66,15 +66,9 @@ def _foam_scene() -> Scene:
 
 @Check(
     "finite",
-    title="states are finite",
     scene="five scenes in turn, as far as the backend builds them: free bodies of all motions, a tumbling brick, a "
     "hinge and a resting ball, a strip of cloth on a driven rod, a bar of foam",
-    measures="number of scenes in which a state or a node is not finite within 0.05 s",
-    law="every number is finite",
-    source="contract (World.body_states, World.nodes)",
     tolerance=COUNT,
-    diagnosis="a mass, an inertia or a size that the engine received is 0 or NaN, or the first step diverges; the "
-    "checks below that fail for the same reason are listed without a diagnosis of their own",
 )
 def _finite(lab: Lab) -> Measurement:
     scenes = (_still_scene(), _bounce_scene(), _swinging_scene(), strip_on_rod(), _foam_scene())
@@ -124,44 +118,19 @@ def _as_built(lab: Lab) -> _Built:
         return _Built(scene, states_now(simulation, names), states_now(simulation, names[::-1])[::-1])
 
 
-@_as_built.check(
-    "order-of-names",
-    title="rows are in the order of the names",
-    measures="largest difference between states read in one order of names and in the reversed order",
-    law="row i is the state of names[i]",
-    source="contract (Simulation.body_states)",
-    tolerance=EXACT,
-    diagnosis="body_states must return one row for each name in the order asked for, not in the scene's order",
-)
+@_as_built.check("order-of-names", tolerance=EXACT)
 def _order_of_names(built: _Built) -> Measurement:
     return Measurement(measured=float(np.abs(built.states - built.backward).max()))
 
 
-@_as_built.check(
-    "start-position",
-    title="build starts at the scene's positions",
-    measures="largest distance of a fixed, driven or dynamic body's origin from its start position, right after build",
-    law="RigidBody.pose",
-    source="contract (Backend.build)",
-    unit="mm",
-    tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=1e-3),
-    diagnosis="body_states must give the body origin in metres in the world frame before the first step",
-)
+@_as_built.check("start-position", tolerance=Tolerance("a float's rounding at 1 m is 0.1 um", absolute=1e-3))
 def _start_position(built: _Built) -> Measurement:
     positions, expected = built.states[:, :3], np.array([one.pose.position_m for one in built.scene.bodies])
     hint = "positions are in mm" if np.allclose(positions, 1e3 * expected, atol=1.0) else ""
     return Measurement(measured=largest_mm(positions - expected), hint=hint)
 
 
-@_as_built.check(
-    "start-orientation",
-    title="build starts at the scene's orientations",
-    measures="largest distance of a body's quaternion (w, x, y, z), of either sign, from its start, right after build",
-    law="RigidBody.pose",
-    source="contract (Simulation.body_states)",
-    tolerance=Tolerance("a float's rounding is 1e-7", absolute=1e-5),
-    diagnosis="columns 3 to 6 of body_states are a unit quaternion, scalar first, body to world",
-)
+@_as_built.check("start-orientation", tolerance=Tolerance("a float's rounding is 1e-7", absolute=1e-5))
 def _start_orientation(built: _Built) -> Measurement:
     expected = np.array([one.pose.quaternion for one in built.scene.bodies])
 
@@ -178,15 +147,7 @@ def _start_orientation(built: _Built) -> Measurement:
     return Measurement(measured=error(reported), hint=hint)
 
 
-@_as_built.check(
-    "start-rest",
-    title="build starts at rest",
-    measures="largest reported speed [m/s] or angular speed [rad/s] right after build",
-    law="v = 0, omega = 0",
-    source="contract (bodies of this scene start at rest)",
-    tolerance=Tolerance("no body has moved yet", absolute=1e-9),
-    diagnosis="build must not step the engine, or must return to the start afterwards",
-)
+@_as_built.check("start-rest", tolerance=Tolerance("no body has moved yet", absolute=1e-9))
 def _start_rest(built: _Built) -> Measurement:
     return Measurement(measured=float(np.abs(built.states[:, 7:]).max()))
 
@@ -227,13 +188,8 @@ BOUNCES = (
 
 @Check(
     "time",
-    title="advance simulates the given time",
     scene="a falling brick, advanced by 1/30 s at a time and by 1/180 s at a time",
-    measures="fall of a brick in nine calls of advance(1/30), over its fall in 54 calls of advance(1/180)",
-    law="advance(6 dt) = 6 advance(dt)",
-    source="contract (Simulation.advance)",
     tolerance=Tolerance("the steps are the same; only rounding differs", absolute=1e-4),
-    diagnosis="advance(seconds) must simulate any given time: count steps, do not make one step for each call",
 )
 def _time(lab: Lab) -> Measurement:
     scene = Scene(bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0)
@@ -254,17 +210,7 @@ def _time(lab: Lab) -> Measurement:
     return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
 
 
-@Check(
-    "sample-positions",
-    title="sample_positions equals advance and body_states",
-    scene="a falling ball and a falling brick",
-    measures="largest difference between positions from sample_positions and from body_states after each advance",
-    law="sample_positions = advance, then body_states",
-    source="contract (Simulation.sample_positions)",
-    unit="mm",
-    tolerance=EXACT,
-    diagnosis="an override of sample_positions must advance first and then read the same bodies in the same order",
-)
+@Check("sample-positions", scene="a falling ball and a falling brick", tolerance=EXACT)
 def _sample_positions(lab: Lab) -> Measurement:
     scene = Scene(
         bodies=(ball("ball", (0.1, 0.2, 2.0)), box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03))), duration_s=1.0
@@ -324,15 +270,7 @@ def _cloth_again(lab: Lab) -> tuple[Rollout, Rollout]:
     return _again_after_reset(lab, strip_on_rod(), 0.2)
 
 
-@_bounce_again.check(
-    "reset-start",
-    title="reset restores the start",
-    measures="largest difference of any state [m, 1, m/s, rad/s] after a later reset from right after build",
-    law="state after reset = state after build",
-    source="contract (Simulation.reset)",
-    tolerance=EXACT,
-    diagnosis="reset must restore positions, orientations and velocities of all bodies, driven ones included",
-)
+@_bounce_again.check("reset-start", tolerance=EXACT)
 def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
     first, second = (rollout.cut(0.0, 0.0) for rollout in pair)
     apart = np.abs([states[0] - second.states[name][0] for name, states in first.states.items()])
@@ -342,43 +280,19 @@ def _reset_start(pair: tuple[Rollout, Rollout]) -> Measurement:
     return Measurement(measured=_difference(first, second), hint=hint)
 
 
-@_bounce_again.check(
-    "reset-course",
-    title="the same seed gives the same trajectory",
-    measures="largest difference of any state between the first 0.5 s after two resets",
-    **SAME_SEED,
-    diagnosis="reset does not restore velocities, warm starts, contact caches, forces on driven bodies, or time",
-)
+@_bounce_again.check("reset-course", **SAME_SEED)
 def _reset_course(pair: tuple[Rollout, Rollout]) -> Measurement:
     return Measurement(measured=_difference(*pair))
 
 
-@Check(
-    "determinism",
-    title="two builds give the same trajectory",
-    scene=BOUNCES,
-    measures="largest difference of any state within 0.5 s between two simulations of one scene",
-    **SAME_SCENE,
-)
+@Check("determinism", scene=BOUNCES, **SAME_SCENE)
 def _determinism(lab: Lab) -> Measurement:
     return Measurement(measured=_difference(*(lab.rollout(bounces(lab), 0.5) for _ in range(2))))
 
 
-_cloth_again.check(
-    "cloth-reset",
-    title="cloth: the same seed gives the same trajectory",
-    measures="largest difference of any node [m] or state between the first 0.2 s after two resets",
-    **SAME_SEED,
-    diagnosis="reset must restore positions and velocities of the nodes, and all that the solver keeps between steps",
-)(_reset_course)
+_cloth_again.check("cloth-reset", **SAME_SEED)(_reset_course)
 
 
-@Check(
-    "cloth-determinism",
-    title="cloth: two builds give the same trajectory",
-    scene=STRIP_ON_ROD,
-    measures="largest difference of any node [m] or state within 0.2 s between two simulations",
-    **SAME_SCENE,
-)
+@Check("cloth-determinism", scene=STRIP_ON_ROD, **SAME_SCENE)
 def _cloth_determinism(lab: Lab) -> Measurement:
     return Measurement(measured=_difference(_cloth_again(lab)[0], lab.rollout(strip_on_rod(), 0.2)))

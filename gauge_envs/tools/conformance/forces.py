@@ -131,14 +131,7 @@ PUSHES = {
 
 
 @PUSHES["box"].check(
-    "wrench-frame",
-    title="wrench is in the world frame",
-    measures="largest velocity of a box across its force after 0.1 s, over that along it",
-    law="a parallel to F",
-    source="contract (World.apply_wrench)",
-    unit="%",
-    tolerance=Tolerance("nothing acts sideways; a wrong frame gives 30 % and more", absolute=1.0),
-    diagnosis="force and torque are in the world frame, force first",
+    "wrench-frame", tolerance=Tolerance("nothing acts sideways; a wrong frame gives 30 % and more", absolute=1.0)
 )
 def _wrench_frame(found: _Push) -> Measurement:
     along = np.diag(found.twists[:3, :3])
@@ -151,13 +144,7 @@ def _wrench_frame(found: _Push) -> Measurement:
 
 
 @PUSHES["box"].check(
-    "wrench-force",
-    title="force accelerates a body",
-    measures="mean velocity of three boxes along their forces after 0.1 s, over force times time over mass",
-    law="m a = F",
-    source="Newton; contract (World.apply_wrench)",
-    tolerance=Tolerance("nothing else acts; 0.1 % allows for a step at the start or end", relative=1e-3),
-    diagnosis="apply_wrench is ignored, acts for one step or interval only, or the mass is not the scene's",
+    "wrench-force", tolerance=Tolerance("nothing else acts; 0.1 % allows for a step at the start or end", relative=1e-3)
 )
 def _wrench_force(found: _Push) -> Measurement:
     measured = float(np.diag(found.twists[:3, :3]).mean() / SECONDS)
@@ -173,14 +160,7 @@ def _force_hint(measured: float) -> str:
 
 
 @PUSHES["union"].check(
-    "wrench-centre",
-    title="force acts at the centre of mass",
-    measures="largest rotation of a solid of four pieces under a force after 0.1 s",
-    law="angle = 0",
-    source="contract (World.apply_wrench); uniform density (scene.py)",
-    unit="deg",
-    tolerance=Tolerance("a lever of 1 mm would rotate it by about 0.3 degrees", absolute=0.05),
-    diagnosis="the force acts at the body origin, or the engine's centre of mass is not that of the volume",
+    "wrench-centre", tolerance=Tolerance("a lever of 1 mm would rotate it by about 0.3 degrees", absolute=0.05)
 )
 def _wrench_centre(found: _Push) -> Measurement:
     angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(found.twists[:3, 3:], axis=1).max())
@@ -282,14 +262,8 @@ for _kind in SHAPES:
 
 @Check(
     "wrench-reset",
-    title="reset removes the wrench",
     scene="a floating box under a force; it is reset and runs on for 0.1 s",
-    measures="speed of the box 0.1 s after the reset",
-    law="v = 0",
-    source="contract (World.apply_wrench)",
-    unit="m/s",
     tolerance=Tolerance("no force acts", absolute=1e-9),
-    diagnosis="reset must clear applied forces and torques",
 )
 def _wrench_reset(lab: Lab) -> Measurement:
     with closing(lab.build(_pushed_scene(SHAPES["box"]))) as simulation:
@@ -398,14 +372,8 @@ MASSES_KG = (1e-4, 1e-3, 0.0123, 1.0, 100.0)
 
 @Check(
     "masses",
-    title="masses from 0.1 g to 100 kg",
     scene="five floating balls of 0.1 g to 100 kg, each under a force of 1 N for each kg",
-    measures="acceleration over 0.1 s of the ball that is farthest from the law",
-    law="a = F / m",
-    source="Newton",
-    unit="m/s^2",
     tolerance=Tolerance("a mass is exact; 0.1 % is the tolerance of a fall", relative=1e-3),
-    diagnosis="the engine rounds or limits masses, or takes them from a density",
 )
 def _masses(lab: Lab) -> Measurement:
     balls = tuple(
@@ -435,14 +403,8 @@ STATED_SHARE = 2.0
 
 @Check(
     "stated-inertia",
-    title="a body may state its inertia",
     scene="a ball of 30 mm radius that states twice the inertia of uniform density, on a hinge 60 mm away",
-    measures="mean period of the ball, released at 60 degrees, over 3 s",
-    law="T = 4 sqrt((l^2 + I / m) / (g l)) K(sin^2(theta / 2))",
-    source="physical pendulum; RigidBody.inertia_kg_m2 (scene.py)",
-    unit="s",
     tolerance=Tolerance("as for the pendulum of uniform density", relative=2e-3),
-    diagnosis="read RigidBody.inertia_kg_m2, or leave Feature.STATED_INERTIA out of `features`",
 )
 def _stated_inertia(lab: Lab) -> Measurement:
     length_m, radius_m, angle = 0.06, 0.03, np.radians(60.0)

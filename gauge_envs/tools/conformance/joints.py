@@ -84,13 +84,7 @@ DRY: dict[str, Any] = {
 @rollout_of(
     "a bar of 0.4 kg on a hinge with a dry friction of 0.02 N m, released at 0.5 rad",
     _scene(_bar(angle_rad=RELEASE_RAD), seconds=2.5, gravity=G, dry_friction_n_m=DRY_N_M),
-).check(
-    "joint-dry",
-    title="dry friction of a joint",
-    law="loss = dry angle: a small swing loses 4 dry / (m g c) of its amplitude in a cycle",
-    diagnosis="check the unit of the joint's friction, that it does not depend on speed or load, and damping",
-    **DRY,
-)
+).check("joint-dry", **DRY)
 def _joint_dry(rollout: Rollout) -> Measurement:
     angles = RELEASE_RAD + _turned_rad(rollout)
     return _dry_n_m(angles, -WEIGHT_N_M * np.cos(angles), DRY_N_M)
@@ -104,29 +98,13 @@ _held = rollout_of(
 
 
 @_held.check(
-    "joint-stick",
-    title="dry friction holds a joint",
-    measures="largest angle by which the first bar turns within 1 s",
-    law="it rests while |torque| <= dry",
-    source="Coulomb",
-    unit="deg",
-    tolerance=Tolerance("0.1 mm at the end of the bar, as for a cube that holds", absolute=0.02),
-    diagnosis="friction is regularized: it is viscous at low speed, and the joint creeps",
+    "joint-stick", tolerance=Tolerance("0.1 mm at the end of the bar, as for a cube that holds", absolute=0.02)
 )
 def _joint_stick(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max())))
 
 
-@_held.check(
-    "joint-slip",
-    title="more than dry friction turns a joint",
-    measures="energy that the second bar has lost after 0.2 s, over its angle",
-    law="loss = dry angle",
-    source="Coulomb",
-    unit="N m",
-    tolerance=FRICTION,
-    diagnosis="where joint-dry passes, friction at rest is larger than in motion",
-)
+@_held.check("joint-slip", tolerance=FRICTION)
 def _joint_slip(rollout: Rollout) -> Measurement:
     at = rollout.sample_at(0.2)
     turned, rate = _turned_rad(rollout, "slips")[at], rollout.angular_velocity("slips")[at] @ AXIS
@@ -145,16 +123,7 @@ _spinning = replace(
 @rollout_of(
     "a bar on a hinge with a viscous friction of 0.02 N m s/rad, which starts with 3 rad/s, without gravity",
     _scene(_spinning, seconds=1.0, viscous_friction_n_m_s_per_rad=VISCOUS),
-).check(
-    "joint-viscous",
-    title="viscous friction of a joint",
-    measures="inertia times the fall of the logarithm of the rate, linear fit over 1 s",
-    law="rate = rate0 exp(-viscous t / I)",
-    source="Newton",
-    unit="N m s/rad",
-    tolerance=FRICTION,
-    diagnosis="check the unit of the joint's damping (radians), and damping of bodies",
-)
+).check("joint-viscous", tolerance=FRICTION)
 def _joint_viscous(rollout: Rollout) -> Measurement:
     rate = np.maximum(rollout.angular_velocity("bar") @ AXIS, 1e-6)
     return Measurement(measured=float(-INERTIA * np.polyfit(rollout.times_s, np.log(rate), 1)[0]), expected=VISCOUS)
@@ -163,16 +132,7 @@ def _joint_viscous(rollout: Rollout) -> Measurement:
 @rollout_of(
     "a bar on a hinge with an armature of 0.01 kg m^2, released at 0.5 rad",
     _scene(_bar(angle_rad=RELEASE_RAD), seconds=4.0, gravity=G, armature_kg_m2=ARMATURE),
-).check(
-    "joint-armature",
-    title="armature of a joint",
-    measures="mean period of the swinging bar over 4 s",
-    law="T = 4 sqrt((I + armature) / (m g c)) K(sin^2(theta / 2))",
-    source="physical pendulum, complete elliptic integral",
-    unit="s",
-    tolerance=Tolerance("as for the pendulum without armature", relative=2e-3),
-    diagnosis="the armature adds to the inertia about the axis alone, and the weight does not act on it",
-)
+).check("joint-armature", tolerance=Tolerance("as for the pendulum without armature", relative=2e-3))
 def _joint_armature(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt((ABOUT_CENTRE + ARMATURE) / MASS_KG))
     expected = pendulum_period_s(length_m=CENTRE_M, gyration_m=gyration, amplitude_rad=RELEASE_RAD, gravity_m_per_s2=G)
@@ -200,28 +160,12 @@ def _parabola(rollout: Rollout) -> Array:
     return np.polyfit(rollout.times_s[part], _turned_rad(rollout)[part], 2)
 
 
-@_pushed.check(
-    "joint-torque",
-    title="torque motor",
-    measures="angular acceleration of the bar from 0.15 to 0.8 s",
-    law="angle'' = torque / I",
-    diagnosis="check the sign of the axis, the unit of the torque, and damping",
-    **ACCELERATION,
-)
+@_pushed.check("joint-torque", **ACCELERATION)
 def _joint_torque(rollout: Rollout) -> Measurement:
     return Measurement(measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA)
 
 
-@_pushed.check(
-    "joint-delay",
-    title="delay of a motor",
-    measures="time at which the parabola through the angle starts",
-    law="angle = torque (t - delay)^2 / 2 I",
-    source="contract (World.command)",
-    unit="ms",
-    tolerance=Tolerance("half of an interval of 1/180 s", absolute=2.7),
-    diagnosis="command() acts on the next advance(), not on the one after it",
-)
+@_pushed.check("joint-delay", tolerance=Tolerance("half of an interval of 1/180 s", absolute=2.7))
 def _joint_delay(rollout: Rollout) -> Measurement:
     square, slope, _ = _parabola(rollout)
     return Measurement(measured=-500.0 * float(slope / square) if square else np.nan, expected=1e3 * DELAY_S)
@@ -236,13 +180,7 @@ def _servo(step_rad: float, **limit: float) -> Servo:
     _scene(_bar(), seconds=1.0, motor=_servo(STEP_RAD)),
 ).check(
     "joint-servo",
-    title="step response of a servo",
-    measures="largest error of the angle within 1 s",
-    law="I angle'' = kp (command - angle) - kv angle'",
-    source="damped oscillator",
-    unit="deg",
     tolerance=Tolerance("a servo's encoder of 4096 counts resolves 0.09 degrees; this is twice as much", absolute=0.18),
-    diagnosis="check the gains (stiffness and damping in radians, not those of an acceleration), the sign of the rate",
 )
 def _joint_servo(rollout: Rollout) -> Measurement:
     decay, times = 0.5 * KV / INERTIA, rollout.times_s
@@ -255,14 +193,7 @@ def _joint_servo(rollout: Rollout) -> Measurement:
 @rollout_of(
     "the same servo with a largest torque of 0.03 N m, whose command steps by 2 rad",
     _scene(_bar(), seconds=0.8, motor=_servo(2.0, torque_limit_n_m=LIMIT_N_M)),
-).check(
-    "joint-limit",
-    title="largest torque of a servo",
-    measures="angular acceleration of the bar within 0.8 s, in which the servo has its largest torque",
-    law="angle'' = limit / I",
-    diagnosis="the limit is a torque, not an impulse of a step, and holds for both terms of the servo together",
-    **ACCELERATION,
-)
+).check("joint-limit", **ACCELERATION)
 def _joint_limit(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
     return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
@@ -276,13 +207,7 @@ def _joint_limit(rollout: Rollout) -> Measurement:
         motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP),
         dry_friction_n_m=BRAKE_N_M,
     ),
-).check(
-    "joint-dry-servo",
-    title="dry friction beside a servo",
-    law="loss = dry angle: the amplitude falls by 2 dry / kp from stop to stop",
-    diagnosis="where joint-dry passes, the servo takes the place of the friction: both share one motor",
-    **DRY,
-)
+).check("joint-dry-servo", **DRY)
 def _joint_dry_servo(rollout: Rollout) -> Measurement:
     angles = _turned_rad(rollout) - RELEASE_RAD
     return _dry_n_m(angles, 0.5 * KP * angles**2, BRAKE_N_M)
@@ -342,10 +267,7 @@ CHAIN: dict[str, Any] = {
 
 @Check(
     "joint-chain",
-    title="chain of two bars on the world",
     scene="a bar on a hinge to the world, and another bar on a hinge at its end, released at 0.6 and -0.4 rad",
-    law="double physical pendulum",
-    diagnosis="check the anchor of the second hinge in both bodies, and the inertia of the bars",
     **CHAIN,
 )
 def _joint_chain(lab: Lab) -> Measurement:
@@ -354,10 +276,7 @@ def _joint_chain(lab: Lab) -> Measurement:
 
 @Check(
     "joint-between",
-    title="motor between two bars",
     scene="the same chain with a torque motor of 0.03 N m between the bars, which turns the upper one",
-    law="double physical pendulum, driven",
-    diagnosis="a positive torque turns the second body relative to the first, whichever of both hangs on the other",
     **CHAIN,
 )
 def _joint_between(lab: Lab) -> Measurement:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, fields, replace
 from enum import StrEnum
 from fnmatch import fnmatchcase
-from functools import wraps
+from functools import cache, wraps
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from gauge_envs.errors import ParameterError, UnknownNameError
@@ -105,6 +107,8 @@ def _unknown(_: Lab) -> Measurement:
 class Check:
     """One law that a backend must obey, measured by one number. It decorates the function that measures it.
 
+    The texts of this package's checks are in `checks.toml`, by id.
+
     Attributes:
         id: Stable name.
         title: Subject of the check, in a few words.
@@ -138,7 +142,7 @@ class Check:
         """
         if self.id in _CHECKS:
             raise ParameterError(f"check {self.id!r} exists already; choose another id")
-        _CHECKS[self.id] = replace(self, measure=measure)
+        _CHECKS[self.id] = replace(self, measure=measure, **_words().get(self.id, {}))
         return measure
 
     @property
@@ -211,6 +215,12 @@ class CheckResult(Outcome):
         outcome = {one.name: getattr(self, one.name) for one in fields(Outcome) if one.name != "status"}
         ready: dict[str, Any] = json_ready(values | outcome | {"settings": self.settings, "versions": self.versions})
         return ready
+
+
+@cache
+def _words() -> dict[str, dict[str, Any]]:
+    """Return the texts of the checks of this package, by id."""
+    return tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
 
 
 check = Check

@@ -66,26 +66,8 @@ FALL_TOLERANCE = Tolerance(
 )
 
 
-@_slow_fall.check(
-    "gravity-of-scene",
-    title="gravity is the scene's",
-    measures="downward acceleration of the same brick with Scene.gravity_m_per_s2 = 1.62",
-    law="a = Scene.gravity_m_per_s2",
-    source="contract (scene.py)",
-    unit="m/s^2",
-    tolerance=FALL_TOLERANCE,
-    diagnosis="the backend must take gravity from the scene instead of the engine's default",
-)
-@_fall.check(
-    "free-fall",
-    title="free fall",
-    measures="downward acceleration of a brick without contact, quadratic fit over 0.5 s",
-    law="a = g",
-    source="Galilei",
-    unit="m/s^2",
-    tolerance=FALL_TOLERANCE,
-    diagnosis="check size and sign of gravity, damping of free bodies, and the simulated time of advance()",
-)
+@_slow_fall.check("gravity-of-scene", tolerance=FALL_TOLERANCE)
+@_fall.check("free-fall", tolerance=FALL_TOLERANCE)
 def _free_fall(rollout: Rollout) -> Measurement:
     measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("brick")[:, 2])
     expected = rollout.scene.gravity_m_per_s2
@@ -95,14 +77,8 @@ def _free_fall(rollout: Rollout) -> Measurement:
 
 @Check(
     "free-fall-spinning",
-    title="free fall of a spinning brick",
     scene="the same brick, thrown with 8 rad/s about each axis of the world",
-    measures="downward acceleration of the spinning brick, quadratic fit over 0.5 s",
-    law="a = g",
-    source="Galilei",
-    unit="m/s^2",
     tolerance=FALL_TOLERANCE,
-    diagnosis="where free-fall passes, a spinning body has another gravity, or its reported place is not its centre",
 )
 def _free_fall_spinning(lab: Lab) -> Measurement:
     scene = _falling(G)
@@ -115,15 +91,9 @@ def _free_fall_spinning(lab: Lab) -> Measurement:
 
 @_fall.check(
     "free-fall-drift",
-    title="free fall is straight",
-    measures="largest horizontal displacement of the falling brick within 0.5 s",
-    law="x, y = const",
-    source="Galilei",
-    unit="mm",
     tolerance=Tolerance(
         "no force acts sideways; 10 um is the rounding of single precision over some hundred steps", absolute=0.01
     ),
-    diagnosis="gravity is tilted, world axes are swapped, or another body pushes it",
 )
 def _free_fall_drift(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(rollout.displacement("brick")[:, :2]).max()))
@@ -131,15 +101,9 @@ def _free_fall_drift(rollout: Rollout) -> Measurement:
 
 @_fall.check(
     "free-fall-turn",
-    title="free fall does not rotate",
-    measures="largest rotation of the falling brick within 0.5 s",
-    law="orientation = const",
-    source="Euler's equations without torque",
-    unit="deg",
     tolerance=Tolerance(
         "no torque acts; single precision keeps an orientation to about 1e-5 degrees for each step", absolute=0.01
     ),
-    diagnosis="gravity does not act at the centre of mass, or the orientation is read or set in another convention",
 )
 def _free_fall_turn(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("brick")
@@ -156,16 +120,7 @@ KINDS: dict[str, Shape] = {
 }
 
 
-@Check(
-    "all-bodies-move",
-    title="every body moves",
-    scene="a falling box, sphere, cylinder and convex solid, without contacts",
-    measures="number of bodies (box, sphere, cylinder, convex solid) that fall by g t^2 / 2 within 0.3 s",
-    law="z0 - z = g t^2 / 2",
-    source="contract (scene.py)",
-    tolerance=COUNT,
-    diagnosis="supports() must decline a body that the backend cannot build; it must not be omitted or frozen",
-)
+@Check("all-bodies-move", scene="a falling box, sphere, cylinder and convex solid, without contacts", tolerance=COUNT)
 def _all_bodies_move(lab: Lab) -> Measurement:
     bodies = tuple(
         body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0))) for index, (name, shape) in enumerate(KINDS.items())
@@ -194,13 +149,7 @@ def _pendulum(lab: Lab) -> Rollout:
 
 @_pendulum.check(
     "pendulum-period",
-    title="pendulum, period",
-    measures="mean period of a sphere on a hinge, released at 60 degrees, over 3 s",
-    law="T = 4 sqrt((l^2 + k^2) / (g l)) K(sin^2(theta / 2))",
-    source="physical pendulum, complete elliptic integral",
-    unit="s",
     tolerance=Tolerance("over the benchmark's 100 periods, 0.2 % is a fifth of a period", relative=2e-3),
-    diagnosis="check the bob's inertia (2/5 m r^2 contributes 2.5 %), the hinge's position, damping and armature",
 )
 def _pendulum_period(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt(0.4) * BOB_M)
@@ -215,17 +164,10 @@ def _pendulum_period(rollout: Rollout) -> Measurement:
 
 @_pendulum.check(
     "pendulum-energy",
-    title="pendulum, energy",
-    measures="kinetic and potential energy lost (negative: gained) within 3 s, over m g times the height of the swing",
-    law="T + V = const",
-    source="frictionless hinge (scene.py)",
-    unit="%",
     tolerance=Tolerance(
         "EL, the benchmark's energy score, resolves per cent over 100 s; a loss of 1 % in 3 s would dominate it",
         absolute=1.0,
     ),
-    diagnosis="energy is lost where the hinge or the body is damped (joint damping, friction, angular damping), and "
-    "gained or lost by the integrator where the step is too long",
 )
 def _pendulum_energy(rollout: Rollout) -> Measurement:
     speed, spin = rollout.velocity("bob"), rollout.angular_velocity("bob")
@@ -239,16 +181,7 @@ def _pendulum_energy(rollout: Rollout) -> Measurement:
     return Measurement(measured=100.0 * worst / (G * PENDULUM_M * (1.0 - np.cos(AMPLITUDE_RAD))), hint=hint)
 
 
-@_pendulum.check(
-    "hinge-radius",
-    title="hinge keeps its radius",
-    measures="largest change of the bob's distance from the hinge's axis, or along it, within 3 s",
-    law="|r - anchor| = l",
-    source="hinge (scene.py)",
-    unit="mm",
-    tolerance=Tolerance("0.1 % of the arm, which is 0.05 % of the period", absolute=0.2),
-    diagnosis="the joint is a soft constraint that yields: stiffen it, or use reduced coordinates",
-)
+@_pendulum.check("hinge-radius", tolerance=Tolerance("0.1 % of the arm, which is 0.05 % of the period", absolute=0.2))
 def _hinge_radius(rollout: Rollout) -> Measurement:
     arm = rollout.position("bob") - np.asarray(PIVOT_M)
     radial, along = np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M), np.abs(arm[:, 1])
@@ -270,16 +203,7 @@ def _tether(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0))
 
 
-@_tether.check(
-    "tether-slack",
-    title="slack string exerts no force",
-    measures="acceleration of a ball while its string is slack, over the first 0.13 s",
-    law="a = g",
-    source="tether (scene.py): it only pulls",
-    unit="m/s^2",
-    tolerance=Tolerance("the fit is over 23 samples only", relative=0.01),
-    diagnosis="the string pushes: the engine models it as a rod or a spring",
-)
+@_tether.check("tether-slack", tolerance=Tolerance("the fit is over 23 samples only", relative=0.01))
 def _tether_slack(rollout: Rollout) -> Measurement:
     falling = rollout.between(0.0, 0.13)
     measured = -acceleration_m_per_s2(rollout.times_s[falling], rollout.position("bob")[falling, 2])
@@ -289,16 +213,7 @@ def _tether_slack(rollout: Rollout) -> Measurement:
     return Measurement(measured=measured, expected=G, hint=hint)
 
 
-@_tether.check(
-    "tether-length",
-    title="taut string does not stretch",
-    measures="largest distance of the ball from the string's anchor, including the moment when it becomes taut",
-    law="|r - anchor| <= l",
-    source="tether (scene.py): inextensible",
-    unit="mm",
-    tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01),
-    diagnosis="the string is too soft, or it is missing",
-)
+@_tether.check("tether-length", tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01))
 def _tether_length(rollout: Rollout) -> Measurement:
     distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
     missing = distance.max() > 2.0 * STRING_M
@@ -308,14 +223,8 @@ def _tether_length(rollout: Rollout) -> Measurement:
 
 @Check(
     "tether-rest",
-    title="string has its length at rest",
     scene="a ball that hangs at rest on a taut string of 0.3 m",
-    measures="distance of the ball from the anchor, mean of the last 0.2 of 1 s",
-    law="|r - anchor| = l",
-    source="tether (scene.py): inextensible",
-    unit="mm",
     tolerance=Tolerance("0.5 mm of 300 is 0.08 % of the period", absolute=0.5),
-    diagnosis="the string yields under the weight, or its length is not length_m",
 )
 def _tether_rest(lab: Lab) -> Measurement:
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M), radius_m=0.01)
@@ -336,18 +245,7 @@ def _pairs(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=0.5))
 
 
-@_pairs.check(
-    "contact-unlisted",
-    title="bodies without a listed contact pass through each other",
-    measures="smaller acceleration of two balls that fall through bodies with which they have no contact, quadratic "
-    "fit over 0.5 s",
-    law="a = g",
-    source="contract (scene.Contact)",
-    unit="m/s^2",
-    tolerance=Tolerance("it is a free fall; any contact force is visible", relative=0.01),
-    diagnosis="the collision filter of the engine lets bodies collide that have no contact in the scene; where "
-    "free-fall fails too, it is the fall itself",
-)
+@_pairs.check("contact-unlisted", tolerance=Tolerance("it is a free fall; any contact force is visible", relative=0.01))
 def _contact_unlisted(rollout: Rollout) -> Measurement:
     # A fit, since after 0.5 s a semi-implicit step of 1/180 s has fallen by 1.1 % more than the law.
     falls = {
@@ -359,16 +257,7 @@ def _contact_unlisted(rollout: Rollout) -> Measurement:
     return Measurement(measured=falls[slow], expected=G, hint=hint)
 
 
-@_pairs.check(
-    "contact-listed",
-    title="bodies with a listed contact hold each other",
-    measures="height of a ball's lowest point above the plane, 0.5 s after it was placed there",
-    law="height = 0",
-    source="contract (scene.Contact)",
-    unit="mm",
-    tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=0.5),
-    diagnosis="the pair does not collide, or the contact is so soft that a body of 0.1 kg sinks in",
-)
+@_pairs.check("contact-listed", tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=0.5))
 def _contact_listed(rollout: Rollout) -> Measurement:
     height_mm = 1e3 * float(rollout.position("listed")[-1, 2] - 0.03)
     hint = ""

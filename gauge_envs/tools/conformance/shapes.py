@@ -277,15 +277,8 @@ _roll_check(
 
 @Check(
     "slide-plane",
-    title="plane leans",
     scene="a brick of 0.1 kg on a fixed plane that leans by 32 degrees about a diagonal; friction 0.2",
-    measures="acceleration of the brick along the plane's steepest direction, quadratic fit from 0.1 to 0.6 s",
-    law="a = g (sin - mu cos)",
-    source="Coulomb; scene.Plane (body z is the normal)",
-    unit="m/s^2",
     tolerance=Tolerance("as for a slide on a box", relative=0.01),
-    diagnosis="check the friction cone (a pyramid has less friction between its axes), how friction is combined, and "
-    "that the plane leans: its normal is the body's z axis",
 )
 def _slide_plane(lab: Lab) -> Measurement:
     brick = Box(size_m=(0.06, 0.03, 0.05))

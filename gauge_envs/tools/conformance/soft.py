@@ -69,29 +69,16 @@ def _strain_rate_per_m(rest: NDArray[np.float64], displacement: NDArray[np.float
     return coefficient(displacement[:, 2], 0.5 * height**2, np.ones(len(rest)), np.square(rest[:, :2]).sum(axis=1))
 
 
-@_hanging.check(
-    "foam-start",
-    title="foam, start",
-    measures="largest distance between the bar's faces and the bounding box of its nodes, at the start",
-    law="SoftBody.shape, SoftBody.pose",
-    **NODES,
-    diagnosis="nodes are world positions in metres, and the outer ones lie on the body's surface",
-)
+@_hanging.check("foam-start", **NODES)
 def _foam_start(rollout: Rollout) -> Measurement:
     return bounds_error(rollout.nodes_m["foam"][0] - np.asarray(CENTRE_M), BAR.shape.size_m)
 
 
 @_hanging.check(
     "foam-tension",
-    title="foam, Young's modulus",
-    measures="E from the mean sag of a bar under its own weight, at least one width from its clamped face",
-    law="u_z = rho g (z^2 + nu r^2 - L^2) / (2 E)",
-    source="prismatic bar under its own weight (Timoshenko and Goodier)",
-    unit="Pa",
     tolerance=Tolerance(
         "nonlinear laws differ by the largest strain, 2 % in equilibrium and 4 % at the lowest point", relative=0.05
     ),
-    diagnosis="check the conversion of E and nu to the engine's constants, the mass of the nodes, and locking elements",
 )
 def _foam_tension(rollout: Rollout) -> Measurement:
     rate = _strain_rate_per_m(*_equilibrium(rollout))
@@ -100,14 +87,9 @@ def _foam_tension(rollout: Rollout) -> Measurement:
 
 @_hanging.check(
     "foam-poisson",
-    title="foam, Poisson contraction",
-    measures="mean transverse contraction over mean stretch of the bar, at least one width from its clamped face",
-    law="u_x = -nu rho g z x / E",
-    source="prismatic bar under its own weight (Timoshenko and Goodier)",
     tolerance=Tolerance(
         "transverse displacements are a tenth of a millimetre, and the clamp acts over about one width", relative=0.1
     ),
-    diagnosis="check the engine's second constant (lambda, bulk modulus); with nu = 0 nothing contracts",
 )
 def _foam_poisson(rollout: Rollout) -> Measurement:
     rest, displacement = _equilibrium(rollout)
@@ -118,13 +100,7 @@ def _foam_poisson(rollout: Rollout) -> Measurement:
     return Measurement(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
 
 
-@Check(
-    "foam-pinned-face",
-    title="foam, attached face follows its driven body",
-    scene="the same bar attached to a plate that turns by 0.5 rad",
-    measures="largest distance of an attached node from its place on a rotating driven plate, within 0.25 s",
-    **ATTACHED,
-)
+@Check("foam-pinned-face", scene="the same bar attached to a plate that turns by 0.5 rad", **ATTACHED)
 def _foam_pinned_face(lab: Lab) -> Measurement:
     rotation = ramp(0.5, start_s=0.0, duration_s=0.2, ramp_s=0.08)
     scene = Scene(
@@ -176,33 +152,16 @@ def _start_error(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
 
 
-_falling_rope.check("rope-start", title="rope, start", **START)(_start_error)
+_falling_rope.check("rope-start", **START)(_start_error)
 
 
-@_falling_rope.check(
-    "rope-nodes",
-    title="rope, order of nodes",
-    measures="number of nodes at the start that are not further along the rope's x axis than the node before",
-    law="node i + 1 follows node i from -x to +x",
-    source="contract (Simulation.nodes)",
-    tolerance=COUNT,
-    diagnosis="nodes of a rope or rod must lie along its centre line and in order",
-)
+@_falling_rope.check("rope-nodes", tolerance=COUNT)
 def _rope_nodes(rollout: Rollout) -> Measurement:
     along = rollout.nodes_m["rope"][0, :, 0]
     return Measurement(measured=float((np.diff(along) <= 0.0).sum()))
 
 
-@_falling_rope.check(
-    "rope-length",
-    title="rope does not stretch",
-    measures="length of a rope that swings from one end, at its largest change within 0.5 s",
-    law="length = L",
-    source="inextensible (scene.Rope)",
-    unit="mm",
-    tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01),
-    diagnosis="distance constraints are too soft, or the engine uses Young's modulus for the stretch stiffness",
-)
+@_falling_rope.check("rope-length", tolerance=Tolerance("1 % of the length is 0.5 % of the period", relative=0.01))
 def _rope_length(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(np.diff(_along(rollout), axis=1), axis=2).sum(axis=1)
     at_start = abs(lengths[0] - ROPE_M) > 0.005 * ROPE_M
@@ -215,13 +174,7 @@ def _rope_length(rollout: Rollout) -> Measurement:
 
 @_falling_rope.check(
     "rope-energy",
-    title="rope gains no energy",
-    measures="largest gain of kinetic and potential energy of the swinging rope, over the released potential energy",
-    law="T + V <= initial T + V",
-    source="an inextensible rope stores no energy",
-    unit="%",
     tolerance=Tolerance("speeds are differences over 11 ms, and the mass is assumed uniform", absolute=5.0),
-    diagnosis="the solver makes energy: long steps, too few iterations, or constraint corrections that add speed",
 )
 def _rope_energy(rollout: Rollout) -> Measurement:
     nodes = _along(rollout)
@@ -241,14 +194,8 @@ FIRST_ZERO = float(jn_zeros(0, 1)[0])
 
 @Check(
     "rope-period",
-    title="rope, period of a hanging rope",
     scene="a straight rope of 0.3 m that hangs from one end, released at 4 degrees",
-    measures="period of the first mode, twice the time between its first two zeros",
-    law="T = 4 pi sqrt(L / g) / j_0, j_0 = 2.405 (first zero of J_0)",
-    source="Daniel Bernoulli's hanging chain",
-    unit="s",
     tolerance=Tolerance("a chain of ten segments is 0.3 % slow, an end of twice its mass 0.8 % or more", relative=5e-3),
-    diagnosis="check the mass at the ends, where a node has half a segment's, and damping and bending stiffness",
 )
 def _rope_period(lab: Lab) -> Measurement:
     hanging = replace(ROPE, pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0 - LEAN_DEG, 0.0)))
@@ -288,19 +235,12 @@ def _drooping_rod(lab: Lab) -> Rollout:
     return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
 
 
-_drooping_rod.check("rod-start", title="rod, start", **START)(_start_error)
+_drooping_rod.check("rod-start", **START)(_start_error)
 
 
 @_drooping_rod.check(
     "rod-bending",
-    title="rod, bending stiffness",
-    measures="bending stiffness from the mean droop of a rod clamped at one end",
-    law="E I w'' = rho A g (L - s)^2 / 2, I = pi r^4 / 4",
-    source="Euler and Bernoulli",
-    unit="N m^2",
     tolerance=Tolerance("the clamp of a mesh can be off by half a segment, 3 % of the length", relative=0.1),
-    diagnosis="check the conversion of E and radius to the bending constant, the mass of the nodes, and that the "
-    "clamp holds the slope",
 )
 def _rod_bending(rollout: Rollout) -> Measurement:
     nodes = rollout.nodes_m["rod"]
