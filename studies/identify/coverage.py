@@ -1,6 +1,6 @@
 """Synthetic joints of known friction, armature and gains: how often is the truth inside its 95 % interval?
 
-python studies/identify/coverage.py free 200 studies/identify/coverage_free.csv
+python studies/identify/coverage.py free 1000 60 studies/identify/coverage_free.csv
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ def world(seed: int, kind: str) -> list[tuple[str, float, float, float, float]]:
 
 def main() -> None:
     """Write a row for each number of each world, and print the share of intervals that hold the truth."""
-    kind, count, path = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
+    kind, first, count, path = sys.argv[1], int(sys.argv[2]), int(sys.argv[3]), Path(sys.argv[4])
     rows = []
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["seed", "setting", "truth", "low", "high"])
-        for seed in range(count):
+        for seed in range(first, first + count):
             rows += world(seed, kind)
             writer.writerows((*row[:2], *(f"{value:.5g}" for value in row[2:])) for row in rows if row[0] == str(seed))
             file.flush()

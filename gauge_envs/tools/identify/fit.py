@@ -3,8 +3,8 @@
 Stage 1 fits short parts of the logs, each from its own start, so that a wrong period cannot slip by a whole swing.
 Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too.
 
-The residuals are not white: what a model leaves out lasts. So the covariance is the sandwich (J'J)^-1 M (J'J)^-1 with
-M summed over blocks of the logs (Liang and Zeger, Biometrika 73, 1986), and its quantile is Student's.
+The residuals are not white: what a model leaves out lasts. So N samples count as N / (1 + 2 sum of the autocorrelation),
+in the variance and in the quantile, which is Student's (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8, 1946).
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -30,8 +30,8 @@ FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
-BLOCKS = 40
-"""Number of blocks of residuals of each joint, from which the intervals follow."""
+LASTING = 0.05
+"""Autocorrelation of residuals below which they count as independent."""
 STEP, DELAY_STEP = 1e-3, 0.1
 """Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
 ALIKE = 0.98
@@ -202,20 +202,30 @@ class _Problem:
         return found.x, self._covariance(found.jac, found.fun)
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-        rows = self._rows()
-        inverse = np.linalg.pinv(jacobian.T @ jacobian)
-        total, count = np.zeros_like(inverse), 0
-        samples = sum(len(part.times_s) for part in self.parts)
-        for number, joint in {tuple(row) for row in rows.tolist()}:
-            inside = np.flatnonzero((rows == (number, joint)).all(axis=1))
-            blocks = max(1, round(BLOCKS * len(inside) / samples))
-            for block in np.array_split(inside, blocks):
-                score = jacobian[block].T @ residuals[block]
-                total += np.outer(score, score)
-            count += blocks
-        freedom = max(count - jacobian.shape[1], 1)
-        scale = student.ppf(0.975, freedom) ** 2 / student.ppf(0.975, np.inf) ** 2
-        return np.asarray(inverse @ total @ inverse * (count / freedom * scale))
+        rows, inverse = self._rows(), np.linalg.pinv(jacobian.T @ jacobian)
+        total, freedom = np.zeros_like(inverse), np.inf
+        for joint in range(self.joints):
+            inside = rows[:, 1] == joint
+            series = [residuals[inside & (rows[:, 0] == number)] for number in range(len(self.parts))]
+            count = np.count_nonzero(inside) / _repeats(series)
+            free = max(count - jacobian.shape[1] / self.joints, 1.0)
+            own = jacobian[inside]
+            total += own.T @ own * (residuals[inside] ** 2).mean() * np.count_nonzero(inside) / free
+            freedom = min(freedom, free)
+        scale = (student.ppf(0.975, freedom) / 1.96) ** 2
+        return np.asarray(inverse @ total @ inverse * scale)
+
+
+def _repeats(series: Sequence[FloatArray]) -> float:
+    """Return how many samples of residuals count as one: 1 + 2 times the sum of the autocorrelation, where it lasts."""
+    power = sum(float(one @ one) for one in series)
+    repeats = 1.0
+    for lag in range(1, max(map(len, series)) // 5):
+        share = sum(float(one[:-lag] @ one[lag:]) for one in series if len(one) > lag) / max(power, 1e-300)
+        if share < LASTING:
+            break
+        repeats += 2.0 * share
+    return repeats
 
 
 def identify(

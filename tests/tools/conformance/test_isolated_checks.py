@@ -43,7 +43,7 @@ def test_an_engine_that_dies_costs_one_check(installed: Callable[..., None], nam
     installed(name)
     rows, result = checked(name, "--limits", "10s")
     assert [(row["check"], row["status"]) for row in rows] == list(zip(ONLY, ("pass", "error", "pass"), strict=True))
-    assert rows[1]["diagnosis"] == cause
+    assert str(rows[1]["diagnosis"]).startswith(cause)
     assert result.exit_code == 1
     assert "3 checks, 1 failed" in result.stderr
 
