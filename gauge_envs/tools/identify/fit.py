@@ -3,7 +3,7 @@
 Stage 1 fits short parts of the logs, each from its own start, so that a wrong period cannot slip by a whole swing.
 Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too.
 
-The residuals are not white: what a model leaves out lasts. So N samples count as N / (1 + 2 sum of the autocorrelation),
+The residuals are not white: what a model leaves out lasts. N samples count as N / (1 + 2 sum of the autocorrelation),
 in the variance and in the quantile, which is Student's (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8, 1946).
 """
 
