@@ -26,7 +26,7 @@ SEGMENT_M = 0.0125
 """Default length of a segment [m]."""
 
 SOFT_MARGIN_M = 0.001
-"""Distance at which soft bodies touch [m]: with 0.2 mm, the cube of FoamBending passes through the foam."""
+"""Distance at which soft bodies touch [m]: with 0.2 mm, a cube passes through the foam."""
 
 GROUND = -1
 """Number of the body that holds anchors in the world."""

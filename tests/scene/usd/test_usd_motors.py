@@ -59,7 +59,7 @@ MOTORS = st.none() | SERVOS | st.builds(TorqueMotor, command=PROFILES, delay_s=N
 TERMS = st.builds(JointDynamics, dry_friction_n_m=NUMBER, viscous_friction_n_m_s_per_rad=NUMBER, armature_kg_m2=NUMBER)
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(dynamics=TERMS, motor=MOTORS)
 def test_a_layer_returns_the_terms_exactly(dynamics: JointDynamics, motor: Motor | None, tmp_path: Path) -> None:
     scene = chain(dynamics, motor)
