@@ -42,7 +42,7 @@ def ball_scene(**rigid) -> gs.Scene:
 
 def test_the_options_of_a_scene_are_read(engine) -> None:
     scene = ball_scene(friction_cone=gs.friction_cone.elliptic, iterations=7, constraint_timeconst=0.03)
-    read = reader_of(scene).read(scene, None)
+    read = reader_of(scene).read(scene)
     assert read.backend == "genesis" and read.language == "genesis"
     assert read.gravity_m_per_s2 == (0.0, 0.0, -3.7)
     expected = {
@@ -64,7 +64,7 @@ def test_a_built_scene_states_the_constants_of_its_geoms(engine) -> None:
     ball, ground = 0.04, 0.02
     for geom, timeconst in zip(scene.rigid_solver.geoms, (ground, ball), strict=True):
         geom.set_sol_params([timeconst, 0.5, 0.8, 0.9, 0.002, 0.5, 2.0])
-    read = reader_of(scene).read(scene, None)
+    read = reader_of(scene).read(scene)
     scene.destroy()
     (group,) = read.contact_groups
     assert group.is_used and group.pair_count == 1
