@@ -1,6 +1,6 @@
 """Synthetic joints of known friction, armature and gains: how often is the truth inside its 95 % interval?
 
-python studies/identify/coverage.py free 3000 100 studies/identify/coverage_free.csv
+python studies/identify/coverage.py free 4000 100 studies/identify/coverage_free.csv
 
 Worlds that the file has are not simulated again.
 """

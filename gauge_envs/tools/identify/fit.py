@@ -214,7 +214,7 @@ class _Problem:
             edges = np.cumsum([len(part) for part in parts])[:-1]
             variance, neighbours, decay = _noise(np.split(table, edges))
             count = len(inside) / (1.0 + 2.0 * neighbours / max(variance * (1.0 - decay), 1e-300))
-            quantile = (student.ppf(0.975, max(count - explained.shape[1], 1.0)) / 1.96) ** 2
+            quantile = (student.ppf(0.975, max(count, 1.0)) / 1.96) ** 2
             for part in parts:
                 covariance = np.concatenate([[variance], neighbours * decay ** np.arange(len(part) - 1)])
                 total += jacobian[part].T @ matmul_toeplitz(covariance, jacobian[part]) * quantile
