@@ -36,6 +36,8 @@ LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
 LASTING = (0.0, 2.0, 4.0)
 """Logits of the decay from which the search for the noise starts."""
+FEWEST = 10.0
+"""Samples that at least count in the quantile: noise that lasts longer is known from its shocks."""
 STEP, DELAY_STEP = 1e-3, 0.1
 """Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
 ALIKE = 0.98
@@ -214,7 +216,7 @@ class _Problem:
             edges = np.cumsum([len(part) for part in parts])[:-1]
             variance, neighbours, decay = _noise(np.split(table, edges))
             count = len(inside) / (1.0 + 2.0 * neighbours / max(variance * (1.0 - decay), 1e-300))
-            quantile = (student.ppf(0.975, max(count, 1.0)) / 1.96) ** 2
+            quantile = (student.ppf(0.975, max(count, FEWEST)) / 1.96) ** 2
             for part in parts:
                 covariance = np.concatenate([[variance], neighbours * decay ** np.arange(len(part) - 1)])
                 total += jacobian[part].T @ matmul_toeplitz(covariance, jacobian[part]) * quantile
