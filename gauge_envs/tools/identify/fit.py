@@ -9,7 +9,7 @@ out what the unknowns take up of the noise. In Student's quantile N samples coun
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -200,9 +200,23 @@ class _Problem:
             xtol=tolerance,
             ftol=tolerance,
         )
-        if np.abs(found.jac).max(initial=0.0) > 0.1 * LOST_RAD / STEP:
-            raise DivergedError(f"{self.engine.name} diverges close to the best settings: give a shorter timestep_s")
+        self._check_margin(found.x)
         return found.x, self._covariance(found.jac, found.fun)
+
+    def _check_margin(self, scaled: FloatArray) -> None:
+        """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
+        larger, count = scaled.copy(), len(self.names) * self.joints
+        larger[:count] *= 1.1
+        if max(np.abs(one).max() for one in self.errors(larger, may_diverge=True)) < LOST_RAD:
+            return
+        step_s = float(self.engine.build(self.scene, self.settings).settings["timestep_s"])
+        advice = f"also with a step of {step_s / 64:.6g} s: choose another engine or preset"
+        for shorter_s in step_s / 2.0 ** np.arange(1, 7):
+            other = replace(self, settings={**(self.settings or {}), "timestep_s": shorter_s})
+            if max(np.abs(one).max() for one in other.errors(larger, may_diverge=True)) < LOST_RAD:
+                advice = f"give timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
+                break
+        raise DivergedError(f"{self.engine.name} diverges close to the best settings: {advice}")
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
         rows, inverse = self._rows(), np.linalg.pinv(jacobian.T @ jacobian)
@@ -351,10 +365,14 @@ def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -
         block = covariance[np.ix_(own, own)]
         sizes = np.sqrt(np.diag(block))
         alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
+        torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
+        is_scale = len(torques) > 2 and bool((alike[np.ix_(torques, torques)] > ALIKE).all())
         for kind, name in enumerate(problem.names):
             value, half = unknowns[own[kind]], 1.96 * std[own[kind]]
             twins = [other for k, other in enumerate(problem.names) if k != kind and abs(alike[kind, k]) > ALIKE]
             unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
+            if is_scale and unknown and kind in torques:
+                unknown = "only ratios of torques are told: a weight or a known armature would tell their scale"
             if not unknown and half >= value:
                 unknown = "0 is in the interval"
             size = problem.sizes[kind, joint]

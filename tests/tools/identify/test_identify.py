@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,11 @@ from typer.testing import CliRunner
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import BodyHinge, Box, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.motors import Servo
+from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.fit import _noise
 from gauge_envs.tools.identify.rig import posed
@@ -161,6 +166,51 @@ def test_what_the_log_does_not_tell_apart_is_said() -> None:
     found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
     assert [bool(one.unknown) for one in found.settings] == [False, True, True]
     assert "kv_n_m_s_per_rad" in found.settings[2].unknown
+
+
+def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
+    """Without weight, an armature that is fitted scales with all torques."""
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", ARMATURE)
+    scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
+    assert all("only ratios of torques" in one.unknown for one in found.settings)
+
+
+def test_an_engine_that_diverges_says_which_step_to_use() -> None:
+    """RK4 needs kv times the step over the inertia below 2.78: at 1/540 s kv would have to be below 0.0150."""
+    scene, times_s = one_joint(0.01, 0.0, 1e-5), np.arange(0.0, 0.5, 0.005)
+    (hinge,) = scene.hinges
+    still = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
+    stated = Servo(command=still, kp_n_m_per_rad=1.0, kv_n_m_s_per_rad=0.01)
+    scene, command = replace(scene, joints=(replace(hinge, motor=stated),)), 0.4 * np.sin(9.0 * times_s)[:, None]
+    # A servo of first order, 0.02 s behind; the inertia is far too small to be seen.
+    lag = np.arctan(9.0 * 0.02)
+    start = 0.4 * np.cos(lag) * np.sin(lag) * np.exp(-times_s / 0.02)[:, None]
+    measured = 0.4 * np.cos(lag) * np.sin(9.0 * times_s - lag)[:, None] + start
+    log, engine = Log("stiff", times_s, measured, command), backend("mujoco")
+    settings = {"timestep_s": 1 / 540, "preset": "contact_free"}
+    with pytest.raises(DivergedError, match=r"give timestep_s=0\.000925926 or less; it is 0\.00185185"):
+        identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings)
+    (kv,) = identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings | {"timestep_s": 1 / 1080}).settings
+    assert kv.value == pytest.approx(0.02, rel=0.02)
+
+
+def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time_s,position_rad\n" + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(60)))
+    to_usd(one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2), tmp_path / "arm.usda")
+    words = ["recipe", "joint", str(log), f"fit={VISCOUS}"]
+    answers = [
+        CliRunner().invoke(app, [*words, *load]).stdout
+        for load in (
+            (f"scene={tmp_path / 'arm.usda'}",),
+            (f"mass_kg={MASS_KG}", f"length_m={LENGTH_M}", f"inertia_kg_m2={INERTIA_KG_M2}"),
+        )
+    ]
+    assert VISCOUS in answers[0] and answers[0] == answers[1]
+    refused = CliRunner().invoke(app, [*words, "scene=arm.urdf"])
+    assert refused.exit_code == 2
+    assert "a model file alone states no scene" in " ".join(refused.stderr.split())
 
 
 def test_a_chain_is_posed_by_the_angles_of_its_hinges() -> None:
