@@ -179,7 +179,8 @@ def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
 def test_an_engine_that_diverges_says_which_step_to_use() -> None:
     """RK4 needs kv times the step over the inertia below 2.78: at 1/540 s kv would have to be below 0.0150."""
     scene, times_s = one_joint(0.01, 0.0, 1e-5), np.arange(0.0, 0.5, 0.005)
-    (hinge,) = scene.hinges
+    (hinge,) = scene.joints
+    assert isinstance(hinge, Hinge)
     still = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
     stated = Servo(command=still, kp_n_m_per_rad=1.0, kv_n_m_s_per_rad=0.01)
     scene, command = replace(scene, joints=(replace(hinge, motor=stated),)), 0.4 * np.sin(9.0 * times_s)[:, None]
