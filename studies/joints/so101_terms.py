@@ -2,8 +2,8 @@
 
     python studies/joints/so101_terms.py
 
-Each law starts from `so101_constants.csv`; all its constants are fitted again on the same motions. MuJoCo has none of the
-three terms: they are computed in each step. Writes so101_terms.csv.
+Each law starts from `so101_constants.csv`; all its constants are fitted again on the same motions. MuJoCo has none of
+the three terms: they are computed in each step. Writes so101_terms.csv.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ def off_rad(law: Step, servos: Servos, own: FloatArray, trial: Trial) -> FloatAr
 
 
 def fitted(law: Step, servos: Servos, own: FloatArray, fit: list[Trial]) -> tuple[Servos, FloatArray]:
-    """Return all constants after rounds of damped least squares, in which each joint keeps the step that improves it."""
+    """Return all constants after rounds of damped least squares; each joint keeps the step that improves it."""
     count = len(FIELDS) + len(own)
     steps = np.concatenate([STEPS, np.full(len(own), 0.1)])
     damping = np.full(6, 1e-2)
