@@ -28,7 +28,7 @@ ROBOT_IDS = (
     *("robot-feet", "robot-friction", "robot-floor-friction", "floor-tilt"),
     *("robot-density", "robot-bound", "robot-gravcomp", "robot-inertia"),
     *("robot-servo", "robot-torque", "robot-damping", "robot-frictionloss", "robot-armature"),
-    *("robot-action", "robot-delay"),
+    *("robot-dry", "robot-lag", "robot-sag", "robot-action", "robot-delay"),
 )
 """Rows on the target's own model: its rollout, and what it states."""
 
