@@ -13,7 +13,8 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
-from gauge_envs.experiments.uncertain import free_directions
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.uncertain import free_directions, overrides_at, uncertain_parameters
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.sensitivities import (
     ConstantUncertainty,
@@ -58,9 +59,9 @@ class _Perturbation:
 def measure_sensitivities(request: RunRequest) -> Sensitivities:
     """Run an experiment with each uncertain input one standard uncertainty lower and higher.
 
-    Inputs are the friction and restitution of each contact, the start of the recorded bodies, the tilt of the set-up
-    against gravity, the time step, and the cell of deformable bodies. `scoring/uncertainties.toml` states their
-    uncertainties.
+    Inputs are the friction and restitution of each contact, the constants of joints, the start of the recorded bodies,
+    the tilt of the set-up against gravity, the time step, and the cell of deformable bodies.
+    `scoring/uncertainties.toml` states their uncertainties.
 
     Args:
         request: The run; `seed`, `repeats` and `jitter` do not apply.
@@ -168,6 +169,13 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
                 low=_with_contacts(scene, group, constant, low),
                 high=_with_contacts(scene, group, constant, high),
             )
+    for joint in uncertain_parameters(experiment) if isinstance(experiment, TaskExperiment) else ():
+        if experiment.asset is not None or joint.key.rpartition(".")[2] not in known.joint:
+            continue  # A file states its own constants.
+        at = {sign: {**experiment.overrides, **overrides_at([joint], [sign])} for sign in (-1.0, 1.0)}
+        low, high = (load_experiment(experiment.variant, at[sign]).scene for sign in (-1.0, 1.0))
+        stated = StandardUncertainty(std=joint.std, unit=joint.unit, source=joint.source)
+        yield _Perturbation(name=joint.name, kind="constant", known=stated, low=low, high=high)
     for name, direction in _start_directions(experiment):
         shift = known.start.std * direction
         yield _Perturbation(

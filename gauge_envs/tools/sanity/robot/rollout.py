@@ -209,109 +209,88 @@ def _energy(robot: Robot) -> Finding:
 
 # --- joint by joint --------------------------------------------------------------------------------------------------
 
-LOADED_POSES = 64
-
 STEP_RAD, STEP_S, FAIR_S = 0.3, 0.2, 0.0075
 """Step of a servo's command, the time for which it is watched, and the time of its half with changed gains."""
-
-FROZEN_KG_M2 = 1e6
-"""Armature of joints that stay while one moves."""
 
 
 @cache
 def _weights(robot: Robot) -> NDArray[np.float64]:
     """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
-    poses = random_poses(robot.model, LOADED_POSES)
+    poses = random_poses(robot.model, 64)
     return np.asarray(np.max([np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0))
 
 
 @row("robot-dry")
 def _dry(robot: Robot) -> Finding:
-    bare = without(robot.model, "contact", "gravity", "limit", "equality", "actuation")
+    bare = without(robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring")
     bare.opt.density = bare.opt.viscosity = 0.0
-    data, loads, shares, changes = start(robot, bare), _weights(robot), {}, {}
-
-    def brake(dof: int, rate: float) -> float:
-        """Return the torque that turns a joint at a rate [rad/s]; terms that do not change sign with it cancel."""
+    data, loads, shares, losses = start(robot, bare), _weights(robot), {}, {}
+    data.qacc[:] = 0.0
+    for dof, _ in driven_dofs(robot):
         torques = []
-        for signed in (rate, -rate):
-            data.qvel[:], data.qacc[:] = signed * (np.arange(bare.nv) == dof), 0.0
+        for rate in (3.0, 6.0):
+            data.qvel[:] = rate * (np.arange(bare.nv) == dof)
             mujoco.mj_inverse(bare, data)
             torques.append(float(data.qfrc_inverse[dof]))
-        return 0.5 * (torques[0] - torques[1])
-
-    for dof, _ in driven_dofs(robot):
-        slow, fast = brake(dof, 3.0), brake(dof, 6.0)
-        dry, viscous = max(2.0 * slow - fast, 0.0), max((fast - slow) / 3.0, 0.0)
+        dry, viscous = max(2.0 * torques[0] - torques[1], 0.0), max((torques[1] - torques[0]) / 3.0, 0.0)
         shares[dof] = dry / max(dry + viscous, 1e-12)
-        if shares[dof] < 0.01:
-            # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
-            least = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
-            changes[f"dof_frictionloss[{dof}]"] = float(f"{least:.2g}")
+        # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
+        losses[dof] = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
     if not shares:
         return Finding(declined="no hinge of the robot is driven")
-    worst = min(shares, key=lambda dof: shares[dof])
-    least = f'frictionloss="{changes.get(f"dof_frictionloss[{worst}]", 0.0):.2g}" for {joint_name(robot, worst)}'
+    worst, few = min(shares, key=lambda dof: shares[dof]), [dof for dof in shares if shares[dof] < 0.01]
+    name = joint_name(robot, worst)
     return Finding(
         value=shares[worst],
-        remark=f"{joint_name(robot, worst)}, and {len(changes) - 1} more of {len(shares)}" if len(changes) > 1 else "",
-        advice=f"at least {least} and joints like it; `gauge recipe joint` fits it to a log",
-        changes=changes,
+        remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
+        advice=f'frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`',
+        changes={f"dof_frictionloss[{dof}]": losses[dof] for dof in few},
     )
 
 
 @row("robot-lag")
 def _lag(robot: Robot) -> Finding:
     model, found, changes = robot.model, Finding(declined=f"{NO_SERVO}, or have no room for a step"), {}
-    stiff = {dof for dof, _ in driven_dofs(robot) if stiffness(model, dof) > 0.0}
-    for actuator in np.flatnonzero(servos(model) & (model.actuator_gainprm[:, 0] != 0.0)):
-        dof = int(model.jnt_dofadr[model.actuator_trnid[actuator, 0]])
-        if dof not in stiff:
-            continue
-        taken_s = _half_step_s(robot, int(actuator), dof)
-        if taken_s is not None and taken_s < FAIR_S:
-            scale = taken_s / FAIR_S
-            gains = {"gainprm": (scale**2, 1.0, 1.0), "biasprm": (1.0, scale**2, scale)}
-            for name, factors in gains.items():
-                values = getattr(model, f"actuator_{name}")[actuator].copy()
-                values[:3] *= factors
-                changes[f"actuator_{name}[{actuator}]"] = values
-        if taken_s is not None and (found.declined or 1e3 * taken_s < found.value):
-            scale, name = min(taken_s / FAIR_S, 1.0), joint_name(robot, dof)
-            advice = f"kp times {scale**2:.2g} and kv times {scale:.2g} for {name} and servos like it"
-            found = Finding(value=1e3 * taken_s, remark=name, advice=f"{advice}, or their forcerange")
+    for dof, _ in driven_dofs(robot):
+        for actuator in np.flatnonzero(servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])):
+            half_s = _half_step_s(robot, int(actuator), dof)
+            scale = half_s / FAIR_S
+            if scale < 1.0:
+                changes[f"actuator_gainprm[{actuator}]"] = model.actuator_gainprm[actuator] * scale**2
+                powers = np.array([0, 2, 1] + [0] * 7)
+                changes[f"actuator_biasprm[{actuator}]"] = model.actuator_biasprm[actuator] * scale**powers
+            if 1e3 * half_s < (np.inf if found.declined else found.value):
+                gains, name = f"kp times {scale**2:.2g} and kv times {scale:.2g}", joint_name(robot, dof)
+                advice = f"{gains} for {name} and servos like it, or their forcerange"
+                found = Finding(value=1e3 * half_s, remark=name, advice=advice)
     return replace(found, changes=changes)
 
 
-def _half_step_s(robot: Robot, actuator: int, dof: int) -> float | None:
-    """Return the time in which a servo covers half of a step while all else stays [s]; None without room for it."""
+def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
+    """Return the time in which a servo covers half of a step while all else stays [s]; infinite without room for it."""
     alone = without(robot.model, "contact", "gravity", "limit")
-    alone.dof_armature[np.arange(alone.nv) != dof] = FROZEN_KG_M2
+    alone.dof_armature[np.arange(alone.nv) != dof] = 1e6
     data, place = start(robot, alone), int(alone.jnt_qposadr[alone.dof_jntid[dof]])
-    gain, bias = alone.actuator_gainprm[actuator, 0], alone.actuator_biasprm[actuator, 1]
-    size, before = abs(STEP_RAD * alone.actuator_gear[actuator, 0] * bias / gain), float(data.ctrl[actuator])
+    ratio = float(alone.actuator_biasprm[actuator, 1]) / float(alone.actuator_gainprm[actuator, 0] or np.nan)
+    size, before = abs(STEP_RAD * float(alone.actuator_gear[actuator, 0]) * ratio), float(data.ctrl[actuator])
     low, high = alone.actuator_ctrlrange[actuator] if alone.actuator_ctrllimited[actuator] else (-np.inf, np.inf)
-    if size > max(high - before, before - low):
-        return None
+    if not size <= max(high - before, before - low):
+        return np.inf
     data.ctrl[actuator] += size if high - before >= size else -size
-    begin, moved = float(data.qpos[place]), 0.0
-    for count in range(1, max(2, round(STEP_S / alone.opt.timestep))):
+    begin, moved, last = float(data.qpos[place]), 0.0, 0.0
+    while moved < 0.5 * STEP_RAD and data.time < STEP_S:
         mujoco.mj_step(alone, data)
         last, moved = moved, abs(float(data.qpos[place]) - begin)
-        if moved >= 0.5 * STEP_RAD:
-            return float((count - (moved - 0.5 * STEP_RAD) / (moved - last)) * alone.opt.timestep)
-    return STEP_S
+    over = max(moved - 0.5 * STEP_RAD, 0.0) / max(moved - last, 1e-12)
+    return float(data.time - over * alone.opt.timestep)
 
 
 @row("robot-sag")
 def _sag(robot: Robot) -> Finding:
     weights, gains = _weights(robot), {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)}
-    sags = {dof: float(weights[dof]) / gain for dof, gain in gains.items() if gain > 0.0 and weights[dof] > 0.0}
+    sags = {dof: 1e3 * float(weights[dof]) / gain for dof, gain in gains.items() if gain > 0.0 and weights[dof] > 0.0}
     if not sags:
         return Finding(declined=f"{NO_SERVO}, or carry no weight")
     dof = max(sags, key=lambda one: sags[one])
-    return Finding(
-        value=1e3 * sags[dof],
-        remark=f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad",
-        advisory="a controller with an integral part, or one that knows its load, does not sag",
-    )
+    remark = f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
+    return Finding(value=sags[dof], remark=remark, advisory="a controller that knows its load does not sag")
