@@ -100,10 +100,7 @@ class Deviations:
 
 
 def experiment_sensitivities(experiment: Experiment, backend: str | None) -> Sensitivities | None:
-    """Return the stored sensitivities of an experiment on an engine, which are those of its first trial, if any.
-
-    None without them, for an edited scene, and for another trial.
-    """
+    """Return the stored sensitivities of an experiment on an engine; None without, if edited, and for later trials."""
     return None if experiment.edited or experiment.trial else load_sensitivities(experiment.name, backend)
 
 

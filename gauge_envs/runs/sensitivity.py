@@ -169,13 +169,9 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
                 low=_with_contacts(scene, group, constant, low),
                 high=_with_contacts(scene, group, constant, high),
             )
-    for joint in uncertain_parameters(experiment) if isinstance(experiment, TaskExperiment) else ():
-        if experiment.asset is not None or joint.key.rpartition(".")[2] not in known.joint:
-            continue  # A file states its own constants.
-        at = {sign: {**experiment.overrides, **overrides_at([joint], [sign])} for sign in (-1.0, 1.0)}
-        low, high = (load_experiment(experiment.variant, at[sign]).scene for sign in (-1.0, 1.0))
-        stated = StandardUncertainty(std=joint.std, unit=joint.unit, source=joint.source)
-        yield _Perturbation(name=joint.name, kind="constant", known=stated, low=low, high=high)
+    # A file states constants of its own.
+    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
+        yield from _joint_perturbations(experiment)
     for name, direction in _start_directions(experiment):
         shift = known.start.std * direction
         yield _Perturbation(
@@ -196,6 +192,15 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
             high=tilted(scene, axis, np.zeros(3)),
             tilt=Rotation.from_rotvec(axis),
         )
+
+
+def _joint_perturbations(experiment: TaskExperiment) -> Iterator[_Perturbation]:
+    for one in uncertain_parameters(experiment):
+        if one.key.rpartition(".")[2] in input_uncertainties().joint:
+            at = [{**experiment.overrides, **overrides_at([one], [sign])} for sign in (-1.0, 1.0)]
+            low, high = (load_experiment(experiment.variant, overrides).scene for overrides in at)
+            known = StandardUncertainty(std=one.std, unit=one.unit, source=one.source)
+            yield _Perturbation(name=one.name, kind="constant", known=known, low=low, high=high)
 
 
 def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:

@@ -1,6 +1,6 @@
 """Scores of engines on all trials of the joint experiments, with the constants of the task files.
 
-    python studies/joints/experiments.py mujoco drake ...     # trials of these engines: experiments.csv and results/ENGINE.npz
+    python studies/joints/experiments.py mujoco drake ...     # all trials: experiments.csv, results/ENGINE.npz
     python studies/joints/experiments.py                      # the table of means: engines.csv
 
 A score is the root-mean-square distance from the recording, with the interval that its measurement leaves. Constants

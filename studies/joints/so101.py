@@ -302,8 +302,8 @@ def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
 def step_rows(motions: list[Trial]) -> list[tuple[object, ...]]:
     """Return, per motion and joint, the times in which the recorded joint covers half of a step [ms].
 
-    A step is a change of the command by 0.15 rad or more in a frame, after twelve frames in which it stays; it ends with
-    the next change.
+    A step is a change of the command by 0.15 rad or more in a frame, after twelve frames in which it stays; it ends
+    with the next change.
     """
     rows: list[tuple[object, ...]] = []
     for trial, (j, joint) in product(motions, enumerate(JOINTS)):
