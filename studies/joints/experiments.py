@@ -1,7 +1,7 @@
 """Scores of engines on all trials of the joint experiments, with the constants of the task files.
 
     python studies/joints/experiments.py mujoco drake ...     # all trials: experiments.csv, results/ENGINE.npz
-    python studies/joints/experiments.py                      # the table of means: engines.csv
+    python studies/joints/experiments.py                      # the tables engines.csv, steps.csv, draws.csv
 
 A score is the root-mean-square distance from the recording, with the interval that its measurement leaves. Constants
 were fitted to even trials; odd ones judge.
@@ -21,9 +21,14 @@ from scipy.stats import t
 
 import gauge_envs  # noqa: F401
 from gauge_envs.errors import GaugeError
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
 from gauge_envs.references.single_shot import single_shots
+from gauge_envs.tools.transfer.envelope import sobol_sigmas
 
 IDS = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
+
+DRAWS = 32
 
 COLUMNS = ("engine", "id", "trial", "half", "rmse_mm", "rmse_low_mm", "rmse_high_mm", "cpu_s")
 
@@ -72,7 +77,7 @@ def run(engine: str) -> None:
 
 
 def mean_with_interval(values: Sequence[float]) -> tuple[float, float, float]:
-    """Return the mean of trials and its 95 % interval by Student's t; NaN for fewer than three trials."""
+    """Return the mean over trials and its 95 % interval by Student's t; NaN for fewer than three trials."""
     mean, count = float(np.mean(values)), len(values)
     if count < 3:
         return mean, np.nan, np.nan
@@ -80,10 +85,79 @@ def mean_with_interval(values: Sequence[float]) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
+def table() -> None:
+    """Write the means of the halves, and how far each engine is from Drake with a fifth of the step."""
+    stored = rows()
+    frames: dict[str, np.ndarray] = {}
+    for file in sorted((HERE / "results").glob("*.npz")):
+        frames |= dict(np.load(file))
+    found = []
+    for engine, name in dict.fromkeys((row["engine"], row["id"]) for row in stored):
+        own = [row for row in stored if (row["engine"], row["id"]) == (engine, name)]
+        halves = {half: [float(row["rmse_mm"]) for row in own if row["half"] == half] for half in ("fit", "judge")}
+        apart = [
+            np.mean(np.square(frames[f"{engine}/{name}/{row['trial']}"] - frames[f"drake/{name}/{row['trial']}"]))
+            for row in own
+            if row["half"] == "judge"
+        ]
+        width = frames[f"drake/{name}/1"].shape[1]
+        judged = mean_with_interval(halves["judge"])
+        found.append(
+            (engine, name, float(np.mean(halves["fit"])), *judged, float(np.sqrt(np.mean(apart) * width)), len(apart))
+        )
+    write("engines.csv", ("engine", "id", "fit_mm", "judged_mm", "low_mm", "high_mm", "from_drake_mm", "judged"), found)
+
+
+def step_errors() -> None:
+    """Write the error on the first judged trial with the step of the preset, and shorter ones."""
+    found = []
+    for engine in ("mujoco", "rapier", "physx"):
+        for name in ("DoublePendulum-bars", "ServoArm-so101"):
+            for factor in (1, 2, 5):
+                env = gymnasium.make(f"GAUGE/{name}", backend=engine, settings={"timestep_s": 1.0 / (1800 * factor)})
+                env.reset(options={"trial": 1})
+                over = False
+                while not over:
+                    _, _, terminated, truncated, info = env.step(0)
+                    over = terminated or truncated
+                found.append((engine, name, 1800 * factor, info["score"].rmse))
+                print(found[-1], flush=True)
+                env.close()
+    write("steps.csv", ("engine", "id", "steps_per_s", "rmse_mm"), found)
+
+
+def draws() -> None:
+    """Write the errors of MuJoCo on judged trials, with constants drawn from scoring/uncertainties.toml."""
+    found = []
+    for name in IDS:
+        parameters, shots = uncertain_parameters(load_experiment(name)), single_shots(name)
+        assert shots is not None
+        judged = range(1, len(shots), 2)
+        errors: list[list[float]] = [[] for _ in judged]
+        for sigmas in sobol_sigmas(DRAWS, len(parameters)):
+            env = gymnasium.make(f"GAUGE/{name}", parameters=overrides_at(parameters, sigmas.tolist()))
+            for own, trial in zip(errors, judged, strict=True):
+                env.reset(options={"trial": trial})
+                over = False
+                while not over:
+                    _, _, terminated, truncated, info = env.step(0)
+                    over = terminated or truncated
+                own.append(info["score"].rmse)
+            env.close()
+        for own, trial in zip(errors, judged, strict=True):
+            found.append((name, trial, *map(float, np.quantile(own, (0.0, 0.025, 0.5, 0.975)))))
+            print(found[-1], flush=True)
+    write("draws.csv", ("id", "trial", "least_mm", "low_mm", "median_mm", "high_mm"), found)
+
+
 def main() -> None:
-    """Run the engines that are named."""
+    """Run the engines that are named, or write the tables."""
     for engine in sys.argv[1:]:
         run(engine)
+    if len(sys.argv) == 1:
+        table()
+        step_errors()
+        draws()
 
 
 if __name__ == "__main__":
