@@ -51,6 +51,9 @@ EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
 PUSH_S = (-0.1, 0.33)
 """Common times between which the hand pushes."""
 
+COPIES = 10
+"""Simulations of each trial: 0.1 um at the start moves the end of MuJoCo's cube by 1.5 mm."""
+
 FloatArray = NDArray[np.float64]
 
 
@@ -248,7 +251,7 @@ def fit(options: argparse.Namespace) -> None:
     rows, tips_deg = [], []
     for mode, friction, restitution in cases:
         constants = {"hand.friction": friction, "hand.restitution": restitution}
-        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode))
+        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode), copies=COPIES)
         tips_deg.append(column(found, "pitch_deg") - column(found, "real_pitch_deg"))
         rows.append({"mode": mode, "friction": friction, "restitution": restitution, **summary(found)})
         print(rows[-1])
@@ -274,7 +277,7 @@ def run(options: argparse.Namespace) -> None:
     if file.is_file():
         with file.open(encoding="utf-8", newline="") as stream:
             rows = [row for row in csv.DictReader(stream) if row["engine"] not in (options.engine, "recorded")]
-    found = scored(options.engine, ODD, copies=options.copies)
+    found = scored(options.engine, ODD, copies=COPIES)
     rows.append({"engine": options.engine, **summary(found)})
     names = [name for name in found[0] if name.startswith("real_")]
     real = [row | {name.removeprefix("real_"): row[name] for name in names} for row in found]
@@ -315,7 +318,7 @@ def bounds(options: argparse.Namespace) -> None:
     }
     rows = []
     for name, (constants, changes) in cases.items():
-        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, **changes))})
+        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, copies=COPIES, **changes))})
         print(rows[-1])
     write("bounds.csv", rows)
 
@@ -430,8 +433,6 @@ def main() -> None:
     for function in (slide, fit, run, bounds, start, point, picture):
         command = commands.add_parser(function.__name__)
         command.set_defaults(function=function)
-        if function is run:
-            command.add_argument("--copies", type=int, default=10)
         if function in (run, point):
             command.add_argument("engine", **({} if function is run else {"nargs": "?", "default": "mujoco"}))
     options = parser.parse_args()
