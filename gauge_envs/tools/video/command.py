@@ -116,44 +116,49 @@ def _given_track(file: Path, details: Mapping[str, Any], view: PlaneView | None)
 
 
 def video_report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
-    out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4.")],
+    out: Annotated[Path, typer.Option(help="Folder for page, results.json and tables.")] = Path("video_report"),
     first_frame: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that models were given, TASK.png.")
     ] = None,
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed. Exit code 1 when a video cannot be read or is named otherwise; the others are
-    on the page.
+    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
+    judged or a file is named otherwise; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video import score_track, video_task
+    from gauge_envs.tools.video import VideoScore, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import find_videos, video_page
+    from gauge_envs.tools.video.words import find_videos, results_table, video_page
 
     videos, others = find_videos(folder)
-    results, files = {}, {}
-    broken = [f"{file}: left out, because it is named otherwise than MODEL/TASK.mp4" for file in others]
+    results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
+    broken = [
+        f"{file}: left out: it is named otherwise than MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4" for file in others
+    ]
     with Progress("videos", len(videos)) as progress:
         for model, task, file in videos:
             progress.show(f"{model}: {task}")
+            clips = results.setdefault((model, task), {})
+            clips[file] = None
             try:
                 picture = None if first_frame is None else first_frame / f"{task}.png"
                 track = track_object(FileFrames(file), video_task(task), first_frame=picture)
-                results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
-                files[model, task] = file
+                clips[file] = score_track(track, video_task(task), name=str(file.relative_to(folder)))
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
     for text in broken:
         message(text)
-    if results:
-        page = save_file(out / "index.html", video_page(results, files))
-        rows = [{"model": model, **result.to_dict()} for (model, _), result in results.items()]
-        save_file(out / "results.json", json_text(rows))
-        echo(page)
+    page = save_file(out / "index.html", video_page(results))
+    rows = [{"model": key[0], **one.to_dict()} for key, clips in results.items() for one in clips.values() if one]
+    save_file(out / "results.json", json_text(rows))
+    table = results_table(results)
+    save_file(out / "table.csv", table.csv())
+    save_file(out / "table.tex", table.latex())
+    echo(page)
     return bool(broken)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +21,7 @@ from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
 from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
+from gauge_envs.tools.video.words import find_videos, results_table  # noqa: E402
 
 SWINGS = ("NewtonsCradle-metal", "Pendulum-metal")
 FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", *SWINGS)
@@ -191,27 +194,61 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
     one = known("SlopeSlider-2-metal", 11)
+    videos = tmp_path / "videos"
     for model in ("seedance2", "slow"):
-        (tmp_path / "videos" / model).mkdir(parents=True)
-    written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
-    (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
-    for other in ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm"):
-        (tmp_path / "videos" / other).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "videos" / other).write_text("no video")
-    outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
+        (videos / model).mkdir(parents=True)
+    written(one, videos / "seedance2" / "SlopeSlider-2-metal.mp4")
+    (videos / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    ignored = ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm", "slow/notes.txt")
+    for other in ignored:
+        (videos / other).parent.mkdir(parents=True, exist_ok=True)
+        (videos / other).write_text("no video")
+    outcome = CliRunner().invoke(app, ["video", "report", str(videos), "--out", str(tmp_path / "page")])
     assert outcome.exit_code == 1
-    for other in ("SlopeSlider-2-metal_v2.mp4", "a/SlopeSlider-2-metal.mp4", "top.webm"):
-        assert f"{other}: left out, because it is named otherwise" in "".join(outcome.stderr.split("\n"))
+    for other in ignored:
+        assert f"{other}: left out: it is named otherwise" in "".join(outcome.stderr.split("\n"))
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
     assert json.loads(line)["model"] == "seedance2"
     assert page.count("<img ") == 6
-    # The published value stands below the one of the video, and in the table of the published models.
-    assert "published 0.074" in page
-    assert ">0.074</td>" in page
+    # The published value stands beside the one of the video, and in the table of the published models.
+    assert page.count(">0.074</td>") == 2
+    assert ">0%</td>" in page
     assert "http" not in page
     empty = CliRunner().invoke(app, ["video", "report", str(tmp_path / "page")])
     assert empty.exit_code == 2
+
+
+def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
+    for name in ("a/Pendulum-metal/seed_3.mp4", "a/Pendulum-metal.mp4", "a/Pendulum-metal/other.mp4", "a/b/seed_1.mp4"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    videos, others = find_videos(tmp_path)
+    assert [file.stem for *_, file in videos] == ["seed_3", "Pendulum-metal"]
+    assert {one[:2] for one in videos} == {("a", "Pendulum-metal")}
+    assert [file.name for file in others] == ["other.mp4", "seed_1.mp4"]
+
+
+def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path: Path) -> None:
+    one = score_track(read_track(slide_track(tmp_path / "track.csv", 1.7), fps=30.0), video_task("SlopeSlider-2-wood"))
+    grades = [Grade.VALID] * 4 + [Grade.DOUBTFUL]
+    seeds = [
+        replace(one, grade=grade, metrics={**one.metrics, "a_m_s2": a})
+        for grade, a in zip(grades, (1.0, 2.0, 3.0, 4.0, 90.0), strict=True)
+    ]
+    clips = {Path(f"seed_{number}.mp4"): result for number, result in enumerate((*seeds, None))}
+    table = results_table({("mine", one.task): clips, ("single", one.task): {Path("one.mp4"): one}})
+    _, row, _, single = csv.DictReader(table.csv().splitlines())
+    # Student's t with 3 degrees of freedom is 3.182, and the standard deviation of 1, 2, 3, 4 is 1.291.
+    half = 3.182446 * 1.2909944 / 2.0
+    assert float(row["mean"]) == 2.5
+    assert (float(row["low"]), float(row["high"])) == pytest.approx((2.5 - half, 2.5 + half), rel=1e-6)
+    assert (float(row["spread"]), row["valid"], row["clips"]) == (pytest.approx(1.2909944), "4", "6")
+    assert float(row["usable"]) == pytest.approx(4 / 6)
+    assert single["spread"] == "" and (float(single["low"]), float(single["high"])) == one.uncertainty["a_m_s2"]
+    latex = table.latex().splitlines()
+    assert latex[0] == r"\begin{tabular}{lllrrrrrrrrr}" and latex[-1] == r"\end{tabular}"
+    assert r"67\%" in latex[2] and latex[2].count(" & ") == 11 and latex[2].endswith(r" \\")
 
 
 def test_published_values_are_those_of_the_table() -> None:
