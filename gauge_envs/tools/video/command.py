@@ -53,9 +53,13 @@ def video_score(
             metavar="VIDEO... [NAME=VALUE]...", help="Videos, or tracks: .csv with frame, x, y, confidence."
         ),
     ],
-    task: Annotated[str, typer.Option("--id", metavar="ID", help="Task of the videos; see gauge list video-tasks.")],
+    task: Annotated[
+        str,
+        typer.Option("--id", metavar="ID", help="Task, see gauge list video-tasks; own films: slide, fall, pendulum."),
+    ],
     camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="For tracks: how the camera sees the plane, TOML or JSON.")
+        Path | None,
+        typer.Option(metavar="FILE", help="How the camera sees the plane, TOML or JSON; a board in the film."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn in.")] = None,
     first_frame: Annotated[
@@ -66,34 +70,52 @@ def video_score(
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
     They have intervals. Details: fps=, frames per second, instead of the rate that a video states; size=832x480, of the
-    pictures of a track in pixels. Exit code 1 when a video is graded invalid.
+    pictures of a track in pixels. Films of one's own, with --camera: object=612,300,40,40, left, top, width and height
+    of a box around the object in the first frame; angle_deg=, slope of a slide. They give friction, restitution or
+    damping too. Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
-    from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.frames import FileFrames, Frames
+    from gauge_envs.tools.video.own import MOTIONS, FrontalFilm, score_own
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
-    names, details = arguments.split_details(words, fps=float, size=_size)
-    chosen = video_task(task)
+    names, details = arguments.split_details(words, fps=float, size=_size, object=_box, angle_deg=float)
     are_tracks = {Path(name): name.lower().endswith(".csv") for name in names}
     if any(are_tracks.values()) and (out or first_frame):
         raise ParameterError("--out and --first-frame need the video, and a track has none: leave out one of both")
-    if not all(are_tracks.values()) and ("size" in details or camera):
-        raise ParameterError("size and --camera go with tracks; a video shows the first frame and states its size")
+    if not all(are_tracks.values()) and ("size" in details or (camera is None) != ("object" not in details)):
+        raise ParameterError("a video states its size; a film of one's own needs --camera and object=")
     view = None if camera is None else read_camera(camera)
+    if task in MOTIONS and (view is None or any(are_tracks.values())):
+        raise ParameterError(f"--id {task} is for films of one's own, with --camera and object=")
     has_failed = False
     for file, is_track in are_tracks.items():
-        if is_track:
-            track = _given_track(file, details, view)
+        source: Frames | None = None if is_track else FileFrames(file, fps=details.get("fps"))
+        if source is not None and view is not None:
+            source = FrontalFilm(source, view)
+            result = score_own(source, task, details["object"], angle_deg=details.get("angle_deg"))
         else:
-            source = FileFrames(file, fps=details.get("fps"))
-            track = track_object(source, chosen, first_frame=first_frame)
-        result = score_track(track, chosen, name=str(file), camera=view)
-        if out is not None:
+            chosen = video_task(task)
+            track = (
+                _given_track(file, details, view)
+                if source is None
+                else track_object(source, chosen, first_frame=first_frame)
+            )
+            result = score_track(track, chosen, name=str(file), camera=view)
+        if out is not None and source is not None:
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
-        print_document(score_document(result, chosen.real), form)
+        print_document(score_document(result, {} if task in MOTIONS else video_task(task).real), form)
         has_failed = has_failed or result.grade is Grade.INVALID
     return has_failed
+
+
+def _box(text: str) -> tuple[float, ...]:
+    """Return left, top, width and height of `612,300,40,40`."""
+    found = re.fullmatch(",".join([r"(\d+(?:\.\d*)?)"] * 4), text)
+    if found is None or not float(found[3]) * float(found[4]):
+        raise ParameterError(f"object={text}: give left, top, width and height of the box in pixels, as 612,300,40,40")
+    return tuple(map(float, found.groups()))
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -160,6 +182,21 @@ def video_report(
     save_file(out / "table.tex", table.latex())
     echo(page)
     return bool(broken)
+
+
+def video_board(
+    words: Annotated[
+        list[str], typer.Argument(metavar="FILE [NAME=VALUE]...", help="File to write, .pdf or .png in true size.")
+    ],
+) -> None:
+    """Write a board to print, which stands beside a motion so that a camera held by hand can film it.
+
+    Details: square_mm=35, the edge of a square: 7 x 5 of them fit on A4.
+    """
+    from gauge_envs.tools.video.own import save_board
+
+    file, details = arguments.split_subject(words, square_mm=float)
+    echo(save_board(Path(file), details.get("square_mm", 35.0)))
 
 
 def video_render(

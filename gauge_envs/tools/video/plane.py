@@ -147,6 +147,31 @@ class Pose:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Board:
+    """Printed board beside the motion, in every frame of a film, whose upper edge is level.
+
+    Attributes:
+        square_m: Edge of a square as measured on the print [m].
+        sigma_m: Standard uncertainty of its corners: print and flatness [m].
+        offset_m: Distance of the plane of the motion from the board, towards the camera [m].
+        offset_sigma_m: Its standard uncertainty [m].
+    """
+
+    square_m: float
+    sigma_m: float = 0.0003
+    offset_m: float = 0.0
+    offset_sigma_m: float = 0.002
+
+    def to_plane(self, lens: Lens | None) -> FloatArray:
+        """Raise an error: the place of a board is found in a film."""
+        raise VideoError("[board] needs the film that shows it; a track goes with [points] or [pose]")
+
+    def drawn(self, rng: np.random.Generator) -> Board:
+        """Return the board itself."""
+        return self
+
+
+@dataclass(frozen=True, kw_only=True)
 class PlaneView:
     """How a recording sees the plane of the motion.
 
@@ -162,7 +187,7 @@ class PlaneView:
     """
 
     size_px: tuple[int, int]
-    source: PointPairs | Pose
+    source: PointPairs | Pose | Board
     lens: Lens | None = None
     pivot_m: FloatArray | None = None
     pivot_sigma_m: float = 0.0
@@ -174,6 +199,15 @@ class PlaneView:
         """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
         straight = points_px if self.lens is None else self.lens.straight(points_px)
         return _homogeneous(self.source.to_plane(self.lens), straight)
+
+    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
+        straight = _homogeneous(np.linalg.inv(self.source.to_plane(self.lens)), points_m)
+        if self.lens is None:
+            return straight
+        bent, none = np.array([*self.lens.distortion, 0.0, 0.0]), np.zeros(3)
+        rays = np.column_stack([straight, np.ones(len(straight))])
+        return np.asarray(cv2.projectPoints(rays, none, none, self.lens.matrix, bent)[0][:, 0], dtype=float)
 
     def drawn(self, rng: np.random.Generator) -> PlaneView:
         """Return the view with calibration and pivot moved within their uncertainty."""
@@ -274,6 +308,7 @@ def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray
 # --- camera file -----------------------------------------------------------------------------------------------------
 
 SHAPES: dict[str, dict[str, tuple[int | None, ...]]] = {
+    "board": {"square_m": (), "sigma_m": (), "offset_m": (), "offset_sigma_m": ()},
     "points": {"px": (None, 2), "m": (None, 2), "sigma_px": (), "sigma_m": ()},
     "lens": {"matrix": (3, 3), "distortion": (2,), "focal_sigma": ()},
     "pose": {"rvec": (3,), "tvec": (3,), "position_sigma_m": (), "rotation_sigma_rad": ()},
@@ -283,6 +318,7 @@ SHAPES: dict[str, dict[str, tuple[int | None, ...]]] = {
 """Shape of the numbers under each key of a table; None stands for any length. A pivot in a world has three."""
 
 OPTIONAL = {"distortion", "focal_sigma", "position_sigma_m", "rotation_sigma_rad", *SHAPES["motion"]}
+OPTIONAL |= {"board.sigma_m", "board.offset_m", "board.offset_sigma_m"}
 DIRECTIONS = {"normal", "up", "direction"}
 
 LARGEST = 1e300
@@ -318,13 +354,19 @@ def read_camera(path: Path | str) -> PlaneView:
     size = _numbers(path, "size_px", values.get("size_px"), (2,))
     if (size < 1).any() or (size != np.round(size)).any():
         raise VideoError(f"{path}: size_px is {size.tolist()}; give width and height in whole pixels, as [1280, 720]")
-    if ("points" in values) == ("pose" in values):
-        raise VideoError(f"{path}: give either [points], or [lens], [pose] and [plane]")
+    if len(values.keys() & {"points", "pose", "board"}) != 1:
+        raise VideoError(f"{path}: give either [board], or [points], or [lens], [pose] and [plane]")
     if "pose" in values and "lens" not in values:
         raise VideoError(f"{path}: [pose] needs [lens] with the camera matrix")
     shapes = SHAPES | {"motion": SHAPES["motion"] | {"pivot_m": (3 if "pose" in values else 2,)}}
     tables = {name: _table(path, name, table, shapes[name]) for name, table in values.items() if name in shapes}
-    source = _points(path, tables["points"]) if "points" in values else _pose(path, tables["pose"], tables.get("plane"))
+    source: PointPairs | Pose | Board
+    if "board" in values:
+        source = Board(**tables["board"])
+    elif "points" in values:
+        source = _points(path, tables["points"])
+    else:
+        source = _pose(path, tables["pose"], tables.get("plane"))
     motion = tables.get("motion", {})
     if "pivot_m" in motion:
         if isinstance(source, Pose):
@@ -339,8 +381,8 @@ def _table(path: Path, name: str, values: Any, shapes: dict[str, tuple[int | Non
     _check_keys(path, name, values, set(shapes))
     found: dict[str, Any] = {}
     for key, shape in shapes.items():
-        if key in values or key not in OPTIONAL:
-            place, value = f"{name}.{key}", values.get(key)
+        place, value = f"{name}.{key}", values.get(key)
+        if key in values or not {key, place} & OPTIONAL:
             found[key] = _numbers(path, place, value, shape) if shape else _number(path, place, value)
         if key in DIRECTIONS and key in found and not np.linalg.norm(found[key]) > 0.0:
             raise VideoError(f"{path}: {name}.{key} is zero; give a direction")

@@ -71,6 +71,9 @@ def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Regi
         task: The task.
     """
     size = (picture.shape[1], picture.shape[0])
+    if task.id in tuple(Motion):
+        # A film of one's own has no known first frame: it is on the grid already.
+        return stretched(size)
     scene = _Scene(picture, task)
     candidates = [scene.judged(one) for one in _candidates(size)]
     best = max(one.support for one in candidates)

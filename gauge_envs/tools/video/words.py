@@ -25,6 +25,9 @@ TITLES = {
     "pd_s": "period [s]",
     "mte": "momentum transfer",
     "de_n": "dynamic error [N]",
+    "friction": "friction",
+    "restitution": "restitution",
+    "damping_per_s": "damping [1/s]",
 }
 """Titles of the metrics by name."""
 
@@ -62,7 +65,7 @@ def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
     if result.track.registration is not None:
         scale += f"; registered by {result.track.registration.method}"
-    known = [name for name in METRICS if result.metrics[name] is not None]
+    known = [name for name, value in result.metrics.items() if value is not None]
     table = Table(
         columns=(
             Column("", "metric", TITLES.__getitem__),
@@ -231,7 +234,7 @@ MARKED = (60, 60, 230)
 """Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
 
 
-def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
+def save_overlay(source: Frames, result: VideoScore, path: Path) -> Path:
     """Write a video with the track, and return its path; its folder is created.
 
     Args:
