@@ -19,7 +19,7 @@ from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, Pose, frontal_task, frontal_track
+from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
@@ -93,9 +93,8 @@ class FrontalFilm(Frames):
         self.name, self.fps, self.size_px, self._source = source.name, source.fps, REFERENCE_SIZE_PX, source
         if source.size_px != view.size_px:
             raise VideoError(f"{self.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}")
-        self.camera, self._views = view, None
-        if isinstance(view.source, Board):
-            self.camera, self._views = _board_views(source, view, view.source)
+        self._views = _board_views(source, view, view.source) if isinstance(view.source, Board) else None
+        self.camera = view if self._views is None else self._views[0] or view
         width, height = source.size_px
         border = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]) * (width, height)
         places = self.camera.to_plane_m(border)
@@ -130,10 +129,9 @@ class FrontalFilm(Frames):
             if view is None:
                 continue
             if maps is None or self._views is not None:
-                lens = view.lens or Lens(matrix=np.eye(3))
-                bent = np.array([*lens.distortion, 0.0, 0.0])
+                lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
                 plane = view.source.to_plane(view.lens)
-                maps = cv2.initUndistortRectifyMap(lens.matrix, bent, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
+                maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
             blur = 0.4 * self._coarseness
             smooth = cv2.GaussianBlur(picture, (0, 0), blur) if blur > 0.5 else picture
             cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
@@ -177,8 +175,8 @@ class FrontalFilm(Frames):
         )
 
 
-def _board_views(source: Frames, view: PlaneView, board: Board) -> tuple[PlaneView, list[PlaneView | None]]:
-    """Return how the first frame sees the plane, with its uncertainty, and how each one does; None without a board."""
+def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneView | None]:
+    """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
     detector = cv2.aruco.CharucoDetector(charuco())
     # To the right and up from the middle of the board, and towards the camera.
     corners_m = (charuco().getChessboardCorners() - [*(0.5 * SQUARES), 0.0]) * [1.0, -1.0, 0.0] * board.square_m
@@ -195,28 +193,21 @@ def _board_views(source: Frames, view: PlaneView, board: Board) -> tuple[PlaneVi
             f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
         )
     lens = view.lens or _calibrated(seen, source.size_px)
-    bent = np.array([*lens.distortion, 0.0, 0.0])
+    ends_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
+    first: list[float] = []
 
     def placed(one: tuple[FloatArray, FloatArray]) -> PlaneView:
-        _, rvec, tvec = cv2.solvePnP(*one, lens.matrix, bent)
-        z = np.array([0.0, 0.0, 1.0])
-        pose = Pose(
-            rvec=rvec[:, 0], tvec=tvec[:, 0], point_m=board.offset_m * z, normal=z, up=np.roll(z, -1), sigma_m=0.0
-        )
-        return replace(view, lens=lens, source=pose)
+        _, rvec, tvec = cv2.solvePnP(*one, *lens.coefficients)
+        if not first:
+            away = cv2.projectPoints(one[0], rvec, tvec, *lens.coefficients)[0][:, 0] - one[1]
+            relative = board.offset_sigma_m / float(np.linalg.norm(tvec))
+            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+            first.extend([float(away.std()), 2.0 * math.hypot(board.sigma_m, relative * np.linalg.norm(ends_m[0]))])
+        px = cv2.projectPoints(ends_m + np.array([0.0, 0.0, board.offset_m]), rvec, tvec, *lens.coefficients)[0][:, 0]
+        pairs = PointPairs(px=px.tolist(), m=ends_m[:, :2].tolist(), sigma_px=first[0], sigma_m=first[1])
+        return replace(view, lens=lens, source=pairs)
 
-    views = [None if one is None else placed(one) for one in found]
-    first = views[0]
-    assert first is not None and isinstance(first.source, Pose)
-    on_board = replace(first, source=replace(first.source, point_m=np.zeros(3)))
-    away = on_board.to_plane_m(seen[0][1]) - seen[0][0][:, :2]
-    corners = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]], :2]
-    depth_m = float(np.linalg.norm(first.source.tvec))
-    relative = math.hypot(board.offset_sigma_m, board.offset_m * lens.focal_sigma) / depth_m
-    # Each of four corners is drawn on its own, so an error that all share is counted twice as large.
-    sigma_m = math.hypot(2.0 * board.sigma_m, 2.0 * relative * float(np.linalg.norm(corners[0])), float(np.std(away)))
-    pairs = PointPairs(points_px=first.to_picture_px(corners), points_m=corners, sigma_px=0.0, sigma_m=sigma_m)
-    return replace(first, source=pairs, lens=replace(lens, focal_sigma=0.0)), views
+    return [None if one is None else placed(one) for one in found]
 
 
 def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, int]) -> Lens:
@@ -226,11 +217,8 @@ def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, i
     names = ("USE_INTRINSIC_GUESS", "FIX_PRINCIPAL_POINT", "FIX_ASPECT_RATIO", "ZERO_TANGENT_DIST", "FIX_K2", "FIX_K3")
     fixed = sum(getattr(cv2, f"CALIB_{name}") for name in names)
     objects, pictures = ([one[part].astype(np.float32) for one in chosen] for part in (0, 1))
-    _, matrix, bent, _, _, sigmas, *_ = cv2.calibrateCameraExtended(
-        objects, pictures, size_px, start, None, flags=fixed
-    )
-    sigma = float(sigmas[0, 0] / matrix[0, 0])
-    return Lens(matrix=matrix, distortion=np.array([bent.ravel()[0], 0.0]), focal_sigma=sigma)
+    _, matrix, bent, *_ = cv2.calibrateCamera(objects, pictures, size_px, start, None, flags=fixed)
+    return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
 # --- score and material ----------------------------------------------------------------------------------------------

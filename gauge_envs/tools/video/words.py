@@ -3,7 +3,7 @@
 import math
 import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TypeAlias
 
@@ -12,9 +12,9 @@ from scipy.special import stdtrit
 
 from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
-from gauge_envs.pages.html import Html, below, element, join, listed
-from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.tools.video import METRICS, Grade, VideoScore, VideoTask, video_task, video_tasks
+from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.table import Column, Table
+from gauge_envs.tools.video import Grade, VideoScore, VideoTask, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.tasks import published_results
 
@@ -110,21 +110,11 @@ PICTURES = 6
 
 PICTURE_WIDTH_PX = 416
 
-LAYOUTS = {
-    "stretch": "width and height scaled each on its own",
-    "crop": "a crop of the first frame",
-    "pad": "the first frame with a border",
-    "first frame": "registered by points of the first frame",
-}
-"""How a video lies on the grid of the first frames, by the method of its registration."""
-
 VALUES_NOTE = (
     "Mean over the valid clips (seeds) of a model. Interval of 95 %: of the mean by Student's t; of one clip, of "
     "simulated tracks. Spread: standard deviation over seeds. Usable: valid clips of all. Published: GAUGE, arXiv "
-    "2608.05948, Table 3, where the folder has the name of a published model."
+    '2608.05948, Table 3; "negative" is with the negative prompt.'
 )
-
-PUBLISHED_NOTE = 'GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.'
 
 Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
 """Results of the clips by model and task; None for a clip that cannot be judged."""
@@ -153,7 +143,6 @@ def results_table(results: Results) -> Table:
     rows = []
     for (model, task), clips in results.items():
         valid = [one for one in clips.values() if one is not None and one.grade is Grade.VALID]
-        published = published_results().get(model.replace("-", "_"), {})
         for name, real in video_task(task).real.items():
             values = np.array([one.metrics[name] for one in valid], dtype=float)
             values = values[np.isfinite(values)]
@@ -166,26 +155,23 @@ def results_table(results: Results) -> Table:
                 ends = (mean - half, mean + half)
             row = {"model": model, "task": task, "metric": TITLES[name], "mean": mean, "spread": spread, "real": real}
             row["low"], row["high"] = ends or (None, None)
-            row |= {"usable": len(valid) / len(clips), "valid": len(valid), "clips": len(clips)}
-            rows.append({**row, "published": published.get((task, name))})
+            rows.append(row | {"usable": len(valid) / len(clips), "valid": len(valid), "clips": len(clips)})
+    keys = [(task, name) for task in dict.fromkeys(task for _, task in results) for name in video_task(task).real]
+    for model, known in published_results().items():
+        rows += [
+            {"model": f"{model}, published", "task": t, "metric": TITLES[n], "mean": known.get((t, n))} for t, n in keys
+        ]
     titles = {"mean": "mean", "low": "95 % from", "high": "to", "spread": "spread", "real": "real"}
     columns = [Column(key, title, short_text, is_number=True) for key, title in titles.items()]
     columns.insert(0, Column("usable", "usable", "{:.0%}".format, is_number=True))
-    columns += [Column(key, key, short_text, is_number=True) for key in ("valid", "clips", "published")]
+    columns += [Column(key, key, short_text, is_number=True) for key in ("valid", "clips")]
     names = (Column("model", "model"), Column("task", "task"), Column("metric", "metric"))
     return Table(columns=(*names, *columns), rows=rows, notes=(VALUES_NOTE,))
 
 
 def video_page(results: Results) -> str:
     """Return the page of many videos, without any other file."""
-    tasks = list(dict.fromkeys(task for _, task in results))
-    rows = [(task, name) for task in tasks for name in METRICS if name in video_task(task).real]
-    parts: list[Part] = [
-        results_table(results),
-        Heading("Published models"),
-        element("p", PUBLISHED_NOTE, class_="quiet"),
-        _published_table(rows),
-    ]
+    parts: list[Part] = [results_table(results)]
     last = ""
     for (model, task), clips in results.items():
         parts += [Heading(task)] if task != last else []
@@ -194,19 +180,10 @@ def video_page(results: Results) -> str:
     return page("Videos and the laws of motion", parts)
 
 
-def _published_table(rows: Sequence[tuple[str, str]]) -> Table:
-    published = published_results()
-    lines = [
-        [join([task, below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
-        for task, name in rows
-    ]
-    return grid(("task", *published), lines, look="matrix")
-
-
 def _clip(model: str, result: VideoScore, file: Path) -> Html:
     text = f": {result.grade.value}; {span_text(result)}"
     if result.track.registration is not None:
-        text += f"; {LAYOUTS[result.track.registration.method]}"
+        text += f"; registered by {result.track.registration.method}"
     pictures = element("div", *_pictures(result, file), class_="strip")
     name = model if file.stem == result.task else f"{model}, {file.stem}"
     return join([element("p", element("b", name), text), listed(result.reasons), pictures])
