@@ -1,10 +1,13 @@
 """Films of a slide, a drop and a swing beside a board by a camera held by hand, whose constants are known.
 
-A pinhole camera with distortion moves and turns slowly. The board hangs on a wall, and the motion is some millimetres
+A pinhole camera with distortion moves and turns slowly. The board hangs on a wall, and the motion has its middle 35 mm
 before it. Each frame is the mean over its exposure, with noise and MPEG-4 compression.
 """
 
+import argparse
+import csv
 import math
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,14 +16,15 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.tools.video.own import SQUARES, charuco
+from gauge_envs.tools.video import FileFrames, read_camera
+from gauge_envs.tools.video.own import SQUARES, FrontalFilm, charuco, score_own
 
 FloatArray = NDArray[np.float64]
 
 SIZE_PX = (1280, 720)
 PX_PER_M = 1250.0
 WALL_M = np.array([1.9, 1.3])
-SQUARE_M, OFFSET_M, EDGE_M = 0.035, 0.03, 0.05
+SQUARE_M, OFFSET_M, EDGE_M = 0.035, 0.035, 0.05
 EXPOSURES = 4
 G = 9.80665
 
@@ -51,23 +55,28 @@ def shot(motion: str, seed: int, folder: Path, *, fps: float = 30.0) -> Shot:
     rng = np.random.default_rng(seed)
     place, name, truth, lasts_s, pivot = {"slide": _slide, "fall": _fall, "pendulum": _swing}[motion](rng)
     camera, focal = _camera(rng, lasts_s), rng.uniform(950.0, 1250.0)
-    matrix = np.array([[focal, 0.0, 639.5], [0.0, focal, 359.5], [0.0, 0.0, 1.0]])
     bent = np.array([rng.uniform(-0.06, 0.06), 0.0, 0.0, 0.0])
+    lens = (np.array([[focal, 0.0, 639.5], [0.0, focal, 359.5], [0.0, 0.0, 1.0]]), bent)
     wall, offset = _wall(motion, rng, place), OFFSET_M + rng.normal(0.0, 0.001)
+    # Straight rays of all pixels.
+    grid = np.stack(np.meshgrid(*(np.arange(one, dtype=np.float32) for one in SIZE_PX)), axis=-1)
+    rays = cv2.undistortPoints(grid.reshape(-1, 1, 2), *lens)
     video = folder / f"{motion}_{seed}.mp4"
-    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE_PX)
-    for number in range(int(lasts_s * fps)):
-        total = np.zeros((*SIZE_PX[::-1], 3), np.float32)
-        for part in range(EXPOSURES):
-            time_s = (number + 0.5 * (part / (EXPOSURES - 1) - 0.5)) / fps
-            total += _picture(wall, camera(time_s), matrix, bent, motion, *place(time_s), offset, pivot)
-        noisy = total / EXPOSURES + rng.normal(0.0, 2.5, total.shape)
-        writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
-    writer.release()
-    rvec, tvec = camera(0.0)
-    centre, tilt = place(0.0)
-    corners = _outline(motion, centre, tilt)
-    seen = cv2.projectPoints(np.column_stack([corners, np.full(len(corners), offset)]), rvec, tvec, matrix, bent)[0]
+    if not video.exists():
+        writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE_PX)
+        grain = rng.normal(0.0, 2.5, (SIZE_PX[1] + 64, SIZE_PX[0] + 64, 3)).astype(np.float32)
+        for number in range(int(lasts_s * fps)):
+            total = np.zeros((*SIZE_PX[::-1], 3), np.float32)
+            for part in range(EXPOSURES):
+                time_s = (number + 0.5 * (part / (EXPOSURES - 1) - 0.5)) / fps
+                total += _picture(wall, rays, lens, camera(time_s), motion, (*place(time_s), offset, pivot))
+            # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
+            x, y = rng.integers(0, 64, 2)
+            noisy = total / EXPOSURES + grain[y : y + SIZE_PX[1], x : x + SIZE_PX[0]]
+            writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
+        writer.release()
+    corners = np.column_stack([outline := _outline(motion, *place(0.0)), np.full(len(outline), offset + 0.5 * EDGE_M)])
+    seen = cv2.projectPoints(corners, *camera(0.0), *lens)[0]
     low, high = seen[:, 0].min(axis=0), seen[:, 0].max(axis=0)
     toml = folder / f"{motion}_{seed}.toml"
     swing = "" if pivot is None else f"[motion]\npivot_m = {pivot.tolist()}\npivot_sigma_m = 0.002\n"
@@ -148,7 +157,7 @@ def _camera(rng: np.random.Generator, lasts_s: float) -> Callable[[float], tuple
         right = np.cross(forward, [0.0, 1.0, 0.0])
         right /= np.linalg.norm(right)
         level = np.array([right, np.cross(forward, right), forward])
-        rotation = cv2.Rodrigues(sway[3:] + [0.0, 0.0, roll])[0] @ level
+        rotation = cv2.Rodrigues(sway[3:] + np.array([0.0, 0.0, roll]))[0] @ level
         return cv2.Rodrigues(rotation)[0], -rotation @ place
 
     return pose
@@ -199,52 +208,69 @@ def _outline(motion: str, centre: FloatArray, tilt: float) -> FloatArray:
 
 def _picture(
     wall: NDArray[np.uint8],
+    rays: NDArray[np.float32],
+    lens: tuple[FloatArray, FloatArray],
     pose: tuple[FloatArray, FloatArray],
-    matrix: FloatArray,
-    bent: FloatArray,
     motion: str,
-    centre: FloatArray,
-    tilt: float,
-    offset_m: float,
-    pivot: FloatArray | None,
+    seen: tuple[FloatArray, float, float, FloatArray | None],
 ) -> NDArray[np.float32]:
-    """Return what the camera sees at one moment."""
-    rvec, tvec = pose
+    """Return what the camera sees at one moment: the wall, and the object with its place, tilt, offset and pivot."""
+    (rvec, tvec), (centre, tilt, offset_m, pivot) = pose, seen
     rotation = cv2.Rodrigues(rvec)[0]
     plane = np.column_stack([rotation[:, 0], rotation[:, 1], tvec])
-    to_wall = np.array(
-        [[PX_PER_M, 0.0, 0.55 * PX_PER_M - 0.5], [0.0, -PX_PER_M, 0.5 * WALL_M[1] * PX_PER_M - 0.5], [0, 0, 1]]
-    )
-    # From pixels to straight rays, to the wall in metres, to its picture.
-    grid = np.stack(
-        np.meshgrid(np.arange(SIZE_PX[0], dtype=np.float32), np.arange(SIZE_PX[1], dtype=np.float32)), axis=-1
-    )
-    global _RAYS
-    if _RAYS is None or _RAYS[0] is not matrix:
-        _RAYS = (matrix, cv2.undistortPoints(grid.reshape(-1, 1, 2), matrix, bent)[:, 0])
-    rays = _RAYS[1]
-    seen = np.column_stack([rays, np.ones(len(rays))]) @ (to_wall @ np.linalg.inv(plane)).T
-    maps = (seen[:, :2] / seen[:, 2:]).astype(np.float32).reshape(*SIZE_PX[::-1], 2)
+    middle = [0.55 * PX_PER_M - 0.5, 0.5 * WALL_M[1] * PX_PER_M - 0.5]
+    to_wall = np.array([[PX_PER_M, 0.0, middle[0]], [0.0, -PX_PER_M, middle[1]], [0.0, 0.0, 1.0]])
+    maps = cv2.perspectiveTransform(rays, to_wall @ np.linalg.inv(plane)).reshape(*SIZE_PX[::-1], 2)
     picture = cv2.remap(wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
 
     def drawn(points_m: FloatArray, depth_m: float, colour: tuple[int, int, int]) -> None:
         world = np.column_stack([points_m, np.full(len(points_m), depth_m)])
-        places = cv2.projectPoints(world, rvec, tvec, matrix, bent)[0][:, 0]
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
         cv2.fillConvexPoly(picture, cv2.convexHull((places * 16).round().astype(np.int32)), colour, cv2.LINE_AA, 4)
 
     outline = _outline(motion, centre, tilt)
+    front_m = offset_m + (0.5 * EDGE_M if motion == "slide" else 0.0)
     if pivot is not None:
         across = 0.0015 * np.array([math.cos(tilt), math.sin(tilt)])
         drawn(np.array([pivot - across, pivot + across, centre + across, centre - across]), offset_m, (90, 90, 90))
     if motion == "slide":
         # The sides of the cube behind its face are seen where the camera is not before it.
-        world = np.vstack([np.column_stack([outline, np.full(4, depth)]) for depth in (offset_m, offset_m - EDGE_M)])
-        places = cv2.projectPoints(world, rvec, tvec, matrix, bent)[0][:, 0]
+        world = np.vstack([np.column_stack([outline, np.full(4, depth)]) for depth in (front_m, front_m - EDGE_M)])
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
         hull = cv2.convexHull((places * 16).round().astype(np.int32))
         cv2.fillConvexPoly(picture, hull, (40, 60, 90), cv2.LINE_AA, 4)
-    drawn(outline, offset_m, (60, 95, 140) if motion == "slide" else (35, 30, 40))
+    drawn(outline, front_m, (60, 95, 140) if motion == "slide" else (35, 30, 40))
     return picture.astype(np.float32)
 
 
-_RAYS: tuple[FloatArray, FloatArray] | None = None
-"""Straight rays of all pixels by the camera matrix of the film that is drawn."""
+# --- the study -------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Score films of new seeds, print a line for each, and write `handheld.csv`."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 120), metavar=("FIRST", "END"))
+    parser.add_argument("--motions", nargs="*", default=["slide", "fall", "pendulum"])
+    parser.add_argument("--folder", type=Path, default=Path("handheld_films"), help="films are kept there")
+    parser.add_argument("--csv", type=Path, default=Path(__file__).with_suffix(".csv"))
+    given = parser.parse_args()
+    given.folder.mkdir(exist_ok=True)
+    with given.csv.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade", "cpu_s"])
+        for motion in given.motions:
+            for seed in range(*given.seeds):
+                one = shot(motion, seed, given.folder, fps=60.0 if motion == "fall" else 30.0)
+                start = time.process_time()
+                film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
+                found = score_own(film, one.motion, one.box_px)
+                cpu_s = time.process_time() - start
+                low, high = found.uncertainty.get(one.name) or (math.nan, math.nan)
+                value = found.metrics.get(one.name) or math.nan
+                numbers = [f"{number:.4f}" for number in (one.truth, value, low, high)]
+                rows.writerow([motion, seed, *numbers, low <= one.truth <= high, found.grade.value, f"{cpu_s:.1f}"])
+                file.flush()
+
+
+if __name__ == "__main__":
+    main()

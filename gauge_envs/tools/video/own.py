@@ -49,7 +49,7 @@ LEVEL_SIGMA_RAD = math.radians(0.3)
 LEAST_FALL, REACH = 0.05, 4
 """Share of the drop that a fall and a rebound have at least, and frames beside an impact in which it shows."""
 
-DRAWS = 100
+DRAWS = 40
 """Simulated tracks from which the interval of a material's constant is taken."""
 
 LEAST_FLIGHT = 5
@@ -100,8 +100,9 @@ class FrontalFilm(Frames):
         places = self.camera.to_plane_m(border)
         low, high = places.min(axis=0), places.max(axis=0)
         # What a slanted view shows far away would leave few pixels for the rest.
-        finest = self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0]
-        self.scale = min(float(((high - low) / REFERENCE_SIZE_PX).max()), MOST_COARSE * float(finest))
+        finest = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
+        self.scale = min(float(((high - low) / REFERENCE_SIZE_PX).max()), MOST_COARSE * finest)
+        self._blur = 0.4 * self.scale / finest * width / REFERENCE_SIZE_PX[0]
         middle = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
         self._origin = 0.5 * np.array(REFERENCE_SIZE_PX) - middle * (1.0, -1.0) / self.scale
         self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
@@ -132,16 +133,9 @@ class FrontalFilm(Frames):
                 lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
                 plane = view.source.to_plane(view.lens)
                 maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
-            blur = 0.4 * self._coarseness
-            smooth = cv2.GaussianBlur(picture, (0, 0), blur) if blur > 0.5 else picture
+            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur) if self._blur > 0.5 else picture
             cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
             yield self._canvas.copy()
-
-    @property
-    def _coarseness(self) -> float:
-        """Pixels of the film for a pixel of the grid."""
-        native = self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0]
-        return self.scale / float(native) * self._source.size_px[0] / REFERENCE_SIZE_PX[0]
 
     def to_grid_px(self, points_px: FloatArray) -> FloatArray:
         """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
@@ -297,8 +291,8 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
             values.append(judged(camera.drawn(rng), moved))
     except ParameterError:
         return None, None
-    low, high = np.percentile(values, [2.5, 97.5])
-    return values[0], (float(low), float(high))
+    half = 1.96 * float(np.std(values[1:], ddof=1))
+    return values[0], (values[0] - half, values[0] + half)
 
 
 def _restitution(track: Track, task: VideoTask) -> float:

@@ -82,7 +82,7 @@ class Board(FileModel):
     Attributes:
         square_m: Edge of a square as measured on the print [m].
         sigma_m: Standard uncertainty of its corners: print and flatness [m].
-        offset_m: Distance of the plane of the motion from the board, towards the camera [m].
+        offset_m: Distance of the middle of the object from the board, towards the camera [m].
         offset_sigma_m: Its standard uncertainty [m].
     """
 
