@@ -249,7 +249,7 @@ def _picture(
 def main() -> None:
     """Score films of new seeds, print a line for each, and write `handheld.csv`."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, nargs=2, default=(100, 120), metavar=("FIRST", "END"))
+    parser.add_argument("--seeds", type=int, nargs=2, default=(200, 220), metavar=("FIRST", "END"))
     parser.add_argument("--motions", nargs="*", default=["slide", "fall", "pendulum"])
     parser.add_argument("--folder", type=Path, default=Path("handheld_films"), help="films are kept there")
     parser.add_argument("--csv", type=Path, default=Path(__file__).with_suffix(".csv"))
@@ -260,7 +260,7 @@ def main() -> None:
         rows.writerow(["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade", "cpu_s"])
         for motion in given.motions:
             for seed in range(*given.seeds):
-                one = shot(motion, seed, given.folder, fps=60.0 if motion == "fall" else 30.0)
+                one = shot(motion, seed, given.folder, fps=30.0 if motion == "pendulum" else 60.0)
                 start = time.process_time()
                 film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
                 found = score_own(film, one.motion, one.box_px)

@@ -7,11 +7,11 @@ section 4.1.
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Self, TypeAlias
+from typing import Annotated, Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import NonNegativeFloat, PositiveFloat, PositiveInt, ValidationError
+from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError
 
 from gauge_envs.errors import VideoError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
@@ -26,6 +26,7 @@ ORIGIN_PX = 0.5 * np.array(REFERENCE_SIZE_PX)
 
 Pair: TypeAlias = tuple[float, float]
 Triple: TypeAlias = tuple[float, float, float]
+Side: TypeAlias = Annotated[int, Field(ge=1, le=65536)]
 
 
 class Lens(FileModel):
@@ -251,7 +252,7 @@ class Swing(FileModel):
 class CameraFile(FileModel):
     """A camera file."""
 
-    size_px: tuple[PositiveInt, PositiveInt]
+    size_px: tuple[Side, Side]
     points: PointPairs | None = None
     board: Board | None = None
     lens: Lens | None = None
@@ -293,7 +294,9 @@ def read_camera(path: Path | str) -> PlaneView:
         raise VideoError(f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
     if file.points is not None:
         _check(path, file.points)
-    known = {name: np.array(one) if isinstance(one, tuple) else one for name, one in motion if one is not None}
+    known: dict[str, Any] = {
+        name: np.array(one) if isinstance(one, tuple) else one for name, one in motion if one is not None
+    }
     source = file.board or file.points
     assert source is not None
     return PlaneView(size_px=file.size_px, source=source, lens=lens, **known)
