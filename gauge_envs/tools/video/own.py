@@ -40,7 +40,7 @@ LEAST_CORNERS, MOST_UNSEEN = 8, 0.3
 MOST_CALIBRATED = 30
 """Most frames from which the lens is found."""
 
-MOST_COARSE = 3.0
+MOST_COARSE = 1.5
 """Largest size of a pixel of the frontal picture, in pixels of the reference grid at the middle of the film."""
 
 LEVEL_SIGMA_RAD = math.radians(0.3)
@@ -279,7 +279,7 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
         own = frontal_task(view, sample, task)
         track = frontal_track(view, sample, own)
         if period is None:
-            return _restitution(track, own)
+            return restitution(track, own)
         angles, guess = laws.swing_angles_rad(track, own), (damping, 2.0 * math.pi / period)
         swung = rows[rows >= first]
         return laws.fit_damped_oscillation(track.times_s[swung], angles[swung], guess=guess).damping_per_s
@@ -295,7 +295,7 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
     return values[0], (values[0] - half, values[0] + half)
 
 
-def _restitution(track: Track, task: VideoTask) -> float:
+def restitution(track: Track, task: VideoTask) -> float:
     """Return the mean ratio of the speeds after and before the impacts of a ball: flights share one gravity."""
     rows = np.flatnonzero(track.is_found)
     times, heights = track.times_s[rows], -task.scale_m_per_px * track.points_px[rows, 1]
