@@ -86,8 +86,11 @@ def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> 
 # --- candidates -------------------------------------------------------------------------------------------------------
 
 
-HALF = 0.5
+COARSE = 0.25
 """Scale at which the whole picture is searched."""
+
+REACH = 6
+"""Distance from such a place within which it is refined [px]."""
 
 MOST_CANDIDATES = 6
 """Most places of a frame that may show the object."""
@@ -97,6 +100,9 @@ LEAST_RESPONSE = 0.4
 
 LEAST_CONTRAST = 40.0
 """Distance of the colours of background and object from which a pixel says which of both it shows."""
+
+LIT = 100.0
+"""Brightness of the background from which it shows the exposure of a frame."""
 
 LEAST_KNOWN_SHARE = 0.25
 """Smallest share of the outline before such a background."""
@@ -198,22 +204,27 @@ class ShapeFollower:
             circle = 0.5 * size_px * np.column_stack([np.cos(angles), np.sin(angles)])
             # A square that turns has its corners between its disk and the ring around it.
             inner, outer = circle, circle * (1.5 if is_directed else 1.8)
-        self._small, self._full = _Outline(inner, outer, HALF), _Outline(inner, outer, 1.0)
+        self._small, self._full = _Outline(inner, outer, COARSE), _Outline(inner, outer, 1.0)
         self._colour = self._look(first, centre_px)
 
     def candidates(self, picture: Picture) -> list[Sight]:
         """Return the places of a frame that may show the object, the likeliest first, and follow the background."""
         whole = picture.astype(np.float32)
-        small = cv2.resize(whole, None, fx=HALF, fy=HALF, interpolation=cv2.INTER_AREA)
-        bare = cv2.resize(self._scene.picture, None, fx=HALF, fy=HALF, interpolation=cv2.INTER_AREA)
+        small = cv2.resize(whole, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA)
+        bare = cv2.resize(self._scene.picture, None, fx=COARSE, fy=COARSE, interpolation=cv2.INTER_AREA)
+        is_lit = bare.min(axis=2) > LIT
+        if not self._is_directed and is_lit.any():
+            # Any change of colour counts, so that of the exposure is taken out.
+            exposure = np.median(small[is_lit] / bare[is_lit], axis=0).astype(np.float32)
+            whole, small = whole / exposure, small / exposure
         covered, known = self._covered(small, bare)
         response, *_ = self._small.response(covered, known)
-        reach = 2 * int(0.25 * self._size_px * HALF) + 3
+        reach = 2 * int(0.25 * self._size_px * COARSE) + 3
         is_peak = (response >= cv2.dilate(response, np.ones((reach, reach), np.uint8))) & (response > LEAST_RESPONSE)
         rows, columns = np.nonzero(is_peak)
         order = np.argsort(-response[rows, columns])[:MOST_CANDIDATES]
-        found = [self._refined(whole, (columns[i] + 0.5) / HALF - 0.5, (rows[i] + 0.5) / HALF - 0.5) for i in order]
-        moving = cv2.dilate((covered * known > 0.3).astype(np.uint8), np.ones((9, 9), np.uint8))
+        found = [self._refined(whole, (columns[i] + 0.5) / COARSE - 0.5, (rows[i] + 0.5) / COARSE - 0.5) for i in order]
+        moving = cv2.dilate((covered * known > 0.3).astype(np.uint8), np.ones((5, 5), np.uint8))
         still = cv2.resize(moving, REFERENCE_SIZE_PX, interpolation=cv2.INTER_NEAREST) == 0
         self._scene.follow(picture, still)
         return sorted((one for one in found if one.likeness > 0.0), key=lambda one: -one.likeness)
@@ -234,13 +245,13 @@ class ShapeFollower:
 
     def _refined(self, picture: NDArray[np.float32], x: float, y: float) -> Sight:
         """Return a candidate with fractions of pixels and its likeness."""
-        half = self._full.half + 4
+        half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)
         bare, _ = _cut(self._scene.picture, x, y, half)
         response, inside, around = self._full.response(*self._covered(window, bare))
-        middle = np.s_[half - 4 : half + 5, half - 4 : half + 5]
-        row, column = np.unravel_index(int(response[middle].argmax()), (9, 9))
-        row, column = int(row) + half - 4, int(column) + half - 4
+        middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
+        row, column = np.unravel_index(int(response[middle].argmax()), (2 * REACH + 1,) * 2)
+        row, column = int(row) + half - REACH, int(column) + half - REACH
         value = float(response[row, column])
         if value < LEAST_RESPONSE:
             return Sight()
@@ -300,6 +311,9 @@ BEND, BEND_COST, MOST_COST = 0.5, 0.4, 1.5
 MOST_STEP = 4.0
 """Largest step from frame to frame, in sizes."""
 
+FIRST_STEP, FIRST_FRAMES = 0.4, 3
+"""Distance from the known place, in sizes, and frames, in which a path begins."""
+
 
 def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float) -> list[Sight]:
     """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.
@@ -316,6 +330,9 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
     frames = np.array([frame for frame, _ in nodes])
     places = np.array([one.place for _, one in nodes])
     totals, speeds, before = np.zeros(len(nodes)), np.zeros((len(nodes), 2)), np.full(len(nodes), -1)
+    # Where the known place shows the object in one of the first frames, the path begins there.
+    near = (frames < FIRST_FRAMES) & (np.linalg.norm(places - start_px, axis=1) <= FIRST_STEP * size_px)
+    at_start = set(np.flatnonzero(near).tolist()) - {0}
     for node in range(1, len(nodes)):
         gap = frames[node] - frames[:node]
         steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
@@ -323,6 +340,7 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
         value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
         is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
         is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * size_px
+        is_possible[0] &= not at_start or node in at_start
         if not is_possible.any():
             totals[node] = -math.inf
             continue

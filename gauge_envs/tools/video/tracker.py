@@ -18,7 +18,7 @@ from gauge_envs.tools.video.follow import (
     background,
     best_path,
 )
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture
+from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture, stretched
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
@@ -26,8 +26,15 @@ from gauge_envs.tools.video.track import Event, Track
 PLATE_RADIUS_PX = 226.0
 """Radius of the turntable in the first frames [px], with its rim."""
 
+MOST_DEPTH = 0.1
+"""Largest share by which the height of a cube moves it away from the axis of the camera."""
+
 CRADLE_BALLS = 5
 """Balls of the cradle."""
+
+UNSEEN = "the object is not seen"
+FOREIGN = "it does not show the object of the task at its place, so the law, scale and direction of the task do not apply"
+"""What is said of a picture that is given as the first frame of a task and shows something else."""
 
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
@@ -55,11 +62,14 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    start = next(frames.native())
+    start, foreign = next(frames.native()), ""
     if first_frame is None:
         registration = registration_by_outline(start, task)
     else:
-        registration = registration_by_first_frame(start, read_picture(first_frame))
+        given = read_picture(first_frame)
+        registration = registration_by_first_frame(start, given)
+        shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
+        foreign = f"{first_frame.name}: {FOREIGN}" if shown.problem.startswith(UNSEEN) else ""
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
@@ -94,14 +104,17 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     numbers = np.flatnonzero(cadence.is_new)
     last = int(numbers[-1])
     notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
-    doubts = [Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem)]
+    doubts = [
+        Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem),
+        Event(kind="picture", first_frame=0, last_frame=last, text=foreign, is_fatal=True),
+    ]
     if _is_cut(frames, cadence):
         text = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
         doubts.append(Event(kind="file", first_frame=0, last_frame=last, text=text))
     return Track(
         frames=numbers,
         fps=cadence.fps,
-        points_px=np.array([s.place for s in path]),
+        points_px=_on_face(np.array([s.place for s in path]), task),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
         events=(*(one for one in (*doubts, *notes) if one.text), *watch.events(), *_twins(candidates, path, task)),
@@ -120,13 +133,27 @@ def _background(first: Picture, sampled: list[Picture], part: Region, task: Vide
         return background(first, sampled, part)
     # The plate turns below the cube, so its usual colour stands for it.
     assert task.pivot_px is not None
-    away = np.hypot(*(np.mgrid[0 : first.shape[0], 0 : first.shape[1]][::-1].T - np.array(task.pivot_px)).T).T
+    rows, columns = np.mgrid[0 : first.shape[0], 0 : first.shape[1]]
+    away = np.hypot(columns - task.pivot_px[0], rows - task.pivot_px[1])
     plate, inner = away < PLATE_RADIUS_PX, away < 0.95 * PLATE_RADIUS_PX
     left, top, right, bottom = part
     inner[top:bottom, left:right] = False
     scene = first.copy()
     scene[plate] = np.median(first[inner], axis=0)
     return Background(scene)
+
+
+def _on_face(places: FloatArray, task: VideoTask) -> FloatArray:
+    """Return places of the upper face of a cube on a turntable, from those of the whole that is seen of it.
+
+    The camera looks down the axis. What lies lower is seen nearer to it, by the same factor all around.
+    """
+    found = places[np.isfinite(places).all(axis=1)]
+    if task.motion is not Motion.TURN or not len(found):
+        return places
+    pivot = np.array(task.pivot_px)
+    ratio = math.dist(task.centre_px, pivot) / max(float(np.linalg.norm(found[0] - pivot)), 1.0)
+    return pivot + (places - pivot) * (ratio if abs(ratio - 1.0) < MOST_DEPTH else 1.0)
 
 
 def _is_allowed(sight: Sight, task: VideoTask) -> bool:
@@ -179,7 +206,7 @@ def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) ->
             # The other balls of a cradle swing where they should.
             column, row = np.clip(np.round(one.place).astype(int), 0, np.array(REFERENCE_SIZE_PX) - 1)
             is_far = not np.linalg.norm(one.place - own.place) < task.size_px
-            is_known = task.motion is Motion.CRADLE and ignored[row, column]
+            is_known = task.motion is Motion.CRADLE and ignored[row, column] and not _is_allowed(one, task)
             if is_far and not is_known and one.likeness >= TWIN_LIKENESS and own.likeness > 0.0:
                 frames.append(number)
                 break

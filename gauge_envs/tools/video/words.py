@@ -21,6 +21,7 @@ TITLES = {
     "pd_s": "period [s]",
     "mte": "momentum transfer",
     "de_n": "dynamic error [N]",
+    "form": "form",
 }
 """Titles of the metrics by name."""
 
@@ -186,7 +187,8 @@ def _cell(model: str, result: VideoScore | None, name: str, nearest: float | Non
     known = published_results().get(model.replace("-", "_"), {})
     if (result.task, name) in known:
         notes.append(f"published {short_text(known[result.task, name])}")
-    is_best = grade is Grade.VALID and value is not None and value == nearest
+    # The form improvement grows with the precision of the tracker, so it is no rank.
+    is_best = grade is Grade.VALID and value is not None and value == nearest and name != "qfi"
     text = grade.value if value is None else short_text(value)
     return element("span", element("b", text) if is_best else text, *map(below, notes), class_=grade.value)
 
