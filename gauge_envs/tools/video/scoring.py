@@ -32,6 +32,18 @@ MOST_SIZE_CHANGE = 0.2
 LEAST_CONFIDENCE = 0.5
 """Smallest mean confidence of a valid clip."""
 
+RELEASE_FRAMES = 4.0
+"""Frames before and after the first retained one between which rest ends."""
+
+MOST_FORM = {Motion.SLIDE: 0.05, Motion.FALL: 0.05, Motion.PENDULUM: 0.2}
+"""Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
+
+JUMP = 0.15
+"""Change of the step from frame to frame that no law needs, in sizes of the object."""
+
+MOST_M_S2 = 2.0 * laws.GRAVITY_M_PER_S2
+"""Largest acceleration of a swing, slide or fall [m/s^2]; friction bounds that on a turntable."""
+
 
 class Grade(StrEnum):
     """Whether the metrics of a clip can be trusted."""
@@ -45,7 +57,7 @@ class Grade(StrEnum):
 
 
 def grade_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = ""
+    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = "", form: float = 0.0
 ) -> tuple[Grade, tuple[str, ...]]:
     """Return the grade of a clip and its reasons, with frame numbers.
 
@@ -54,11 +66,12 @@ def grade_of(
         task: The task.
         span: First and last retained row; None when the object does not move.
         problem: Why the law could not be fitted; empty when it could.
+        form: Residual of the law.
     """
     if span is None:
         missing = _runs(track.frames[~track.is_found])
         seen = f"; it was not found in frames {missing}" if missing else ""
-        causes = [one.text for one in track.events if one.kind in ("registration", "file")]
+        causes = [one.text for one in track.events if one.kind in ("picture", "registration", "file")]
         return Grade.INVALID, (f"the object does not move{seen}", *causes)
     rows = np.arange(span[0], span[1] + 1)
     fatal, doubts = _missing_reasons(track, rows, task)
@@ -76,12 +89,31 @@ def grade_of(
     confidence = float(track.confidence[found].mean()) if len(found) else 0.0
     if confidence < LEAST_CONFIDENCE:
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
+    if form > MOST_FORM.get(task.motion, math.inf):
+        doubts.append(f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion")
+    jumps = _jumps(track, task, found)
+    if len(jumps):
+        doubts.append(f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}")
     inside = [one for one in track.events if one.first_frame <= track.frames[span[1]]]
     fatal += [one.text for one in inside if one.is_fatal]
     doubts += [one.text for one in inside if not (one.is_fatal or one.is_note)]
     notes = [one.text for one in inside if one.is_note]
     grade = Grade.INVALID if fatal else Grade.DOUBTFUL if doubts else Grade.VALID
     return grade, (*fatal, *doubts, *notes)
+
+
+def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return rows at which the step from frame to frame changes by more than the law and the tracker allow."""
+    times, points = track.times_s[rows], track.points_px[rows]
+    if len(rows) < 3:
+        return rows[:0]
+    steps = np.diff(times)
+    velocities = np.diff(points, axis=0) / steps[:, None]
+    # The law bounds the change of the velocity between the middles of two steps.
+    between = 0.5 * (steps[1:] + steps[:-1])
+    lawful = task.friction * laws.GRAVITY_M_PER_S2 if task.motion is Motion.TURN else MOST_M_S2
+    limit = lawful / task.scale_m_per_px * between + JUMP * task.size_px / np.minimum(steps[1:], steps[:-1])
+    return rows[1:-1][np.linalg.norm(np.diff(velocities, axis=0), axis=1) > limit]
 
 
 def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:
@@ -110,7 +142,7 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 Metrics: TypeAlias = dict[str, float]
 
-METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n")
+METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n", "form")
 """Names of all metrics, in the order of a result."""
 
 SAMPLES = 200
@@ -238,7 +270,7 @@ def score_track(
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
         except ParameterError as error:
             problem = str(error)
-    grade, reasons = grade_of(track, task, span, problem)
+    grade, reasons = grade_of(track, task, span, problem, metrics.get("form", 0.0))
     guess = None
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
@@ -270,16 +302,19 @@ def _metrics(
     rows = rows[track.is_found[rows]]
     times_s = track.times_s[rows]
     if task.motion in (Motion.SLIDE, Motion.FALL):
-        along_m = laws.displacement_px(track, task)[rows] * scale_m_per_px
-        # The release falls between two frames, within one of the first retained.
-        fit = laws.fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
-        fixed = laws.fit_constant_acceleration(times_s, along_m)
+        # Rest before the motion belongs to the fit: the release is where rest and law meet.
+        early = np.arange(max(0, span[0] - 2 * laws.WINDOW), span[0])
+        used = np.r_[early[track.is_found[early]], rows]
+        along_m = laws.displacement_px(track, task) * scale_m_per_px
+        release = {"release_within_s": RELEASE_FRAMES / track.fps, "release_s": float(times_s[0])}
+        fit = laws.fit_constant_acceleration(track.times_s[used], along_m[used], **release)
+        fixed = laws.fit_constant_acceleration(times_s, along_m[rows])
         late = {}
         if len(times_s) >= laws.WINDOW + LEAST_RETAINED:
             # The paper does not state where rest ends: with a start that is one window later.
-            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[laws.WINDOW :])
+            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[rows][laws.WINDOW :])
             late["a_one_window_later_m_s2"] = later.a_m_per_s2
-        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}, {
+        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi, "form": fit.form}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
             **late,
             "qfi_at_first_frame": fixed.qfi,
@@ -291,7 +326,9 @@ def _metrics(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
         sizes = error.accelerations_m_per_s2
-        return {"de_n": error.de_n}, {
+        assert task.pivot_px is not None
+        radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
+        return {"de_n": error.de_n, "form": laws.monotone_misfit(radii, is_rising=True)}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
@@ -299,7 +336,8 @@ def _metrics(
     angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
-        return {"r2": swing.r2, "pd_s": swing.period_s}, {
+        form = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
+        return {"r2": swing.r2, "pd_s": swing.period_s, "form": form}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),
@@ -307,7 +345,8 @@ def _metrics(
     assert task.rest_px is not None
     events = laws.apices(times_s, angles)
     heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
-    return {"mte": laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))}, {
+    mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
+    return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }

@@ -25,6 +25,7 @@ TITLES = {
     "pd_s": "period [s]",
     "mte": "momentum transfer",
     "de_n": "dynamic error [N]",
+    "form": "form",
     "friction": "friction",
     "restitution": "restitution",
     "damping_per_s": "damping [1/s]",

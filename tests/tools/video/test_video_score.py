@@ -18,7 +18,7 @@ from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
-from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
+from gauge_envs.tools.video import Grade, Motion, Track, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
 from gauge_envs.tools.video.words import find_videos, results_table  # noqa: E402
@@ -101,16 +101,49 @@ def test_an_object_that_vanishes_is_named() -> None:
     assert any("is lost in" in reason for reason in result.reasons), result.reasons
 
 
-def test_a_camera_that_zooms_is_named() -> None:
-    one = known("SlopeSlider-2-wood")
+@pytest.mark.parametrize("move", ["zoom", "shake"])
+def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
+    one, rng = known("SlopeSlider-2-wood"), np.random.default_rng(2)
     height, width = one.frames[0].shape[:2]
-    frames = []
-    for number, frame in enumerate(one.frames):
-        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + 0.003 * number)
-        frames.append(cv2.warpAffine(frame, matrix, (width, height)))
+    frames = [one.frames[0]]
+    for number, frame in enumerate(one.frames[1:]):
+        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + (move == "zoom") * 0.0005 * number)
+        matrix[:, 2] += (move == "shake") * rng.normal(0.0, 3.0, 2)
+        frames.append(cv2.warpAffine(frame, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
     result = score(frames, one.fps, one.task)
-    assert result.grade is not Grade.VALID
-    assert any("camera" in reason for reason in result.reasons), result.reasons
+    assert result.grade is Grade.VALID, result.reasons
+    assert "camera" in result.reasons[0] and "this is subtracted" in result.reasons[0]
+    assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
+
+
+def test_a_frame_with_the_object_elsewhere_is_no_motion() -> None:
+    one = known("SlopeSlider-2-wood")
+    frames = [*one.frames]
+    frames[2] = np.roll(frames[2], (12, -20), axis=(0, 1))
+    result = score(frames, one.fps, one.task)
+    assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
+
+
+def test_a_second_object_is_named() -> None:
+    one = known("SlopeSlider-2-wood")
+    task = video_task(one.task)
+    x, y = (round(value) for value in task.centre_px)
+    copy = one.frames[0][y - 50 : y + 50, x - 50 : x + 50].copy()
+    frames = [frame.copy() for frame in one.frames]
+    for frame in frames[12:]:
+        frame[100:200, 100:200] = copy
+    result = score(frames, one.fps, one.task)
+    assert result.grade is Grade.DOUBTFUL
+    assert any("a second object" in reason for reason in result.reasons), result.reasons
+
+
+def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(tmp_path: Path) -> None:
+    one = known("SlopeSlider-2-wood")
+    frames = [np.ascontiguousarray(frame[::-1, ::-1]) for frame in one.frames]
+    cv2.imwrite(str(tmp_path / "own.png"), frames[0][:, :, ::-1])
+    result = score(frames, one.fps, one.task, first_frame=tmp_path / "own.png")
+    assert result.grade is Grade.INVALID
+    assert any("own.png: it does not show the object" in reason for reason in result.reasons), result.reasons
 
 
 def test_a_still_picture_is_invalid() -> None:
@@ -143,6 +176,19 @@ def test_a_track_is_scored_like_a_video(tmp_path: Path) -> None:
     interval = result.uncertainty["a_m_s2"]
     assert interval is not None
     assert interval[0] < 1.7 < interval[1]
+
+
+def test_a_jump_that_friction_cannot_give_is_named() -> None:
+    task = video_task("Turntable-2-metal")
+    assert task.pivot_px is not None
+    angles = 0.03 * np.arange(60)
+    places = np.array(task.pivot_px) - 130.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    track = Track(frames=np.arange(60), fps=24.0, points_px=places, confidence=np.ones(60), size_ratio=np.ones(60))
+    assert score_track(track, task).grade is Grade.VALID
+    assert score_track(track, task).metrics["form"] == pytest.approx(0.0, abs=1e-9)
+    places[36:] += [39.0, 0.0]
+    result = score_track(track, task)
+    assert result.grade is Grade.DOUBTFUL and "jumps" in result.reasons[0], result.reasons
 
 
 @pytest.mark.parametrize(
