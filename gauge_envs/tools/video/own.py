@@ -231,9 +231,7 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
         The result; its track is on the grid of the frontal film.
     """
     task = film.task(motion, box_px)
-    # What swings is followed as what falls: a patch before a still background.
-    followed = replace(task, motion=Motion.FALL) if task.motion is Motion.PENDULUM else task
-    track = track_object(film, followed)
+    track = track_object(film, task)
     seen = film.seen(track)
     result = score_track(seen, task, name=film.name, camera=film.camera)
     if result.interval_frames is None:

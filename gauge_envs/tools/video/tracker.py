@@ -18,7 +18,16 @@ from gauge_envs.tools.video.follow import (
     background,
     best_path,
 )
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture, stretched
+from gauge_envs.tools.video.frames import (
+    LEAST_FRAMES,
+    Cadence,
+    Frames,
+    Picture,
+    cv2,
+    read_cadence,
+    read_picture,
+    stretched,
+)
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
@@ -33,7 +42,9 @@ CRADLE_BALLS = 5
 """Balls of the cradle."""
 
 UNSEEN = "the object is not seen"
-FOREIGN = "it does not show the object of the task at its place, so the law, scale and direction of the task do not apply"
+FOREIGN = (
+    "it does not show the object of the task at its place, so the law, scale and direction of the task do not apply"
+)
 """What is said of a picture that is given as the first frame of a task and shows something else."""
 
 LOST_SHARE = 0.02

@@ -144,7 +144,7 @@ def results_table(results: Results) -> Table:
     rows = []
     for (model, task), clips in results.items():
         valid = [one for one in clips.values() if one is not None and one.grade is Grade.VALID]
-        for name, real in video_task(task).real.items():
+        for name in (*video_task(task).real, "form"):
             values = np.array([one.metrics[name] for one in valid], dtype=float)
             values = values[np.isfinite(values)]
             mean, spread, ends = None, None, None
@@ -154,7 +154,8 @@ def results_table(results: Results) -> Table:
                 spread = float(values.std(ddof=1))
                 half = float(stdtrit(len(values) - 1, 0.975)) * spread / math.sqrt(len(values))
                 ends = (mean - half, mean + half)
-            row = {"model": model, "task": task, "metric": TITLES[name], "mean": mean, "spread": spread, "real": real}
+            row = {"model": model, "task": task, "metric": TITLES[name], "mean": mean, "spread": spread}
+            row["real"] = video_task(task).real.get(name)
             row["low"], row["high"] = ends or (None, None)
             rows.append(row | {"usable": len(valid) / len(clips), "valid": len(valid), "clips": len(clips)})
     keys = [(task, name) for task in dict.fromkeys(task for _, task in results) for name in video_task(task).real]
