@@ -189,7 +189,7 @@ def video_board(
         list[str], typer.Argument(metavar="FILE [NAME=VALUE]...", help="File to write, .pdf or .png in true size.")
     ],
 ) -> None:
-    """Write a board to print, which stands beside a motion so that a camera held by hand can film it.
+    """Write a board to print, beside which a phone held by hand can film a motion.
 
     Details: square_mm=35, the edge of a square: 7 x 5 of them fit on A4.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
-from gauge_envs.tools.video import PlaneView, Track, read_camera, video_task  # noqa: E402
+from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, video_task  # noqa: E402
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
 from gauge_envs.tools.video.own import FrontalFilm, charuco, restitution  # noqa: E402
 from gauge_envs.tools.video.plane import Board  # noqa: E402
@@ -140,3 +141,13 @@ def test_rebounds_give_the_restitution() -> None:
 def test_a_box_is_four_numbers(box: str, tmp_path: Path) -> None:
     outcome = run("video", "score", tmp_path / "film.mp4", "--id", "slide", f"object={box}")
     assert outcome.exit_code == 2 and "left, top, width and height" in " ".join(outcome.output.split())
+
+
+def test_the_camera_files_of_the_guide_are_read(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "world_models.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    kinds = []
+    for number, text in enumerate(blocks):
+        (tmp_path / f"{number}.toml").write_text(text, encoding="utf-8")
+        kinds.append(type(read_camera(tmp_path / f"{number}.toml").source))
+    assert kinds == [Board, PointPairs]
