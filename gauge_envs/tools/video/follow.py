@@ -305,17 +305,19 @@ MOST_GAP = 40
 """Most frames after which the object is still looked for as itself."""
 
 BEND, BEND_COST, MOST_COST = 0.5, 0.4, 1.5
-"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a perfect likeness; a jump costs
+"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness; a jump costs
 `MOST_COST`."""
 
 MOST_STEP = 4.0
-"""Largest step from frame to frame, in sizes."""
+"""Largest step from frame to frame, in sizes or in changes by gravity."""
 
 FIRST_STEP, FIRST_FRAMES = 0.4, 3
 """Distance from the known place, in sizes, and frames, in which a path begins."""
 
 
-def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float) -> list[Sight]:
+def best_path(
+    candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float, lawful_px: float = 0.0
+) -> list[Sight]:
     """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.
 
     Dynamic programming over all candidates; a frame may have none. The path begins at rest at a known place.
@@ -324,7 +326,9 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
         candidates: Candidates by frame.
         start_px: Place before the first frame [px], shape [2].
         size_px: Size of the object [px].
+        lawful_px: Change of the step from frame to frame that gravity makes [px].
     """
+    usual_px = max(BEND * size_px, lawful_px)
     nodes = [(-1, Sight(x_px=float(start_px[0]), y_px=float(start_px[1])))]
     nodes += [(frame, one) for frame, ones in enumerate(candidates) for one in ones]
     frames = np.array([frame for frame, _ in nodes])
@@ -336,10 +340,10 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
     for node in range(1, len(nodes)):
         gap = frames[node] - frames[:node]
         steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
-        bend = np.linalg.norm(steps - speeds[:node], axis=1) / (BEND * size_px)
+        bend = np.linalg.norm(steps - speeds[:node], axis=1) / usual_px
         value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
         is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
-        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * size_px
+        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(size_px, lawful_px)
         is_possible[0] &= not at_start or node in at_start
         if not is_possible.any():
             totals[node] = -math.inf

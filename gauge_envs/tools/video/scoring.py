@@ -32,10 +32,13 @@ MOST_SIZE_CHANGE = 0.2
 LEAST_CONFIDENCE = 0.5
 """Smallest mean confidence of a valid clip."""
 
-RELEASE_FRAMES = 4.0
+RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
 
-MOST_FORM = {Motion.SLIDE: 0.05, Motion.FALL: 0.05, Motion.PENDULUM: 0.2}
+MOST_TRIMMED, SAME_FORM = 4, 1.5
+"""Most frames at the end that may be left out, and the ratio of residuals up to which they are kept."""
+
+MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
 """Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
 
 JUMP = 0.15
@@ -258,7 +261,7 @@ def score_track(
             raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = laws.retained(track, task)
+    span = _ended(track, task, laws.retained(track, task))
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
         span = (int(found[0]), int(found[-1])) if len(found) else None
@@ -288,6 +291,18 @@ def score_track(
         details=details,
         track=seen,
     )
+
+
+def _ended(track: Track, task: VideoTask, span: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return an interval without its last frames if these do not follow the law of the others."""
+    if span is None or task.motion not in (Motion.SLIDE, Motion.FALL):
+        return span
+    found = np.arange(span[0], span[1] + 1)[track.is_found[span[0] : span[1] + 1]]
+    ends = [int(row) for row in found[::-1][: MOST_TRIMMED + 1] if np.count_nonzero(found <= row) >= LEAST_RETAINED]
+    if not ends:
+        return span
+    forms = [_metrics(track, task, (span[0], end), task.scale_m_per_px)[0]["form"] for end in ends]
+    return span[0], next(end for end, form in zip(ends, forms, strict=True) if form <= SAME_FORM * min(forms))
 
 
 def _metrics(

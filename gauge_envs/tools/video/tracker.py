@@ -19,6 +19,7 @@ from gauge_envs.tools.video.follow import (
     best_path,
 )
 from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture, stretched
+from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
@@ -100,7 +101,8 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         watch.compare(steady, number)
         candidates.append(follower.candidates(steady))
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
-    path = best_path(allowed, centre, task.size_px)
+    lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
+    path = best_path(allowed, centre, task.size_px, lawful_px)
     numbers = np.flatnonzero(cadence.is_new)
     last = int(numbers[-1])
     notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
