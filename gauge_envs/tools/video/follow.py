@@ -250,8 +250,7 @@ class ShapeFollower:
         bare, _ = _cut(self._scene.picture, x, y, half)
         response, inside, around = self._full.response(*self._covered(window, bare))
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
-        row, column = np.unravel_index(int(response[middle].argmax()), (2 * REACH + 1,) * 2)
-        row, column = int(row) + half - REACH, int(column) + half - REACH
+        row, column = (half - REACH + n for n in divmod(int(response[middle].argmax()), 2 * REACH + 1))
         value = float(response[row, column])
         if value < LEAST_RESPONSE:
             return Sight()

@@ -30,7 +30,7 @@ MOST_SIZE_CHANGE = 0.2
 """Largest change of the apparent size of the object in a valid clip."""
 
 LEAST_CONFIDENCE = 0.5
-"""Smallest mean confidence of a valid clip."""
+"""Smallest mean confidence of a valid clip, which is the likeness to the object in the first frame."""
 
 RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
@@ -341,9 +341,11 @@ def _metrics(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
         sizes = error.accelerations_m_per_s2
-        assert task.pivot_px is not None
-        radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
-        return {"de_n": error.de_n, "form": laws.monotone_misfit(radii, is_rising=True)}, {
+        form = {}
+        if task.pivot_px is not None:
+            radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
+            form["form"] = laws.monotone_misfit(radii, is_rising=True)
+        return {"de_n": error.de_n, **form}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
@@ -351,8 +353,8 @@ def _metrics(
     angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
-        form = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
-        return {"r2": swing.r2, "pd_s": swing.period_s, "form": form}, {
+        misfit = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
+        return {"r2": swing.r2, "pd_s": swing.period_s, "form": misfit}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),

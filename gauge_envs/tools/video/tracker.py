@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import (
+    FIRST_FRAMES,
+    FIRST_STEP,
     MOST_SAMPLED,
     Background,
     Region,
@@ -18,7 +20,17 @@ from gauge_envs.tools.video.follow import (
     background,
     best_path,
 )
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture, stretched
+from gauge_envs.tools.video.frames import (
+    LEAST_FRAMES,
+    Cadence,
+    Frames,
+    Picture,
+    Registration,
+    cv2,
+    read_cadence,
+    read_picture,
+    stretched,
+)
 from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
@@ -34,8 +46,10 @@ CRADLE_BALLS = 5
 """Balls of the cradle."""
 
 UNSEEN = "the object is not seen"
-FOREIGN = "it does not show the object of the task at its place, so the law, scale and direction of the task do not apply"
-"""What is said of a picture that is given as the first frame of a task and shows something else."""
+FOREIGN = (
+    "the first frame does not show the object of the task at its place, so its law, scale and direction do not apply"
+)
+"""What is said of a clip whose first frame, or the picture that is given as it, shows something else."""
 
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
@@ -63,14 +77,7 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    start, foreign = next(frames.native()), ""
-    if first_frame is None:
-        registration = registration_by_outline(start, task)
-    else:
-        given = read_picture(first_frame)
-        registration = registration_by_first_frame(start, given)
-        shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
-        foreign = f"{first_frame.name}: {FOREIGN}" if shown.problem.startswith(UNSEEN) else ""
+    registration, foreign = _registered(next(frames.native()), task, first_frame)
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
@@ -103,26 +110,44 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
     lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
     path = best_path(allowed, centre, task.size_px, lawful_px)
-    numbers = np.flatnonzero(cadence.is_new)
-    last = int(numbers[-1])
-    notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
-    doubts = [
-        Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem),
-        Event(kind="picture", first_frame=0, last_frame=last, text=foreign, is_fatal=True),
-    ]
-    if _is_cut(frames, cadence):
-        text = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
-        doubts.append(Event(kind="file", first_frame=0, last_frame=last, text=text))
+    early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
+    if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
+        foreign = FOREIGN
+    doubts = (registration.problem, foreign)
     return Track(
-        frames=numbers,
+        frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
         points_px=_on_face(np.array([s.place for s in path]), task),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
-        events=(*(one for one in (*doubts, *notes) if one.text), *watch.events(), *_twins(candidates, path, task)),
+        events=(*_of_the_file(frames, cadence, *doubts), *watch.events(), *_twins(candidates, path, task)),
         clock_s=cadence.times_s,
         registration=registration,
     )
+
+
+def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None) -> tuple[Registration, str]:
+    """Return the registration of a video, and why its first frame is that of another scene; empty if it is not."""
+    if first_frame is None:
+        return registration_by_outline(start, task), ""
+    given = read_picture(first_frame)
+    shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
+    return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
+
+
+def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str) -> Iterator[Event]:
+    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
+    cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
+    for kind, text in (
+        ("registration", registration),
+        ("picture", foreign),
+        ("file", cut if _is_cut(frames, cadence) else ""),
+        ("cadence", cadence.text),
+    ):
+        if text:
+            last = int(np.flatnonzero(cadence.is_new)[-1])
+            is_fatal, is_note = kind == "picture", kind == "cadence"
+            yield Event(kind=kind, first_frame=0, last_frame=last, text=text, is_fatal=is_fatal, is_note=is_note)
 
 
 def _is_cut(frames: Frames, cadence: Cadence) -> bool:
@@ -234,8 +259,7 @@ RECOMPOSED_SHARE = 0.2
 """Share of the picture that must change for the scene to be another one."""
 
 STILL_PX = 0.5
-"""Largest shift of a corner of the picture up to which a camera counts as still [px]: compression and texture that swims
-stay below it, and are not subtracted."""
+"""Mean shift of the corners of the picture up to which a camera counts as still [px]: compression stays below it."""
 
 MOST_SHIFT_PX, MOST_ZOOM = 60.0, 0.1
 """Largest shift [px] and change of the scale that can be subtracted from a flat scene; depth shows beyond them."""
@@ -305,7 +329,7 @@ class SceneWatch:
         return found
 
     def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
-        """Return where points of the first frame are now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
+        """Return where the first frame is now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
         if len(self._points) < LEAST_POINTS:
             return None
         moved, status, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3)
