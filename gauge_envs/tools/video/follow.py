@@ -18,9 +18,6 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION
 Region: TypeAlias = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of a picture [px]."""
 
-MOST_SAMPLED = 80
-"""Most frames from which the background is built; they are spread over the video."""
-
 CHANGED = 30
 """Difference of a colour channel with which a pixel has changed since the first frame."""
 
@@ -39,16 +36,11 @@ class Background:
     """
 
     def __init__(self, picture: Picture) -> None:
-        self._picture = picture.astype(np.float32)
-
-    @property
-    def picture(self) -> NDArray[np.float32]:
-        """The background, shape [480, 832, 3]."""
-        return self._picture
+        self.picture: NDArray[np.float32] = picture.astype(np.float32)
 
     def follow(self, picture: Picture, still: NDArray[np.bool_]) -> None:
         """Take over a share of a picture where nothing moves."""
-        cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=still.astype(np.uint8))
+        cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=still.astype(np.uint8))
 
 
 def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> Background:
@@ -85,12 +77,8 @@ def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> 
 
 # --- candidates -------------------------------------------------------------------------------------------------------
 
-
-COARSE = 0.25
-"""Scale at which the whole picture is searched."""
-
-REACH = 6
-"""Distance from such a place within which it is refined [px]."""
+COARSE, REACH = 0.25, 6
+"""Scale at which the whole picture is searched, and distance from a found place within which it is refined [px]."""
 
 MOST_CANDIDATES = 6
 """Most places of a frame that may show the object."""
@@ -287,8 +275,6 @@ def _cut(picture: NDArray[Any], x: float, y: float, half: int) -> tuple[NDArray[
 
 def _vertex(values: NDArray[np.floating]) -> FloatArray:
     """Return the peak of a paraboloid through 5 x 5 values, as x and y from their middle."""
-    if values.shape != (5, 5):
-        return np.zeros(2)
     y, x = np.mgrid[-2:3, -2:3].reshape(2, -1)
     basis = np.column_stack([np.ones(25), x, y, x * x, x * y, y * y])
     _, a, b, c, d, e = np.linalg.lstsq(basis, values.ravel().astype(float), rcond=None)[0]

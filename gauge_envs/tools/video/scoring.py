@@ -324,14 +324,8 @@ def _metrics(
         release = {"release_within_s": RELEASE_FRAMES / track.fps, "release_s": float(times_s[0])}
         fit = laws.fit_constant_acceleration(track.times_s[used], along_m[used], **release)
         fixed = laws.fit_constant_acceleration(times_s, along_m[rows])
-        late = {}
-        if len(times_s) >= laws.WINDOW + LEAST_RETAINED:
-            # The paper does not state where rest ends: with a start that is one window later.
-            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[rows][laws.WINDOW :])
-            late["a_one_window_later_m_s2"] = later.a_m_per_s2
         return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi, "form": fit.form}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            **late,
             "qfi_at_first_frame": fixed.qfi,
             "linear_r2": fit.r2,
             "release_s": fit.release_s,

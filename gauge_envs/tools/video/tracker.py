@@ -12,7 +12,6 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import (
     FIRST_FRAMES,
     FIRST_STEP,
-    MOST_SAMPLED,
     Background,
     Region,
     ShapeFollower,
@@ -42,6 +41,9 @@ PLATE_RADIUS_PX = 226.0
 MOST_DEPTH = 0.1
 """Largest share by which the height of a cube moves it away from the axis of the camera."""
 
+MOST_SAMPLED = 80
+"""Most frames from which the background is built; they are spread over the video."""
+
 CRADLE_BALLS = 5
 """Balls of the cradle."""
 
@@ -54,11 +56,8 @@ FOREIGN = (
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
 
-TWIN_LIKENESS = 0.7
-"""Likeness from which another place shows a second object."""
-
-LEAST_TWIN_FRAMES = 3
-"""Fewest frames with a second object of the same size and colour that are no accident of a mask."""
+TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
+"""Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
 def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
@@ -245,7 +244,6 @@ def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) ->
 
 # --- camera and scene -------------------------------------------------------------------------------------------------
 
-
 STRIDE = 3
 """Frames from one look to the next."""
 
@@ -318,7 +316,7 @@ class SceneWatch:
         moved = [frame for frame, move in known.items() if _shift_px(move) > STILL_PX]
         if moved:
             shift = max(_shift_px(known[frame]) for frame in moved)
-            zoom = max((_zoom(known[frame]) for frame in moved), key=abs)
+            zoom = max((float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs)
             is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
             what = "more than a flat scene allows to subtract" if is_too_far else "this is subtracted"
             text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
@@ -354,10 +352,6 @@ def _shift_px(move: FloatArray) -> float:
     width, height = REFERENCE_SIZE_PX
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
     return float(np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean())
-
-
-def _zoom(move: FloatArray) -> float:
-    return float(np.hypot(move[0, 0], move[1, 0])) - 1.0
 
 
 def _event(kind: str, frames: list[int], text: str, *, is_note: bool = False) -> Event:
