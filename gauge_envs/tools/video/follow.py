@@ -18,9 +18,6 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION
 Region: TypeAlias = tuple[int, int, int, int]
 """Left, top, right and bottom of a part of a picture [px]."""
 
-MOST_SAMPLED = 80
-"""Most frames from which the background is built; they are spread over the video."""
-
 CHANGED = 30
 """Difference of a colour channel with which a pixel has changed since the first frame."""
 
@@ -39,16 +36,11 @@ class Background:
     """
 
     def __init__(self, picture: Picture) -> None:
-        self._picture = picture.astype(np.float32)
-
-    @property
-    def picture(self) -> NDArray[np.float32]:
-        """The background, shape [480, 832, 3]."""
-        return self._picture
+        self.picture: NDArray[np.float32] = picture.astype(np.float32)
 
     def follow(self, picture: Picture, still: NDArray[np.bool_]) -> None:
         """Take over a share of a picture where nothing moves."""
-        cv2.accumulateWeighted(picture, self._picture, ADAPTATION, mask=still.astype(np.uint8))
+        cv2.accumulateWeighted(picture, self.picture, ADAPTATION, mask=still.astype(np.uint8))
 
 
 def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> Background:
@@ -85,12 +77,8 @@ def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> 
 
 # --- candidates -------------------------------------------------------------------------------------------------------
 
-
-COARSE = 0.25
-"""Scale at which the whole picture is searched."""
-
-REACH = 6
-"""Distance from such a place within which it is refined [px]."""
+COARSE, REACH = 0.25, 6
+"""Scale at which the whole picture is searched, and distance from a found place within which it is refined [px]."""
 
 MOST_CANDIDATES = 6
 """Most places of a frame that may show the object."""
@@ -250,8 +238,7 @@ class ShapeFollower:
         bare, _ = _cut(self._scene.picture, x, y, half)
         response, inside, around = self._full.response(*self._covered(window, bare))
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
-        row, column = np.unravel_index(int(response[middle].argmax()), (2 * REACH + 1,) * 2)
-        row, column = int(row) + half - REACH, int(column) + half - REACH
+        row, column = (half - REACH + n for n in divmod(int(response[middle].argmax()), 2 * REACH + 1))
         value = float(response[row, column])
         if value < LEAST_RESPONSE:
             return Sight()
@@ -288,8 +275,6 @@ def _cut(picture: NDArray[Any], x: float, y: float, half: int) -> tuple[NDArray[
 
 def _vertex(values: NDArray[np.floating]) -> FloatArray:
     """Return the peak of a paraboloid through 5 x 5 values, as x and y from their middle."""
-    if values.shape != (5, 5):
-        return np.zeros(2)
     y, x = np.mgrid[-2:3, -2:3].reshape(2, -1)
     basis = np.column_stack([np.ones(25), x, y, x * x, x * y, y * y])
     _, a, b, c, d, e = np.linalg.lstsq(basis, values.ravel().astype(float), rcond=None)[0]
@@ -305,17 +290,19 @@ MOST_GAP = 40
 """Most frames after which the object is still looked for as itself."""
 
 BEND, BEND_COST, MOST_COST = 0.5, 0.4, 1.5
-"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a perfect likeness; a jump costs
+"""Change of the velocity from frame to frame, in sizes, that costs `BEND_COST` of a likeness; a jump costs
 `MOST_COST`."""
 
 MOST_STEP = 4.0
-"""Largest step from frame to frame, in sizes."""
+"""Largest step from frame to frame, in sizes or in changes by gravity."""
 
 FIRST_STEP, FIRST_FRAMES = 0.4, 3
 """Distance from the known place, in sizes, and frames, in which a path begins."""
 
 
-def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float) -> list[Sight]:
+def best_path(
+    candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float, lawful_px: float = 0.0
+) -> list[Sight]:
     """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.
 
     Dynamic programming over all candidates; a frame may have none. The path begins at rest at a known place.
@@ -324,7 +311,9 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
         candidates: Candidates by frame.
         start_px: Place before the first frame [px], shape [2].
         size_px: Size of the object [px].
+        lawful_px: Change of the step from frame to frame that gravity makes [px].
     """
+    usual_px = max(BEND * size_px, lawful_px)
     nodes = [(-1, Sight(x_px=float(start_px[0]), y_px=float(start_px[1])))]
     nodes += [(frame, one) for frame, ones in enumerate(candidates) for one in ones]
     frames = np.array([frame for frame, _ in nodes])
@@ -336,10 +325,10 @@ def best_path(candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_
     for node in range(1, len(nodes)):
         gap = frames[node] - frames[:node]
         steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
-        bend = np.linalg.norm(steps - speeds[:node], axis=1) / (BEND * size_px)
+        bend = np.linalg.norm(steps - speeds[:node], axis=1) / usual_px
         value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
         is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
-        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * size_px
+        is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(size_px, lawful_px)
         is_possible[0] &= not at_start or node in at_start
         if not is_possible.any():
             totals[node] = -math.inf

@@ -318,7 +318,7 @@ LEAST_APEX_RAD = 0.08
 """Smallest angle of an apex [rad]; hanging balls are no event."""
 
 
-MOST_APEX_STEPS, APEX_FALL = 2.5, 0.8
+MOST_APEX_STEPS, APEX_FALL = 2.5, 0.9
 """Most frames from an apex to its neighbours, and angle on both sides that shows a swing, in that of the apex."""
 
 

@@ -30,12 +30,15 @@ MOST_SIZE_CHANGE = 0.2
 """Largest change of the apparent size of the object in a valid clip."""
 
 LEAST_CONFIDENCE = 0.5
-"""Smallest mean confidence of a valid clip."""
+"""Smallest mean confidence of a valid clip, which is the likeness to the object in the first frame."""
 
-RELEASE_FRAMES = 4.0
+RELEASE_FRAMES = 6.0
 """Frames before and after the first retained one between which rest ends."""
 
-MOST_FORM = {Motion.SLIDE: 0.05, Motion.FALL: 0.05, Motion.PENDULUM: 0.2}
+MOST_TRIMMED, SAME_FORM = 4, 1.5
+"""Most frames at the end that may be left out, and the ratio of residuals up to which they are kept."""
+
+MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
 """Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
 
 JUMP = 0.15
@@ -258,7 +261,7 @@ def score_track(
             raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = laws.retained(track, task)
+    span = _ended(track, task, laws.retained(track, task))
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
         span = (int(found[0]), int(found[-1])) if len(found) else None
@@ -290,6 +293,18 @@ def score_track(
     )
 
 
+def _ended(track: Track, task: VideoTask, span: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return an interval without its last frames if these do not follow the law of the others."""
+    if span is None or task.motion not in (Motion.SLIDE, Motion.FALL):
+        return span
+    found = np.arange(span[0], span[1] + 1)[track.is_found[span[0] : span[1] + 1]]
+    ends = [int(row) for row in found[::-1][: MOST_TRIMMED + 1] if np.count_nonzero(found <= row) >= LEAST_RETAINED]
+    if not ends:
+        return span
+    forms = [_metrics(track, task, (span[0], end), task.scale_m_per_px)[0]["form"] for end in ends]
+    return span[0], next(end for end, form in zip(ends, forms, strict=True) if form <= SAME_FORM * min(forms))
+
+
 def _metrics(
     track: Track,
     task: VideoTask,
@@ -309,14 +324,8 @@ def _metrics(
         release = {"release_within_s": RELEASE_FRAMES / track.fps, "release_s": float(times_s[0])}
         fit = laws.fit_constant_acceleration(track.times_s[used], along_m[used], **release)
         fixed = laws.fit_constant_acceleration(times_s, along_m[rows])
-        late = {}
-        if len(times_s) >= laws.WINDOW + LEAST_RETAINED:
-            # The paper does not state where rest ends: with a start that is one window later.
-            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[rows][laws.WINDOW :])
-            late["a_one_window_later_m_s2"] = later.a_m_per_s2
         return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi, "form": fit.form}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            **late,
             "qfi_at_first_frame": fixed.qfi,
             "linear_r2": fit.r2,
             "release_s": fit.release_s,
@@ -326,9 +335,11 @@ def _metrics(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
         sizes = error.accelerations_m_per_s2
-        assert task.pivot_px is not None
-        radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
-        return {"de_n": error.de_n, "form": laws.monotone_misfit(radii, is_rising=True)}, {
+        form = {}
+        if task.pivot_px is not None:
+            radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
+            form["form"] = laws.monotone_misfit(radii, is_rising=True)
+        return {"de_n": error.de_n, **form}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
@@ -336,8 +347,8 @@ def _metrics(
     angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
-        form = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
-        return {"r2": swing.r2, "pd_s": swing.period_s, "form": form}, {
+        misfit = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
+        return {"r2": swing.r2, "pd_s": swing.period_s, "form": misfit}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.follow import (
-    MOST_SAMPLED,
+    FIRST_FRAMES,
+    FIRST_STEP,
     Background,
     Region,
     ShapeFollower,
@@ -23,11 +24,13 @@ from gauge_envs.tools.video.frames import (
     Cadence,
     Frames,
     Picture,
+    Registration,
     cv2,
     read_cadence,
     read_picture,
     stretched,
 )
+from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
@@ -38,23 +41,23 @@ PLATE_RADIUS_PX = 226.0
 MOST_DEPTH = 0.1
 """Largest share by which the height of a cube moves it away from the axis of the camera."""
 
+MOST_SAMPLED = 80
+"""Most frames from which the background is built; they are spread over the video."""
+
 CRADLE_BALLS = 5
 """Balls of the cradle."""
 
 UNSEEN = "the object is not seen"
 FOREIGN = (
-    "it does not show the object of the task at its place, so the law, scale and direction of the task do not apply"
+    "the first frame does not show the object of the task at its place, so its law, scale and direction do not apply"
 )
-"""What is said of a picture that is given as the first frame of a task and shows something else."""
+"""What is said of a clip whose first frame, or the picture that is given as it, shows something else."""
 
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
 
-TWIN_LIKENESS = 0.7
-"""Likeness from which another place shows a second object."""
-
-LEAST_TWIN_FRAMES = 3
-"""Fewest frames with a second object of the same size and colour that are no accident of a mask."""
+TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
+"""Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
 def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
@@ -73,14 +76,7 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    start, foreign = next(frames.native()), ""
-    if first_frame is None:
-        registration = registration_by_outline(start, task)
-    else:
-        given = read_picture(first_frame)
-        registration = registration_by_first_frame(start, given)
-        shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
-        foreign = f"{first_frame.name}: {FOREIGN}" if shown.problem.startswith(UNSEEN) else ""
+    registration, foreign = _registered(next(frames.native()), task, first_frame)
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
@@ -111,27 +107,46 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         watch.compare(steady, number)
         candidates.append(follower.candidates(steady))
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
-    path = best_path(allowed, centre, task.size_px)
-    numbers = np.flatnonzero(cadence.is_new)
-    last = int(numbers[-1])
-    notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
-    doubts = [
-        Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem),
-        Event(kind="picture", first_frame=0, last_frame=last, text=foreign, is_fatal=True),
-    ]
-    if _is_cut(frames, cadence):
-        text = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
-        doubts.append(Event(kind="file", first_frame=0, last_frame=last, text=text))
+    lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
+    path = best_path(allowed, centre, task.size_px, lawful_px)
+    early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
+    if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
+        foreign = FOREIGN
+    doubts = (registration.problem, foreign)
     return Track(
-        frames=numbers,
+        frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
         points_px=_on_face(np.array([s.place for s in path]), task),
         confidence=np.array([s.likeness for s in path]),
         size_ratio=np.array([s.size_ratio for s in path]),
-        events=(*(one for one in (*doubts, *notes) if one.text), *watch.events(), *_twins(candidates, path, task)),
+        events=(*_of_the_file(frames, cadence, *doubts), *watch.events(), *_twins(candidates, path, task)),
         clock_s=cadence.times_s,
         registration=registration,
     )
+
+
+def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None) -> tuple[Registration, str]:
+    """Return the registration of a video, and why its first frame is that of another scene; empty if it is not."""
+    if first_frame is None:
+        return registration_by_outline(start, task), ""
+    given = read_picture(first_frame)
+    shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
+    return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
+
+
+def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str) -> Iterator[Event]:
+    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
+    cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
+    for kind, text in (
+        ("registration", registration),
+        ("picture", foreign),
+        ("file", cut if _is_cut(frames, cadence) else ""),
+        ("cadence", cadence.text),
+    ):
+        if text:
+            last = int(np.flatnonzero(cadence.is_new)[-1])
+            is_fatal, is_note = kind == "picture", kind == "cadence"
+            yield Event(kind=kind, first_frame=0, last_frame=last, text=text, is_fatal=is_fatal, is_note=is_note)
 
 
 def _is_cut(frames: Frames, cadence: Cadence) -> bool:
@@ -229,7 +244,6 @@ def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) ->
 
 # --- camera and scene -------------------------------------------------------------------------------------------------
 
-
 STRIDE = 3
 """Frames from one look to the next."""
 
@@ -243,8 +257,7 @@ RECOMPOSED_SHARE = 0.2
 """Share of the picture that must change for the scene to be another one."""
 
 STILL_PX = 0.5
-"""Largest shift of a corner of the picture up to which a camera counts as still [px]: compression and texture that swims
-stay below it, and are not subtracted."""
+"""Mean shift of the corners of the picture up to which a camera counts as still [px]: compression stays below it."""
 
 MOST_SHIFT_PX, MOST_ZOOM = 60.0, 0.1
 """Largest shift [px] and change of the scale that can be subtracted from a flat scene; depth shows beyond them."""
@@ -303,7 +316,7 @@ class SceneWatch:
         moved = [frame for frame, move in known.items() if _shift_px(move) > STILL_PX]
         if moved:
             shift = max(_shift_px(known[frame]) for frame in moved)
-            zoom = max((_zoom(known[frame]) for frame in moved), key=abs)
+            zoom = max((float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs)
             is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
             what = "more than a flat scene allows to subtract" if is_too_far else "this is subtracted"
             text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
@@ -314,7 +327,7 @@ class SceneWatch:
         return found
 
     def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
-        """Return where points of the first frame are now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
+        """Return where the first frame is now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
         if len(self._points) < LEAST_POINTS:
             return None
         moved, status, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3)
@@ -339,10 +352,6 @@ def _shift_px(move: FloatArray) -> float:
     width, height = REFERENCE_SIZE_PX
     corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
     return float(np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean())
-
-
-def _zoom(move: FloatArray) -> float:
-    return float(np.hypot(move[0, 0], move[1, 0])) - 1.0
 
 
 def _event(kind: str, frames: list[int], text: str, *, is_note: bool = False) -> Event:
