@@ -253,6 +253,9 @@ SHRINKAGE = 4
 CHANGED = 30.0
 """Difference of the brightness with which a place has changed since the first frame."""
 
+BLACK = 16.0
+"""Brightness that no row or column of a bar beside the picture exceeds."""
+
 RECOMPOSED_SHARE = 0.2
 """Share of the picture that must change for the scene to be another one."""
 
@@ -278,6 +281,9 @@ class SceneWatch:
         self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
         self._counted = ~self._small(ignored.astype(np.float32)).astype(bool)
         self._first = self._small(self._grey.astype(np.float32))
+        # Black bars beside the picture are no part of the scene: a model may fill them.
+        lit = self._first > BLACK
+        self._counted &= lit.any(axis=1)[:, None] & lit.any(axis=0)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
