@@ -283,7 +283,7 @@ class SceneWatch:
         self._first = self._small(self._grey.astype(np.float32))
         # Black bars beside the picture are no part of the scene: a model may fill them.
         lit = self._first > BLACK
-        self._counted &= lit.any(axis=1)[:, None] & lit.any(axis=0)
+        self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
