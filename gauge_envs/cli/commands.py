@@ -42,6 +42,7 @@ COMMANDS = {
     "video": ("", "Film results, and judge videos of world models by the laws of motion."),
     "video film": ("film", "Film results of one experiment side by side, or write one for the Rerun viewer."),
     "video prompts": ("video", "Fetch the first frame and the prompt of each task of the benchmark (3 MB)."),
+    "video board": ("video", "Write a board to print, beside which a phone held by hand can film a motion."),
     "video render": ("video", "Make a video of an engine with the view of the first frame of a task."),
     "video score": ("video", "Follow the object in videos, fit the law of the task, and report its metrics."),
     "video report": ("video", "Score the videos of many models, and write a page with a table and pictures."),

@@ -5,6 +5,9 @@ and how to write it. In a terminal no cell is cut or wrapped. What does not fit 
 row.
 """
 
+import csv
+import io
+import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
@@ -146,6 +149,24 @@ class Table:
         # Two blanks end a line in Markdown.
         lines += ["", *(f"{markdown_text(note)}  " for note in self.notes)] if self.notes else []
         return "\n".join(lines)
+
+    def csv(self) -> str:
+        """Return the values with full digits, below the keys of the columns; a missing value is an empty cell."""
+        stream = io.StringIO()
+        csv.writer(stream, lineterminator="\n").writerows(
+            [
+                [column.key for column in self.columns],
+                *([column.value(row) for column in self.columns] for row in self.rows),
+            ]
+        )
+        return stream.getvalue()
+
+    def latex(self) -> str:
+        """Return the table as a LaTeX `tabular`, with all columns."""
+        layout = "".join("r" if column.is_number else "l" for column in self.columns)
+        cells = [[column.label for column in self.columns], *([c.text(row) for c in self.columns] for row in self.rows)]
+        lines = [" & ".join(re.sub(r"([&%$#_{}^])", r"\\\1{}", cell) for cell in line) for line in cells]
+        return "\n".join([f"\\begin{{tabular}}{{{layout}}}", *(f"{line} \\\\" for line in lines), "\\end{tabular}\n"])
 
     def html(self) -> Html:
         """Return the table as an element; on a narrow screen the cells of a row may stand below each other."""

@@ -7,7 +7,7 @@ Example:
 """
 
 from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, Pose, read_camera
+from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, read_camera
 from gauge_envs.tools.video.scoring import METRICS, Grade, VideoScore, score, score_track
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task, video_tasks
 from gauge_envs.tools.video.track import Event, Track, read_track
@@ -21,7 +21,6 @@ __all__ = [
     "Motion",
     "PlaneView",
     "PointPairs",
-    "Pose",
     "Track",
     "VideoScore",
     "VideoTask",

@@ -53,9 +53,13 @@ def video_score(
             metavar="VIDEO... [NAME=VALUE]...", help="Videos, or tracks: .csv with frame, x, y, confidence."
         ),
     ],
-    task: Annotated[str, typer.Option("--id", metavar="ID", help="Task of the videos; see gauge list video-tasks.")],
+    task: Annotated[
+        str,
+        typer.Option("--id", metavar="ID", help="Task, see gauge list video-tasks; own films: slide, fall, pendulum."),
+    ],
     camera: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="For tracks: how the camera sees the plane, TOML or JSON.")
+        Path | None,
+        typer.Option(metavar="FILE", help="How the camera sees the plane, TOML or JSON; a board in the film."),
     ] = None,
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Folder for videos with the track drawn in.")] = None,
     first_frame: Annotated[
@@ -66,34 +70,52 @@ def video_score(
     """Follow the object in videos, fit the law of the task, and report its metrics.
 
     They have intervals. Details: fps=, frames per second, instead of the rate that a video states; size=832x480, of the
-    pictures of a track in pixels. Exit code 1 when a video is graded invalid.
+    pictures of a track in pixels. Films of one's own, with --camera: object=612,300,40,40, left, top, width and height
+    of a box around the object in the first frame; angle_deg=, slope of a slide. They give friction, restitution or
+    damping too. Exit code 1 when a video is graded invalid.
     """
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
-    from gauge_envs.tools.video.frames import FileFrames
+    from gauge_envs.tools.video.frames import FileFrames, Frames
+    from gauge_envs.tools.video.own import MOTIONS, FrontalFilm, score_own
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
-    names, details = arguments.split_details(words, fps=float, size=_size)
-    chosen = video_task(task)
+    names, details = arguments.split_details(words, fps=float, size=_size, object=_box, angle_deg=float)
     are_tracks = {Path(name): name.lower().endswith(".csv") for name in names}
     if any(are_tracks.values()) and (out or first_frame):
         raise ParameterError("--out and --first-frame need the video, and a track has none: leave out one of both")
-    if not all(are_tracks.values()) and ("size" in details or camera):
-        raise ParameterError("size and --camera go with tracks; a video shows the first frame and states its size")
+    if not all(are_tracks.values()) and ("size" in details or (camera is None) != ("object" not in details)):
+        raise ParameterError("a video states its size; a film of one's own needs --camera and object=")
     view = None if camera is None else read_camera(camera)
+    if task in MOTIONS and (view is None or any(are_tracks.values())):
+        raise ParameterError(f"--id {task} is for films of one's own, with --camera and object=")
     has_failed = False
     for file, is_track in are_tracks.items():
-        if is_track:
-            track = _given_track(file, details, view)
+        source: Frames | None = None if is_track else FileFrames(file, fps=details.get("fps"))
+        if source is not None and view is not None:
+            source = FrontalFilm(source, view)
+            result = score_own(source, task, details["object"], angle_deg=details.get("angle_deg"))
         else:
-            source = FileFrames(file, fps=details.get("fps"))
-            track = track_object(source, chosen, first_frame=first_frame)
-        result = score_track(track, chosen, name=str(file), camera=view)
-        if out is not None:
+            chosen = video_task(task)
+            track = (
+                _given_track(file, details, view)
+                if source is None
+                else track_object(source, chosen, first_frame=first_frame)
+            )
+            result = score_track(track, chosen, name=str(file), camera=view)
+        if out is not None and source is not None:
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
-        print_document(score_document(result, chosen.real), form)
+        print_document(score_document(result, {} if task in MOTIONS else video_task(task).real), form)
         has_failed = has_failed or result.grade is Grade.INVALID
     return has_failed
+
+
+def _box(text: str) -> tuple[float, ...]:
+    """Return left, top, width and height of `612,300,40,40`."""
+    found = re.fullmatch(",".join([r"(\d+(?:\.\d*)?)"] * 4), text)
+    if found is None or not float(found[3]) * float(found[4]):
+        raise ParameterError(f"object={text}: give left, top, width and height of the box in pixels, as 612,300,40,40")
+    return tuple(map(float, found.groups()))
 
 
 def _size(text: str) -> tuple[int, int]:
@@ -116,45 +138,65 @@ def _given_track(file: Path, details: Mapping[str, Any], view: PlaneView | None)
 
 
 def video_report(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder with videos MODEL/TASK.mp4.")],
-    out: Annotated[Path, typer.Option(help="Folder for the page and for results.json.")] = Path("video_report"),
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Videos MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4.")],
+    out: Annotated[Path, typer.Option(help="Folder for page, results.json and tables.")] = Path("video_report"),
     first_frame: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Folder with the pictures that models were given, TASK.png.")
     ] = None,
 ) -> bool:
     """Score the videos of many models, and write a page with a table and pictures.
 
-    The pictures show what was followed. Exit code 1 when a video cannot be read or is named otherwise; the others are
-    on the page.
+    The pictures show what was followed; table.csv and table.tex hold the table. Exit code 1 when a video cannot be
+    judged or a file is named otherwise; the others are on the page.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.video import score_track, video_task
+    from gauge_envs.tools.video import VideoScore, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames
     from gauge_envs.tools.video.tracker import track_object
-    from gauge_envs.tools.video.words import find_videos, video_page
+    from gauge_envs.tools.video.words import find_videos, results_table, video_page
 
     videos, others = find_videos(folder)
-    results, files = {}, {}
-    broken = [f"{file}: left out, because it is named otherwise than MODEL/TASK.mp4" for file in others]
+    results: dict[tuple[str, str], dict[Path, VideoScore | None]] = {}
+    broken = [
+        f"{file}: left out: it is named otherwise than MODEL/TASK.mp4 or MODEL/TASK/seed_1.mp4" for file in others
+    ]
     with Progress("videos", len(videos)) as progress:
         for model, task, file in videos:
             progress.show(f"{model}: {task}")
+            clips = results.setdefault((model, task), {})
+            clips[file] = None
             try:
                 picture = None if first_frame is None else first_frame / f"{task}.png"
                 track = track_object(FileFrames(file), video_task(task), first_frame=picture)
-                results[model, task] = score_track(track, video_task(task), name=f"{model}/{file.name}")
-                files[model, task] = file
+                clips[file] = score_track(track, video_task(task), name=str(file.relative_to(folder)))
             except VideoError as error:
                 broken.append(str(error))
             progress.advance(f"{model}: {task}")
     for text in broken:
         message(text)
-    if results:
-        page = save_file(out / "index.html", video_page(results, files))
-        rows = [{"model": model, **result.to_dict()} for (model, _), result in results.items()]
-        save_file(out / "results.json", json_text(rows))
-        echo(page)
+    page = save_file(out / "index.html", video_page(results))
+    rows = [{"model": key[0], **one.to_dict()} for key, clips in results.items() for one in clips.values() if one]
+    save_file(out / "results.json", json_text(rows))
+    table = results_table(results)
+    save_file(out / "table.csv", table.csv())
+    save_file(out / "table.tex", table.latex())
+    echo(page)
     return bool(broken)
+
+
+def video_board(
+    words: Annotated[
+        list[str], typer.Argument(metavar="FILE [NAME=VALUE]...", help="File to write, .pdf or .png in true size.")
+    ],
+) -> None:
+    """Write a board to print, beside which a phone held by hand can film a motion.
+
+    Details: square_mm=35, the edge of a square: 7 x 5 of them fit on A4.
+    """
+    from gauge_envs.tools.video.own import save_board
+
+    file, details = arguments.split_subject(words, square_mm=float)
+    echo(save_board(Path(file), details.get("square_mm", 35.0)))
 
 
 def video_render(

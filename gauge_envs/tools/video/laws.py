@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import isotonic_regression, minimize, minimize_scalar
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import FloatArray
@@ -49,6 +49,7 @@ class AccelerationFit:
         release_s: Time of the release, on the clock of the samples [s].
         qfi: Quadratic form improvement: F statistic of a further term in the fourth power of time, 1.
         r2: Coefficient of determination of the linear relation, 1.
+        form: Root-mean-square residual in travelled distances, 1: the same for any acceleration and camera.
     """
 
     a_m_per_s2: float
@@ -56,6 +57,7 @@ class AccelerationFit:
     release_s: float
     qfi: float
     r2: float
+    form: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +95,7 @@ class OscillationFit:
 
 
 def fit_constant_acceleration(
-    times_s: ArrayLike, displacement_m: ArrayLike, *, release_within_s: float = 0.0
+    times_s: ArrayLike, displacement_m: ArrayLike, *, release_within_s: float = 0.0, release_s: float | None = None
 ) -> AccelerationFit:
     """Fit a motion from rest with constant acceleration, linear in squared time.
 
@@ -103,11 +105,12 @@ def fit_constant_acceleration(
     Args:
         times_s: Times [s], shape [sample_count], increasing.
         displacement_m: Displacement along the fixed direction [m], shape [sample_count].
-        release_within_s: Half-width of the interval around the first time in which the release is searched [s]; 0 for
-            the paper's fit.
+        release_within_s: Half-width of the interval around it in which the release is searched [s]; 0 for the paper's
+            fit.
+        release_s: Time about which the release is searched [s]; samples before it are at rest. The first one if None.
     """
     times, values = _samples(times_s, displacement_m, LEAST_POINTS_QUADRATIC)
-    release = float(times[0])
+    release = float(times[0]) if release_s is None else release_s
     if release_within_s > 0.0:
         found = minimize_scalar(
             lambda shift: _residual_square(_from_rest(times - release - shift), values),
@@ -132,6 +135,7 @@ def fit_constant_acceleration(
         release_s=release,
         qfi=qfi,
         r2=1.0 - linear / spread if spread > 0.0 else float("nan"),
+        form=float(np.sqrt(linear / len(values)) / max(float(np.ptp(values)), 1e-300)),
     )
 
 
@@ -173,6 +177,21 @@ def momentum_transfer(release_height_m: float, apex_heights_m: ArrayLike) -> flo
     if release_height_m <= 0.0:
         raise ParameterError(f"momentum transfer: the release height is {release_height_m} m; it must be positive")
     return float(np.sqrt(heights / release_height_m).mean())
+
+
+def monotone_misfit(values: ArrayLike, *, is_rising: bool) -> float:
+    """Return the root-mean-square distance of values from the nearest monotone ones, in their mean size, 1.
+
+    No friction pulls a body on a turntable towards its axis, and no impact lets a pendulum swing higher than before, so
+    this is 0 at any friction, speed, length and restitution.
+
+    Args:
+        values: Radii or apex heights in order, shape [count].
+        is_rising: Whether they may only rise; else they may only fall.
+    """
+    samples = np.asarray(values, dtype=float) * (1.0 if is_rising else -1.0)
+    nearest = isotonic_regression(samples).x
+    return float(np.sqrt(((samples - nearest) ** 2).mean()) / max(float(np.abs(samples).mean()), 1e-300))
 
 
 def fit_damped_oscillation(
@@ -299,6 +318,10 @@ LEAST_APEX_RAD = 0.08
 """Smallest angle of an apex [rad]; hanging balls are no event."""
 
 
+MOST_APEX_STEPS, APEX_FALL = 2.5, 0.9
+"""Most frames from an apex to its neighbours, and angle on both sides that shows a swing, in that of the apex."""
+
+
 def displacement_px(track: Track, task: VideoTask) -> FloatArray:
     """Return the displacement along the fixed direction of a task since the first place [px], shape [frame_count]."""
     assert task.direction is not None
@@ -344,24 +367,32 @@ def retained(track: Track, task: VideoTask) -> tuple[int, int] | None:
 def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
     """Return the rows of the apices of a ball that swings out, in order.
 
-    An apex is the largest angle within `APEX_SEPARATION_S` on both sides, and has a later and an earlier neighbour.
+    An apex is the largest angle within `APEX_SEPARATION_S` on both sides, and the ball is seen next to it on both. It
+    rises from below and falls again: balls that hang and tremble do not.
 
     Args:
         times_s: Times of the frames in which the ball was found [s], shape [frame_count].
         angles_rad: Its angles from the vertical [rad], shape [frame_count].
     """
     found: list[int] = []
+    step_s = float(np.median(np.diff(times_s))) if len(times_s) > 1 else 0.0
     for row in range(1, len(times_s) - 1):
         near = np.abs(times_s - times_s[row]) <= APEX_SEPARATION_S
         is_highest = angles_rad[row] >= angles_rad[near].max()
-        if is_highest and angles_rad[row] >= LEAST_APEX_RAD and not (found and near[found[-1]]):
+        is_seen = max(times_s[row + 1] - times_s[row], times_s[row] - times_s[row - 1]) <= MOST_APEX_STEPS * step_s
+        sides = (angles_rad[:row][near[:row]], angles_rad[row + 1 :][near[row + 1 :]])
+        is_swing = all(side.min(initial=np.inf) <= APEX_FALL * angles_rad[row] for side in sides)
+        is_new = not (found and near[found[-1]])
+        if is_highest and is_seen and is_swing and is_new and angles_rad[row] >= LEAST_APEX_RAD:
             found.append(row)
     return np.array(found, dtype=np.intp)
 
 
 def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[int, int] | None:
     along = displacement_px(track, task)[rows]
-    rest = float(np.median(along[: WINDOW // 2]))
+    # A place that lasts one frame is a slip of the tracker and no motion.
+    along = np.median([np.r_[along[:1], along[:-1]], along, np.r_[along[1:], along[-1:]]], axis=0)
+    rest = float(np.median(along[:WINDOW]))
     far = np.flatnonzero(along - rest > ESTABLISHED * task.size_px)
     if not len(far):
         return None

@@ -1,21 +1,21 @@
 """Turn pixels of an oblique recording into metres in the plane of the motion, with the uncertainty of the calibration.
 
-A camera file describes the plane in one of two ways: at least four points of it whose pixels and metres are known, or a
-calibrated camera and the plane in its world. Both give a homography from pictures without lens distortion to the plane.
-Hartley and Zisserman, Multiple View Geometry (2004), sections 4.1 and 8.1.1.
+A camera file names four points or more whose pixels and metres are known, or a board that the film shows. Both give a
+homography from pictures without lens distortion to the plane. Hartley and Zisserman, Multiple View Geometry (2004),
+section 4.1.
 """
 
-from __future__ import annotations
-
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, PositiveFloat, ValidationError
 
-from gauge_envs.errors import VideoError
+from gauge_envs.errors import VideoError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular, toml_document
+from gauge_envs.references.tables import FileModel
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import cv2
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
@@ -24,126 +24,81 @@ from gauge_envs.tools.video.track import Track
 ORIGIN_PX = 0.5 * np.array(REFERENCE_SIZE_PX)
 """Place of the origin of the plane in the frontal picture [px]."""
 
+Pair: TypeAlias = tuple[float, float]
+Triple: TypeAlias = tuple[float, float, float]
+Side: TypeAlias = Annotated[int, Field(ge=1, le=65536)]
 
-@dataclass(frozen=True, kw_only=True)
-class Lens:
+
+class Lens(FileModel):
     """Camera matrix and radial distortion, as in OpenCV.
 
     Attributes:
-        matrix: Camera matrix [px], shape [3, 3].
-        distortion: Radial coefficients k1 and k2, shape [2].
-        focal_sigma: Relative standard uncertainty of the focal length.
+        matrix: Camera matrix [px].
+        distortion: Radial coefficients k1 and k2.
     """
 
-    matrix: FloatArray
-    distortion: FloatArray = field(default_factory=lambda: np.zeros(2))
-    focal_sigma: float = 0.0
+    matrix: tuple[Triple, Triple, Triple]
+    distortion: Pair = (0.0, 0.0)
+
+    @property
+    def coefficients(self) -> tuple[FloatArray, FloatArray]:
+        """Camera matrix, shape [3, 3], and coefficients of the distortion, shape [4], for OpenCV."""
+        return np.array(self.matrix), np.array([*self.distortion, 0.0, 0.0])
 
     def straight(self, points_px: FloatArray) -> FloatArray:
         """Return normalized coordinates without distortion of pixels, both of shape [count, 2]."""
-        bent = _homogeneous(np.linalg.inv(self.matrix), points_px)
-        straight = bent
-        # A fixed point; OpenCV's five iterations leave 0.01 px at the corners of a wide lens.
-        for _ in range(20):
-            square = (straight**2).sum(axis=1, keepdims=True)
-            straight = bent / (1.0 + self.distortion[0] * square + self.distortion[1] * square**2)
-        return straight
-
-    def drawn(self, rng: np.random.Generator) -> Lens:
-        """Return the lens with a focal length within its uncertainty."""
-        matrix = self.matrix.copy()
-        matrix[[0, 1], [0, 1]] *= 1.0 + rng.normal(0.0, self.focal_sigma)
-        return replace(self, matrix=matrix)
+        return np.asarray(cv2.undistortPoints(points_px[:, None], *self.coefficients)[:, 0], dtype=float)
 
 
-@dataclass(frozen=True, kw_only=True)
-class PointPairs:
-    """Points of the plane whose place is known in the picture and in metres.
+class PointPairs(FileModel):
+    """Points of the plane whose place is known in the picture and in metres: table `[points]` of a camera file.
 
     Attributes:
-        points_px: Places in the picture [px], shape [count, 2], at least four.
-        points_m: Places in the plane [m], shape [count, 2]: to the right and, in a vertical plane, up.
+        px: Places in the picture [px], at least four.
+        m: Places in the plane [m], in the same order: to the right and, in a vertical plane, up.
         sigma_px: Standard uncertainty of each pixel coordinate [px].
         sigma_m: Standard uncertainty of each metric coordinate [m].
     """
 
-    points_px: FloatArray
-    points_m: FloatArray
-    sigma_px: float
-    sigma_m: float
+    px: list[Pair]
+    m: list[Pair]
+    sigma_px: NonNegativeFloat
+    sigma_m: NonNegativeFloat
 
     def to_plane(self, lens: Lens | None) -> FloatArray:
         """Return the homography from straight coordinates to the plane, shape [3, 3]."""
-        straight = self.points_px if lens is None else lens.straight(self.points_px)
-        homography, _ = cv2.findHomography(straight, self.points_m)
+        px = np.array(self.px)
+        homography, _ = cv2.findHomography(px if lens is None else lens.straight(px), np.array(self.m))
         return np.asarray(homography, dtype=float)
 
-    def drawn(self, rng: np.random.Generator) -> PointPairs:
+    def drawn(self, rng: np.random.Generator) -> Self:
         """Return the points moved within their uncertainty."""
-        return replace(
-            self,
-            points_px=self.points_px + rng.normal(0.0, self.sigma_px, self.points_px.shape),
-            points_m=self.points_m + rng.normal(0.0, self.sigma_m, self.points_m.shape),
-        )
+        drawn = {"px": rng.normal(self.px, self.sigma_px), "m": rng.normal(self.m, self.sigma_m)}
+        return self.model_copy(update=drawn)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Pose:
-    """Pose of a calibrated camera and the plane of the motion, in one world frame.
+class Board(FileModel):
+    """Printed board beside the motion, in every frame of a film, whose upper edge is level.
 
     Attributes:
-        rvec: Rotation vector from the world to the camera [rad], shape [3], as in OpenCV.
-        tvec: Translation from the world to the camera [m], shape [3].
-        point_m: Point of the plane, its origin [m], shape [3].
-        normal: Normal of the plane, shape [3]; its sign does not matter.
-        up: Direction that is up in the plane, shape [3].
-        sigma_m: Standard uncertainty of the plane along its normal [m].
-        position_sigma_m: Standard uncertainty of each coordinate of the camera's place [m].
-        rotation_sigma_rad: Standard uncertainty of the camera's rotation about each axis [rad].
+        square_m: Edge of a square as measured on the print [m].
+        sigma_m: Standard uncertainty of its corners: print and flatness [m].
+        offset_m: Distance of the middle of the object from the board, towards the camera [m].
+        offset_sigma_m: Its standard uncertainty [m].
     """
 
-    rvec: FloatArray
-    tvec: FloatArray
-    point_m: FloatArray
-    normal: FloatArray
-    up: FloatArray
-    sigma_m: float
-    position_sigma_m: float = 0.0
-    rotation_sigma_rad: float = 0.0
-
-    @property
-    def rotation(self) -> FloatArray:
-        """Rotation from the world to the camera, shape [3, 3]."""
-        return np.asarray(cv2.Rodrigues(self.rvec)[0], dtype=float)
-
-    @property
-    def axes(self) -> FloatArray:
-        """Directions to the right and up in the plane as the camera sees it, shape [2, 3]."""
-        normal = self.normal / np.linalg.norm(self.normal)
-        camera = -self.rotation.T @ self.tvec
-        if (camera - self.point_m) @ normal < 0.0:
-            normal = -normal
-        up = self.up - (self.up @ normal) * normal
-        up = up / np.linalg.norm(up)
-        return np.array([np.cross(up, normal), up])
+    square_m: PositiveFloat
+    sigma_m: NonNegativeFloat = 0.0003
+    offset_m: float = 0.0
+    offset_sigma_m: NonNegativeFloat = 0.002
 
     def to_plane(self, lens: Lens | None) -> FloatArray:
-        """Return the homography from straight coordinates to the plane, shape [3, 3]; the lens is already taken out."""
-        rotation = self.rotation
-        return np.linalg.inv(np.column_stack([*(rotation @ self.axes.T).T, rotation @ self.point_m + self.tvec]))
+        """Raise an error: the place of a board is found in a film."""
+        raise VideoError("[board] needs the film that shows it; a track goes with [points]")
 
-    def drawn(self, rng: np.random.Generator) -> Pose:
-        """Return the pose and the plane moved within their uncertainty."""
-        rotation = self.rotation
-        camera = -rotation.T @ self.tvec + rng.normal(0.0, self.position_sigma_m, 3)
-        turned = cv2.Rodrigues(rng.normal(0.0, self.rotation_sigma_rad, 3))[0] @ rotation
-        normal = self.normal / np.linalg.norm(self.normal)
-        return replace(
-            self,
-            rvec=np.asarray(cv2.Rodrigues(turned)[0], dtype=float)[:, 0],
-            tvec=-turned @ camera,
-            point_m=self.point_m + rng.normal(0.0, self.sigma_m) * normal,
-        )
+    def drawn(self, rng: np.random.Generator) -> Self:
+        """Return the board itself."""
+        return self
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,7 +117,7 @@ class PlaneView:
     """
 
     size_px: tuple[int, int]
-    source: PointPairs | Pose
+    source: PointPairs | Board
     lens: Lens | None = None
     pivot_m: FloatArray | None = None
     pivot_sigma_m: float = 0.0
@@ -175,11 +130,18 @@ class PlaneView:
         straight = points_px if self.lens is None else self.lens.straight(points_px)
         return _homogeneous(self.source.to_plane(self.lens), straight)
 
-    def drawn(self, rng: np.random.Generator) -> PlaneView:
+    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
+        straight = _homogeneous(np.linalg.inv(self.source.to_plane(self.lens)), points_m)
+        if self.lens is None:
+            return straight
+        rays = np.column_stack([straight, np.ones(len(straight))])
+        return np.asarray(cv2.projectPoints(rays, np.zeros(3), np.zeros(3), *self.lens.coefficients)[0][:, 0])
+
+    def drawn(self, rng: np.random.Generator) -> Self:
         """Return the view with calibration and pivot moved within their uncertainty."""
         pivot = None if self.pivot_m is None else self.pivot_m + rng.normal(0.0, self.pivot_sigma_m, 2)
-        lens = None if self.lens is None else self.lens.drawn(rng)
-        return replace(self, source=self.source.drawn(rng), lens=lens, pivot_m=pivot)
+        return replace(self, source=self.source.drawn(rng), pivot_m=pivot)
 
     def grid_to_plane_m(self, points_px: FloatArray) -> FloatArray:
         """Return places in the plane [m] of places on the reference grid [px]; NaN stays NaN."""
@@ -273,30 +235,35 @@ def _homogeneous(matrix: NDArray[np.floating], points: FloatArray) -> FloatArray
 
 # --- camera file -----------------------------------------------------------------------------------------------------
 
-SHAPES: dict[str, dict[str, tuple[int | None, ...]]] = {
-    "points": {"px": (None, 2), "m": (None, 2), "sigma_px": (), "sigma_m": ()},
-    "lens": {"matrix": (3, 3), "distortion": (2,), "focal_sigma": ()},
-    "pose": {"rvec": (3,), "tvec": (3,), "position_sigma_m": (), "rotation_sigma_rad": ()},
-    "plane": {"point_m": (3,), "normal": (3,), "up": (3,), "sigma_m": ()},
-    "motion": {"pivot_m": (2,), "pivot_sigma_m": (), "length_m": (), "release_height_m": (), "direction": (2,)},
-}
-"""Shape of the numbers under each key of a table; None stands for any length. A pivot in a world has three."""
-
-OPTIONAL = {"distortion", "focal_sigma", "position_sigma_m", "rotation_sigma_rad", *SHAPES["motion"]}
-DIRECTIONS = {"normal", "up", "direction"}
-
-LARGEST = 1e300
-"""Bound of numbers: an integer of a file may have more digits than any other type holds."""
-
 LEAST_SPREAD = 0.02
 """Smallest ratio of the shorter to the longer spread of the points: below, they lie on a line and span no plane."""
+
+
+class Swing(FileModel):
+    """Table `[motion]` of a camera file."""
+
+    pivot_m: Pair | None = None
+    pivot_sigma_m: NonNegativeFloat | None = None
+    length_m: PositiveFloat | None = None
+    release_height_m: PositiveFloat | None = None
+    direction: Pair | None = None
+
+
+class CameraFile(FileModel):
+    """A camera file."""
+
+    size_px: tuple[Side, Side]
+    points: PointPairs | None = None
+    board: Board | None = None
+    lens: Lens | None = None
+    motion: Swing = Swing()
 
 
 def read_camera(path: Path | str) -> PlaneView:
     """Return the view that a camera file describes.
 
-    The keys are on the page "World models": `size_px`, then either `[points]` or `[lens]`, `[pose]` and `[plane]`, and
-    `[motion]`. Lengths are in metres, pixels in pictures of the stated size.
+    The keys are on the page "World models": `size_px`, then `[points]` or `[board]`, `[lens]` and `[motion]`. Lengths
+    are in metres, pixels in pictures of the stated size.
 
     Args:
         path: The file; one that ends in `.json` is JSON, any other is TOML.
@@ -309,106 +276,40 @@ def read_camera(path: Path | str) -> PlaneView:
     is_json = path.suffix == ".json"
     try:
         content = read_regular(path, MEGABYTE).removeprefix(b"\xef\xbb\xbf")
-        values = json_document(content) if is_json else toml_document(content)
+        file = CameraFile.model_validate(json_document(content) if is_json else toml_document(content))
+    except ValidationError as error:
+        raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
     except (OSError, UnicodeDecodeError) as error:
         raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
     except ValueError as error:
         raise VideoError(f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}") from None
-    _check_keys(path, "", values, {"size_px", *SHAPES})
-    size = _numbers(path, "size_px", values.get("size_px"), (2,))
-    if (size < 1).any() or (size != np.round(size)).any():
-        raise VideoError(f"{path}: size_px is {size.tolist()}; give width and height in whole pixels, as [1280, 720]")
-    if ("points" in values) == ("pose" in values):
-        raise VideoError(f"{path}: give either [points], or [lens], [pose] and [plane]")
-    if "pose" in values and "lens" not in values:
-        raise VideoError(f"{path}: [pose] needs [lens] with the camera matrix")
-    shapes = SHAPES | {"motion": SHAPES["motion"] | {"pivot_m": (3 if "pose" in values else 2,)}}
-    tables = {name: _table(path, name, table, shapes[name]) for name, table in values.items() if name in shapes}
-    source = _points(path, tables["points"]) if "points" in values else _pose(path, tables["pose"], tables.get("plane"))
-    motion = tables.get("motion", {})
-    if "pivot_m" in motion:
-        if isinstance(source, Pose):
-            motion["pivot_m"] = source.axes @ (motion["pivot_m"] - source.point_m)
-        motion["pivot_sigma_m"] = _number(path, "motion.pivot_sigma_m", motion.get("pivot_sigma_m"))
-    lens = _lens(path, tables["lens"]) if "lens" in tables else None
-    return PlaneView(size_px=(int(size[0]), int(size[1])), source=source, lens=lens, **motion)
-
-
-def _table(path: Path, name: str, values: Any, shapes: dict[str, tuple[int | None, ...]]) -> dict[str, Any]:
-    """Return the numbers of a table of the file by key."""
-    _check_keys(path, name, values, set(shapes))
-    found: dict[str, Any] = {}
-    for key, shape in shapes.items():
-        if key in values or key not in OPTIONAL:
-            place, value = f"{name}.{key}", values.get(key)
-            found[key] = _numbers(path, place, value, shape) if shape else _number(path, place, value)
-        if key in DIRECTIONS and key in found and not np.linalg.norm(found[key]) > 0.0:
-            raise VideoError(f"{path}: {name}.{key} is zero; give a direction")
-    return found
-
-
-def _check_keys(path: Path, name: str, values: Any, known: set[str]) -> None:
-    if not isinstance(values, dict):
-        raise VideoError(f"{path}: {name or 'the file'} must be a table of keys and values")
-    if unknown := sorted(set(values) - known):
-        key = f"{name}.{unknown[0]}".lstrip(".")
-        raise VideoError(f"{path}: there is no key {key}; known: {', '.join(sorted(known))}")
-
-
-def _numbers(path: Path, key: str, value: Any, shape: tuple[int | None, ...]) -> FloatArray:
-    shown = " x ".join("n" if one is None else str(one) for one in shape)
-    if value is None:
-        raise VideoError(f"{path}: there is no {key}; give {shown} numbers")
-    try:
-        numbers = np.array(value, dtype=float)
-    except (TypeError, ValueError, OverflowError):
-        numbers = np.full(1, np.nan)
-    fits = numbers.ndim == len(shape) and all(s is None or s == n for s, n in zip(shape, numbers.shape, strict=True))
-    if not fits or not np.isfinite(numbers).all():
-        raise VideoError(f"{path}: {key} must be {shown} finite numbers")
-    return numbers
-
-
-def _number(path: Path, key: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0.0 <= value < LARGEST:
-        raise VideoError(f"{path}: {key} must be a finite number from 0")
-    return float(value)
-
-
-def _lens(path: Path, table: dict[str, Any]) -> Lens:
-    matrix = table["matrix"]
-    if matrix[0, 0] <= 0.0 or matrix[1, 1] <= 0.0 or list(matrix[2]) != [0.0, 0.0, 1.0]:
+    motion, lens = file.motion, file.lens
+    if (file.points is None) == (file.board is None):
+        raise VideoError(f"{path}: give either [points] or [board]")
+    if (motion.pivot_m is None) != (motion.pivot_sigma_m is None):
+        raise VideoError(f"{path}: motion.pivot_m and motion.pivot_sigma_m go together: give both or none")
+    if motion.direction is not None and not any(motion.direction):
+        raise VideoError(f"{path}: motion.direction is zero; give a direction")
+    if lens is not None and (lens.matrix[0][0] <= 0.0 or lens.matrix[1][1] <= 0.0 or lens.matrix[2] != (0.0, 0.0, 1.0)):
         raise VideoError(f"{path}: lens.matrix is no camera matrix: [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]")
-    return Lens(**table)
+    if file.points is not None:
+        _check(path, file.points)
+    known: dict[str, Any] = {
+        name: np.array(one) if isinstance(one, tuple) else one for name, one in motion if one is not None
+    }
+    source = file.board or file.points
+    assert source is not None
+    return PlaneView(size_px=file.size_px, source=source, lens=lens, **known)
 
 
-def _points(path: Path, table: dict[str, Any]) -> PointPairs:
-    points_px, points_m = table.pop("px"), table.pop("m")
-    if len(points_px) != len(points_m) or len(points_px) < 4:
-        raise VideoError(
-            f"{path}: points.px has {len(points_px)} and points.m {len(points_m)} points; give at least 4 "
-            "of each, in the same order"
-        )
-    for name, points in (("px", points_px), ("m", points_m)):
-        if _least_spread(points) < LEAST_SPREAD:
-            raise VideoError(f"{path}: points.{name} has three of four points on a line: they span no plane")
-    return PointPairs(points_px=points_px, points_m=points_m, **table)
-
-
-def _least_spread(points: FloatArray) -> float:
-    """Return the smallest ratio of spreads over the points without any one of them: a plane needs three off a line."""
-    ratios = []
-    for left_out in range(len(points)):
-        kept = np.delete(points, left_out, axis=0)
-        spreads = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)
-        ratios.append(float(spreads[1] / spreads[0]) if spreads[0] > 0.0 else 0.0)
-    return min(ratios)
-
-
-def _pose(path: Path, pose: dict[str, Any], plane: dict[str, Any] | None) -> Pose:
-    if plane is None:
-        raise VideoError(f"{path}: there is no table [plane]")
-    normal, up = plane["normal"], plane["up"]
-    if np.linalg.norm(np.cross(normal, up)) < 0.1 * np.linalg.norm(normal) * np.linalg.norm(up):
-        raise VideoError(f"{path}: plane.up is along plane.normal; give a direction within the plane")
-    return Pose(**pose, **plane)
+def _check(path: Path, points: PointPairs) -> None:
+    """Check that points span a plane: without any one of them, the others are no line."""
+    if not len(points.px) == len(points.m) >= 4:
+        counts = f"points.px has {len(points.px)} and points.m {len(points.m)} points"
+        raise VideoError(f"{path}: {counts}; give at least 4 of each, in the same order")
+    for name, places in (("px", points.px), ("m", points.m)):
+        for left_out in range(len(places)):
+            kept = np.delete(places, left_out, axis=0)
+            longer, shorter = np.linalg.svd(kept - kept.mean(axis=0), compute_uv=False)[:2]
+            if shorter <= LEAST_SPREAD * longer:
+                raise VideoError(f"{path}: points.{name} has three of four points on a line: they span no plane")

@@ -5,11 +5,13 @@ the first frame, the known outline of the object decides: at the right registrat
 With the first frame, its points are found again.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video.frames import Registration, cv2, stretched
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, SLOPE_DIRECTION, Motion, VideoTask
@@ -69,6 +71,9 @@ def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Regi
         task: The task.
     """
     size = (picture.shape[1], picture.shape[0])
+    if task.id in tuple(Motion):
+        # A film of one's own has no known first frame: it is on the grid already.
+        return stretched(size)
     scene = _Scene(picture, task)
     candidates = [scene.judged(one) for one in _candidates(size)]
     best = max(one.support for one in candidates)
@@ -98,15 +103,18 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     Args:
         picture: First frame of the video in its own size, shape [height, width, 3].
         first_frame: The known first frame; it fills the reference grid.
+
+    Raises:
+        VideoError: Too few of its points are found again.
     """
-    plain = stretched((picture.shape[1], picture.shape[0]))
     finder = cv2.SIFT_create(3000, contrastThreshold=LEAST_CONTRAST)
     small, factor = _shrunk(picture)
     ours, ours_like = finder.detectAndCompute(small, None)
     whole = stretched((first_frame.shape[1], first_frame.shape[0])).applied(first_frame)
     known, known_like = finder.detectAndCompute(whole, None)
     if ours_like is None or known_like is None or min(len(ours), len(known)) < LEAST_INLIERS:
-        return replace(plain, support=0.0, problem="the first frames have too few points to be compared")
+        found = [0 if points is None else len(points) for points in (ours_like, known_like)]
+        raise VideoError(f"the first frames have {found[0]} and {found[1]} points; {LEAST_INLIERS} of each are needed")
     pairs = [pair for pair in cv2.BFMatcher().knnMatch(ours_like, known_like, k=2) if len(pair) == 2]
     good = [first for first, second in pairs if first.distance < 0.75 * second.distance]
     # Points count from the middle of a pixel.
@@ -116,8 +124,10 @@ def registration_by_first_frame(picture: NDArray[np.uint8], first_frame: NDArray
     count = int(agree.sum())
     share = count / max(len(good), 1)
     if count < LEAST_INLIERS or share < LEAST_INLIER_SHARE:
-        text = f"only {count} of {len(good)} points of the given first frame are found again in the video"
-        return replace(plain, inliers=count, support=share, problem=text)
+        raise VideoError(
+            f"only {count} of {len(good)} points of the given first frame are found again in the video; "
+            f"{max(LEAST_INLIERS, math.ceil(LEAST_INLIER_SHARE * len(good)))} are needed: it must begin with that frame"
+        )
     free = Registration(
         scale_x=float(scale[0]),
         scale_y=float(scale[1]),
@@ -257,18 +267,10 @@ def _shrunk(picture: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], float]:
 
 def _axis_fit(seen: FloatArray, wanted: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
     """Return the scale and offset of each axis that most pairs of points agree with, and which agree."""
-    best = np.zeros(len(seen), dtype=bool)
-    scale, offset = np.ones(2), np.zeros(2)
-    rng = np.random.default_rng(0)
-    for _ in range(500 if len(seen) >= 2 else 0):
-        first, second = rng.choice(len(seen), 2, replace=False)
-        span = seen[second] - seen[first]
-        if np.abs(span).min() < 20.0:
-            continue
-        trial = (wanted[second] - wanted[first]) / span
-        agree = np.linalg.norm(wanted - wanted[first] - trial * (seen - seen[first]), axis=1) < MOST_SCATTER_PX
-        if (trial > 0.0).all() and agree.sum() > best.sum():
-            best = agree
+    scale, offset, best = np.ones(2), np.zeros(2), np.zeros(len(seen), dtype=bool)
+    if len(seen) >= LEAST_INLIERS:
+        _, inliers = cv2.estimateAffine2D(seen, wanted, ransacReprojThreshold=MOST_SCATTER_PX, maxIters=5000)
+        best = inliers.ravel() == 1
     for _ in range(3):
         if best.sum() < 3:
             break

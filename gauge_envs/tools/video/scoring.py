@@ -30,7 +30,22 @@ MOST_SIZE_CHANGE = 0.2
 """Largest change of the apparent size of the object in a valid clip."""
 
 LEAST_CONFIDENCE = 0.5
-"""Smallest mean confidence of a valid clip."""
+"""Smallest mean confidence of a valid clip, which is the likeness to the object in the first frame."""
+
+RELEASE_FRAMES = 6.0
+"""Frames before and after the first retained one between which rest ends."""
+
+MOST_TRIMMED, SAME_FORM = 4, 1.5
+"""Most frames at the end that may be left out, and the ratio of residuals up to which they are kept."""
+
+MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
+"""Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
+
+JUMP = 0.15
+"""Change of the step from frame to frame that no law needs, in sizes of the object."""
+
+MOST_M_S2 = 2.0 * laws.GRAVITY_M_PER_S2
+"""Largest acceleration of a swing, slide or fall [m/s^2]; friction bounds that on a turntable."""
 
 
 class Grade(StrEnum):
@@ -45,7 +60,7 @@ class Grade(StrEnum):
 
 
 def grade_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = ""
+    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = "", form: float = 0.0
 ) -> tuple[Grade, tuple[str, ...]]:
     """Return the grade of a clip and its reasons, with frame numbers.
 
@@ -54,11 +69,12 @@ def grade_of(
         task: The task.
         span: First and last retained row; None when the object does not move.
         problem: Why the law could not be fitted; empty when it could.
+        form: Residual of the law.
     """
     if span is None:
         missing = _runs(track.frames[~track.is_found])
         seen = f"; it was not found in frames {missing}" if missing else ""
-        causes = [one.text for one in track.events if one.kind in ("registration", "file")]
+        causes = [one.text for one in track.events if one.kind in ("picture", "registration", "file")]
         return Grade.INVALID, (f"the object does not move{seen}", *causes)
     rows = np.arange(span[0], span[1] + 1)
     fatal, doubts = _missing_reasons(track, rows, task)
@@ -76,12 +92,31 @@ def grade_of(
     confidence = float(track.confidence[found].mean()) if len(found) else 0.0
     if confidence < LEAST_CONFIDENCE:
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
+    if form > MOST_FORM.get(task.motion, math.inf):
+        doubts.append(f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion")
+    jumps = _jumps(track, task, found)
+    if len(jumps):
+        doubts.append(f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}")
     inside = [one for one in track.events if one.first_frame <= track.frames[span[1]]]
     fatal += [one.text for one in inside if one.is_fatal]
     doubts += [one.text for one in inside if not (one.is_fatal or one.is_note)]
     notes = [one.text for one in inside if one.is_note]
     grade = Grade.INVALID if fatal else Grade.DOUBTFUL if doubts else Grade.VALID
     return grade, (*fatal, *doubts, *notes)
+
+
+def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return rows at which the step from frame to frame changes by more than the law and the tracker allow."""
+    times, points = track.times_s[rows], track.points_px[rows]
+    if len(rows) < 3:
+        return rows[:0]
+    steps = np.diff(times)
+    velocities = np.diff(points, axis=0) / steps[:, None]
+    # The law bounds the change of the velocity between the middles of two steps.
+    between = 0.5 * (steps[1:] + steps[:-1])
+    lawful = task.friction * laws.GRAVITY_M_PER_S2 if task.motion is Motion.TURN else MOST_M_S2
+    limit = lawful / task.scale_m_per_px * between + JUMP * task.size_px / np.minimum(steps[1:], steps[:-1])
+    return rows[1:-1][np.linalg.norm(np.diff(velocities, axis=0), axis=1) > limit]
 
 
 def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:
@@ -110,7 +145,7 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 Metrics: TypeAlias = dict[str, float]
 
-METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n")
+METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n", "form")
 """Names of all metrics, in the order of a result."""
 
 SAMPLES = 200
@@ -226,7 +261,7 @@ def score_track(
             raise VideoError(f"{name}: {task.id} needs motion.length_m in the camera file: from the pivot to the ball")
         task = frontal_task(view, seen, task)
         track = frontal_track(view, seen, task)
-    span = laws.retained(track, task)
+    span = _ended(track, task, laws.retained(track, task))
     if task.motion is Motion.CRADLE:
         found = np.flatnonzero(track.is_found)
         span = (int(found[0]), int(found[-1])) if len(found) else None
@@ -238,7 +273,7 @@ def score_track(
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
         except ParameterError as error:
             problem = str(error)
-    grade, reasons = grade_of(track, task, span, problem)
+    grade, reasons = grade_of(track, task, span, problem, metrics.get("form", 0.0))
     guess = None
     if task.motion is Motion.PENDULUM and metrics:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
@@ -258,6 +293,18 @@ def score_track(
     )
 
 
+def _ended(track: Track, task: VideoTask, span: tuple[int, int] | None) -> tuple[int, int] | None:
+    """Return an interval without its last frames if these do not follow the law of the others."""
+    if span is None or task.motion not in (Motion.SLIDE, Motion.FALL):
+        return span
+    found = np.arange(span[0], span[1] + 1)[track.is_found[span[0] : span[1] + 1]]
+    ends = [int(row) for row in found[::-1][: MOST_TRIMMED + 1] if np.count_nonzero(found <= row) >= LEAST_RETAINED]
+    if not ends:
+        return span
+    forms = [_metrics(track, task, (span[0], end), task.scale_m_per_px)[0]["form"] for end in ends]
+    return span[0], next(end for end, form in zip(ends, forms, strict=True) if form <= SAME_FORM * min(forms))
+
+
 def _metrics(
     track: Track,
     task: VideoTask,
@@ -270,18 +317,15 @@ def _metrics(
     rows = rows[track.is_found[rows]]
     times_s = track.times_s[rows]
     if task.motion in (Motion.SLIDE, Motion.FALL):
-        along_m = laws.displacement_px(track, task)[rows] * scale_m_per_px
-        # The release falls between two frames, within one of the first retained.
-        fit = laws.fit_constant_acceleration(times_s, along_m, release_within_s=1.0 / track.fps)
-        fixed = laws.fit_constant_acceleration(times_s, along_m)
-        late = {}
-        if len(times_s) >= laws.WINDOW + LEAST_RETAINED:
-            # The paper does not state where rest ends: with a start that is one window later.
-            later = laws.fit_constant_acceleration(times_s[laws.WINDOW :], along_m[laws.WINDOW :])
-            late["a_one_window_later_m_s2"] = later.a_m_per_s2
-        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi}, {
+        # Rest before the motion belongs to the fit: the release is where rest and law meet.
+        early = np.arange(max(0, span[0] - 2 * laws.WINDOW), span[0])
+        used = np.r_[early[track.is_found[early]], rows]
+        along_m = laws.displacement_px(track, task) * scale_m_per_px
+        release = {"release_within_s": RELEASE_FRAMES / track.fps, "release_s": float(times_s[0])}
+        fit = laws.fit_constant_acceleration(track.times_s[used], along_m[used], **release)
+        fixed = laws.fit_constant_acceleration(times_s, along_m[rows])
+        return {"a_m_s2": fit.a_m_per_s2, "qfi": fit.qfi, "form": fit.form}, {
             "a_at_first_frame_m_s2": fixed.a_m_per_s2,
-            **late,
             "qfi_at_first_frame": fixed.qfi,
             "linear_r2": fit.r2,
             "release_s": fit.release_s,
@@ -291,7 +335,11 @@ def _metrics(
             times_s, track.points_px[rows] * scale_m_per_px, mass_kg=task.mass_kg, friction=task.friction
         )
         sizes = error.accelerations_m_per_s2
-        return {"de_n": error.de_n}, {
+        form = {}
+        if task.pivot_px is not None:
+            radii = np.linalg.norm(track.points_px[rows] - np.array(task.pivot_px), axis=1)
+            form["form"] = laws.monotone_misfit(radii, is_rising=True)
+        return {"de_n": error.de_n, **form}, {
             "median_a_m_s2": float(np.median(sizes)),
             "p95_a_m_s2": float(np.percentile(sizes, 95)),
             "exceeding_share": float((error.exceedance_n > 0.0).mean()),
@@ -299,7 +347,8 @@ def _metrics(
     angles = laws.swing_angles_rad(track, task)[rows]
     if task.motion is Motion.PENDULUM:
         swing = laws.fit_damped_oscillation(times_s, angles, guess=guess)
-        return {"r2": swing.r2, "pd_s": swing.period_s}, {
+        misfit = math.sqrt(max(0.0, 1.0 - swing.r2)) * float(angles.std()) / max(swing.amplitude_rad, 1e-9)
+        return {"r2": swing.r2, "pd_s": swing.period_s, "form": misfit}, {
             "damping_per_s": swing.damping_per_s,
             "equilibrium_deg": math.degrees(swing.equilibrium_rad),
             "amplitude_deg": math.degrees(swing.amplitude_rad),
@@ -307,7 +356,8 @@ def _metrics(
     assert task.rest_px is not None
     events = laws.apices(times_s, angles)
     heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
-    return {"mte": laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))}, {
+    mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
+    return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
         "event_count": float(len(events)),
         "first_event": float(np.sqrt(max(heights[0], 0.0) / task.release_height_m)),
     }

@@ -31,7 +31,7 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `duplicated`, `camera`, `scene`, `registration`, `cadence` or `file`.
+        kind: `duplicated`, `camera`, `scene`, `registration`, `picture`, `cadence` or `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.
@@ -55,7 +55,7 @@ class Track:
         frames: Frame numbers, shape [frame_count], increasing.
         fps: Frames per second.
         points_px: Centres [px], shape [frame_count, 2]; NaN where the object was not found.
-        confidence: Confidence from 0 to 1, shape [frame_count]; 0 where it was not found.
+        confidence: Likeness to the object of the first frame, 0 to 1, shape [frame_count]; 0 where it was not found.
         size_ratio: Apparent size divided by that in the first frame, shape [frame_count]; NaN where unknown.
         events: What happened in the video.
         clock_s: Times of the frames [s], shape [frame_count]; None where they follow from the rate.

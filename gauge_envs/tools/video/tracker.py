@@ -1,8 +1,7 @@
 """Track the object of a task through a video, and name what makes the track doubtful: its camera and scene too."""
 
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -10,27 +9,62 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.video.follow import DiskFollower, FaceFollower, PatchFollower, Region, Sight, background
-from gauge_envs.tools.video.frames import LEAST_FRAMES, Cadence, Frames, Picture, cv2, read_cadence, read_picture
+from gauge_envs.tools.video.follow import (
+    FIRST_FRAMES,
+    FIRST_STEP,
+    Background,
+    Region,
+    ShapeFollower,
+    Sight,
+    background,
+    best_path,
+)
+from gauge_envs.tools.video.frames import (
+    LEAST_FRAMES,
+    Cadence,
+    Frames,
+    Picture,
+    Registration,
+    cv2,
+    read_cadence,
+    read_picture,
+    stretched,
+)
+from gauge_envs.tools.video.laws import GRAVITY_M_PER_S2
 from gauge_envs.tools.video.registration import registration_by_first_frame, registration_by_outline
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask
 from gauge_envs.tools.video.track import Event, Track
 
-PLATE_RADIUS_PX = 235.0
+PLATE_RADIUS_PX = 226.0
 """Radius of the turntable in the first frames [px], with its rim."""
+
+MOST_DEPTH = 0.1
+"""Largest share by which the height of a cube moves it away from the axis of the camera."""
+
+MOST_SAMPLED = 80
+"""Most frames from which the background is built; they are spread over the video."""
 
 CRADLE_BALLS = 5
 """Balls of the cradle."""
 
+UNSEEN = "the object is not seen"
+FOREIGN = (
+    "the first frame does not show the object of the task at its place, so its law, scale and direction do not apply"
+)
+"""What is said of a clip whose first frame, or the picture that is given as it, shows something else."""
+
 LOST_SHARE = 0.02
 """Share of the stated frames that a sound file may lack: some count one too many."""
 
-LEAST_TWIN_FRAMES = 3
-"""Fewest frames with a second object of the same size and colour that are no accident of a mask."""
+TWIN_LIKENESS, LEAST_TWIN_FRAMES = 0.7, 3
+"""Likeness from which another place shows a second object, and fewest frames with it that are no accident."""
 
 
 def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = None) -> Track:
     """Return the track of the object of a task.
+
+    A first pass finds the motion of the camera and the background, a second one the candidates of each frame, from
+    which the motion of the camera is subtracted. The track is the best path through all of them.
 
     Args:
         frames: The video; its first frame is the task's known one, in any resolution, stretched, cropped or padded.
@@ -42,11 +76,7 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     if count < LEAST_FRAMES:
         lost = f" that can be decoded, of the {frames.stated_count} that it states" if _is_cut(frames, cadence) else ""
         raise VideoError(f"{frames.name}: it has {count} frames{lost}; a motion needs at least {LEAST_FRAMES}")
-    start = next(frames.native())
-    if first_frame is None:
-        registration = registration_by_outline(start, task)
-    else:
-        registration = registration_by_first_frame(start, read_picture(first_frame))
+    registration, foreign = _registered(next(frames.native()), task, first_frame)
 
     def pictures() -> Iterator[Picture]:
         for is_new, picture in zip(cadence.is_new, frames.native(), strict=False):
@@ -54,29 +84,69 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
                 yield registration.applied(picture)
 
     first = next(pictures())
-    follower = _follower(pictures, count, first, task)
     watch = SceneWatch(first, _moving_part(task))
-    sights = []
-    for picture in pictures():
-        sights.append(follower.see(picture))
+    centre = np.array(task.rest_px or task.centre_px)
+    part = _surroundings(centre, task.size_px)
+    left, top, right, bottom = part
+    sampled = []
+    for number, picture in enumerate(pictures()):
         watch.look(picture)
-    numbers = np.flatnonzero(cadence.is_new)
-    last = int(numbers[-1])
-    notes = [Event(kind="cadence", first_frame=0, last_frame=last, text=cadence.text, is_note=True)]
-    doubts = [Event(kind="registration", first_frame=0, last_frame=last, text=registration.problem)]
-    if _is_cut(frames, cadence):
-        text = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
-        doubts.append(Event(kind="file", first_frame=0, last_frame=last, text=text))
+        if number and number % max(1, count // MOST_SAMPLED) == 0:
+            sampled.append(watch.steadied(picture, number)[top:bottom, left:right].copy())
+    follower = ShapeFollower(
+        _background(first, sampled, part, task),
+        first,
+        centre_px=centre,
+        size_px=task.size_px,
+        is_square=task.motion is Motion.SLIDE,
+        is_directed=task.motion is not Motion.TURN,
+    )
+    candidates = []
+    for number, picture in enumerate(pictures()):
+        steady = watch.steadied(picture, number)
+        watch.compare(steady, number)
+        candidates.append(follower.candidates(steady))
+    allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
+    lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
+    path = best_path(allowed, centre, task.size_px, lawful_px)
+    early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
+    if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
+        foreign = FOREIGN
+    doubts = (registration.problem, foreign)
     return Track(
-        frames=numbers,
+        frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
-        points_px=np.array([(s.x_px, s.y_px) for s in sights]),
-        confidence=np.array([s.confidence for s in sights]),
-        size_ratio=np.array([s.size_ratio for s in sights]),
-        events=(*(one for one in (*doubts, *notes) if one.text), *watch.events(), *_twin_events(sights)),
+        points_px=_on_face(np.array([s.place for s in path]), task),
+        confidence=np.array([s.likeness for s in path]),
+        size_ratio=np.array([s.size_ratio for s in path]),
+        events=(*_of_the_file(frames, cadence, *doubts), *watch.events(), *_twins(candidates, path, task)),
         clock_s=cadence.times_s,
         registration=registration,
     )
+
+
+def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | None) -> tuple[Registration, str]:
+    """Return the registration of a video, and why its first frame is that of another scene; empty if it is not."""
+    if first_frame is None:
+        return registration_by_outline(start, task), ""
+    given = read_picture(first_frame)
+    shown = registration_by_outline(stretched((given.shape[1], given.shape[0])).applied(given), task)
+    return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
+
+
+def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str) -> Iterator[Event]:
+    """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
+    cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
+    for kind, text in (
+        ("registration", registration),
+        ("picture", foreign),
+        ("file", cut if _is_cut(frames, cadence) else ""),
+        ("cadence", cadence.text),
+    ):
+        if text:
+            last = int(np.flatnonzero(cadence.is_new)[-1])
+            is_fatal, is_note = kind == "picture", kind == "cadence"
+            yield Event(kind=kind, first_frame=0, last_frame=last, text=text, is_fatal=is_fatal, is_note=is_note)
 
 
 def _is_cut(frames: Frames, cadence: Cadence) -> bool:
@@ -84,35 +154,43 @@ def _is_cut(frames: Frames, cadence: Cadence) -> bool:
     return frames.stated_count > len(cadence.is_new) * (1.0 + LOST_SHARE)
 
 
-def _follower(
-    pictures: Callable[[], Iterator[Picture]], count: int, first: Picture, task: VideoTask
-) -> DiskFollower | FaceFollower | PatchFollower:
-    centre = np.array(task.centre_px)
-    if task.motion is Motion.TURN:
-        return FaceFollower(first, centre_px=centre, size_px=task.size_px)
-    scene = background(first, pictures(), count, _surroundings(centre, task.size_px))
-    if task.motion in (Motion.SLIDE, Motion.FALL):
-        is_cube = task.motion is Motion.SLIDE
-        area = task.size_px**2 * (1.08 if is_cube else math.pi / 4.0)
-        return PatchFollower(scene, centre_px=centre, size_px=task.size_px, area_px=area)
+def _background(first: Picture, sampled: list[Picture], part: Region, task: VideoTask) -> Background:
+    if task.motion is not Motion.TURN:
+        return background(first, sampled, part)
+    # The plate turns below the cube, so its usual colour stands for it.
     assert task.pivot_px is not None
+    rows, columns = np.mgrid[0 : first.shape[0], 0 : first.shape[1]]
+    away = np.hypot(columns - task.pivot_px[0], rows - task.pivot_px[1])
+    plate, inner = away < PLATE_RADIUS_PX, away < 0.95 * PLATE_RADIUS_PX
+    left, top, right, bottom = part
+    inner[top:bottom, left:right] = False
+    scene = first.copy()
+    scene[plate] = np.median(first[inner], axis=0)
+    return Background(scene)
+
+
+def _on_face(places: FloatArray, task: VideoTask) -> FloatArray:
+    """Return places of the upper face of a cube on a turntable, from those of the whole that is seen of it.
+
+    The camera looks down the axis. What lies lower is seen nearer to it, by the same factor all around.
+    """
+    found = places[np.isfinite(places).all(axis=1)]
+    if task.motion is not Motion.TURN or not len(found):
+        return places
     pivot = np.array(task.pivot_px)
+    ratio = math.dist(task.centre_px, pivot) / max(float(np.linalg.norm(found[0] - pivot)), 1.0)
+    return pivot + (places - pivot) * (ratio if abs(ratio - 1.0) < MOST_DEPTH else 1.0)
+
+
+def _is_allowed(sight: Sight, task: VideoTask) -> bool:
+    """Return whether the object can be at a place: a swinging one only at a known distance from its pivot."""
+    if task.pivot_px is None or task.motion is Motion.TURN:
+        return True
+    x, y = sight.place - task.pivot_px
+    length = math.dist(task.rest_px or task.centre_px, task.pivot_px)
     if task.motion is Motion.PENDULUM:
-        length = float(np.linalg.norm(centre - pivot))
-        return DiskFollower(
-            scene, diameter_px=task.size_px, centre_px=centre, pivot_px=pivot, reach_px=(0.8 * length, 1.2 * length)
-        )
-    assert task.rest_px is not None
-    rest = np.array(task.rest_px)
-    length = float(np.linalg.norm(rest - pivot))
-    return DiskFollower(
-        scene,
-        diameter_px=task.size_px,
-        centre_px=rest,
-        pivot_px=pivot,
-        reach_px=(0.92 * length, 1.08 * length),
-        sector_rad=(0.05, 0.5 * math.pi),
-    )
+        return 0.8 * length <= math.hypot(x, y) <= 1.2 * length
+    return 0.92 * length <= math.hypot(x, y) <= 1.08 * length and 0.05 < math.atan2(x, y) < 0.5 * math.pi
 
 
 def _surroundings(centre: FloatArray, size_px: float) -> Region:
@@ -145,16 +223,26 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
     return np.hypot(columns - centre[0], rows - centre[1]) < radius
 
 
-def _twin_events(sights: list[Sight]) -> list[Event]:
-    twins = [number for number, sight in enumerate(sights) if sight.twins]
-    if len(twins) < LEAST_TWIN_FRAMES:
+def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) -> list[Event]:
+    """Return the event of a second object that looks like the first one."""
+    ignored = _moving_part(task)
+    frames = []
+    for number, (ones, own) in enumerate(zip(candidates, path, strict=True)):
+        for one in ones:
+            # The other balls of a cradle swing where they should.
+            column, row = np.clip(np.round(one.place).astype(int), 0, np.array(REFERENCE_SIZE_PX) - 1)
+            is_far = not np.linalg.norm(one.place - own.place) < task.size_px
+            is_known = task.motion is Motion.CRADLE and ignored[row, column] and not _is_allowed(one, task)
+            if is_far and not is_known and one.likeness >= TWIN_LIKENESS and own.likeness > 0.0:
+                frames.append(number)
+                break
+    if len(frames) < LEAST_TWIN_FRAMES:
         return []
-    text = f"a second object of the same size and colour is seen in {len(twins)} frames, from {twins[0]} to {twins[-1]}"
-    return [Event(kind="duplicated", first_frame=twins[0], last_frame=twins[-1], text=text)]
+    text = f"a second object of the same shape and colour is seen in {len(frames)} frames, {frames[0]} to {frames[-1]}"
+    return [Event(kind="duplicated", first_frame=frames[0], last_frame=frames[-1], text=text)]
 
 
 # --- camera and scene -------------------------------------------------------------------------------------------------
-
 
 STRIDE = 3
 """Frames from one look to the next."""
@@ -165,35 +253,24 @@ SHRINKAGE = 4
 CHANGED = 30.0
 """Difference of the brightness with which a place has changed since the first frame."""
 
+BLACK = 16.0
+"""Brightness that no row or column of a bar beside the picture exceeds."""
+
 RECOMPOSED_SHARE = 0.2
 """Share of the picture that must change for the scene to be another one."""
 
-MOST_SHIFT_PX = 4.0
-"""Largest shift of the picture of a still camera [px]; compression and texture that swims stay below it."""
+STILL_PX = 0.5
+"""Mean shift of the corners of the picture up to which a camera counts as still [px]: compression stays below it."""
 
-MOST_ZOOM = 0.02
-"""Largest change of the scale of a still camera."""
+MOST_SHIFT_PX, MOST_ZOOM = 60.0, 0.1
+"""Largest shift [px] and change of the scale that can be subtracted from a flat scene; depth shows beyond them."""
 
-SURE = 4.0
-"""Standard uncertainties by which a shift or a zoom must exceed its limit."""
-
-LEAST_LOOKS = 2
-"""Fewest looks that must show it."""
-
-LEAST_POINTS = 12
-"""Fewest points of the scene that must be found again for a statement on the camera."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Look:
-    frame: int
-    shift_px: float
-    zoom: float
-    changed_share: float
+LEAST_POINTS, LEAST_AGREEING = 12, 0.4
+"""Fewest points of the scene, and smallest share of them, that must agree on the motion of the camera."""
 
 
 class SceneWatch:
-    """Compares the scene of each frame with the first one.
+    """Compares the scene of each frame with the first one, and subtracts the motion of the camera.
 
     Args:
         first: The first frame.
@@ -204,67 +281,70 @@ class SceneWatch:
         self._grey = cv2.cvtColor(first, cv2.COLOR_BGR2GRAY)
         self._counted = ~self._small(ignored.astype(np.float32)).astype(bool)
         self._first = self._small(self._grey.astype(np.float32))
+        # Black bars beside the picture are no part of the scene: a model may fill them.
+        lit = self._first > BLACK
+        self._counted &= lit.any(axis=1, keepdims=True) & lit.any(axis=0, keepdims=True)
         mask = np.where(ignored, 0, 255).astype(np.uint8)
         points = cv2.goodFeaturesToTrack(self._grey, 150, 0.02, 12, mask=mask)
         self._points = np.zeros((0, 1, 2), np.float32) if points is None else points
-        self._looks: list[_Look] = []
-        self._frame = 0
+        self._moves: list[FloatArray | None] = []
+        self._changed: dict[int, float] = {}
 
     def look(self, picture: Picture) -> None:
-        """Compare the next frame."""
-        if self._frame % STRIDE == 0:
-            self._looks.append(self._compare(picture))
-        self._frame += 1
+        """Find the motion of the camera in the next frame."""
+        self._moves.append(self._camera(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)))
+
+    def steadied(self, picture: Picture, frame: int) -> Picture:
+        """Return a frame as a camera that does not move would show it."""
+        move = self._moves[frame]
+        if move is None or _shift_px(move) <= STILL_PX:
+            return picture
+        flags = cv2.INTER_LINEAR | cv2.WARP_INVERSE_MAP
+        size = REFERENCE_SIZE_PX
+        return np.asarray(cv2.warpAffine(picture, move, size, flags=flags, borderMode=cv2.BORDER_REPLICATE))
+
+    def compare(self, picture: Picture, frame: int) -> None:
+        """Compare the scene of a steadied frame with that of the first one."""
+        if frame % STRIDE == 0:
+            grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
+            difference = np.abs(self._small(grey.astype(np.float32)) - self._first)
+            self._changed[frame] = float((difference[self._counted] > CHANGED).mean()) if self._counted.any() else 0.0
 
     def events(self) -> list[Event]:
         """Return what happened to the camera and the scene."""
         found = []
-        recomposed = [one for one in self._looks if one.changed_share > RECOMPOSED_SHARE]
+        recomposed = [frame for frame, share in self._changed.items() if share > RECOMPOSED_SHARE]
         if recomposed:
-            worst = max(one.changed_share for one in recomposed)
+            worst = max(self._changed.values())
             text = f"the scene is recomposed: up to {worst:.0%} of the picture differs from the first frame"
             found.append(_event("scene", recomposed, text))
-        zoomed = [one for one in self._looks if abs(one.zoom) > MOST_ZOOM]
-        if len(zoomed) >= LEAST_LOOKS:
-            worst = max((one.zoom for one in zoomed), key=abs)
-            found.append(_event("camera", zoomed, f"the camera zooms by up to {worst:+.1%}"))
-        shifted = [one for one in self._looks if one.shift_px > MOST_SHIFT_PX]
-        if len(shifted) >= LEAST_LOOKS:
-            worst = max(one.shift_px for one in shifted)
-            found.append(_event("camera", shifted, f"the camera moves by up to {worst:.0f} px"))
+        known = {frame: move for frame, move in enumerate(self._moves) if move is not None}
+        moved = [frame for frame, move in known.items() if _shift_px(move) > STILL_PX]
+        if moved:
+            shift = max(_shift_px(known[frame]) for frame in moved)
+            zoom = max((float(np.hypot(*known[frame][:, 0])) - 1.0 for frame in moved), key=abs)
+            is_too_far = shift > MOST_SHIFT_PX or abs(zoom) > MOST_ZOOM
+            what = "more than a flat scene allows to subtract" if is_too_far else "this is subtracted"
+            text = f"the camera moves by up to {shift:.1f} px and zooms by up to {zoom:+.1%}; {what}"
+            found.append(_event("camera", moved, text, is_note=not is_too_far))
+            lost = [frame for frame, move in enumerate(self._moves) if move is None]
+            if len(lost) > len(self._moves) // 10:
+                found.append(_event("camera", lost, "the camera moves, and its motion is not found in some frames"))
         return found
 
-    def _compare(self, picture: Picture) -> _Look:
-        grey = cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY)
-        difference = np.abs(self._small(grey.astype(np.float32)) - self._first)
-        share = float((difference[self._counted] > CHANGED).mean()) if self._counted.any() else 0.0
-        shift, zoom = self._camera(grey) if share <= RECOMPOSED_SHARE else (0.0, 0.0)
-        return _Look(frame=self._frame, shift_px=shift, zoom=zoom, changed_share=share)
-
-    def _camera(self, grey: NDArray[np.uint8]) -> tuple[float, float]:
-        """Return the shift at the centre of the picture [px] and the relative change of the scale."""
+    def _camera(self, grey: NDArray[np.uint8]) -> FloatArray | None:
+        """Return where the first frame is now, as shift, rotation and scale, shape [2, 3]; None if unknown."""
         if len(self._points) < LEAST_POINTS:
-            return 0.0, 0.0
+            return None
         moved, status, _ = cv2.calcOpticalFlowPyrLK(self._grey, grey, self._points, None, winSize=(21, 21), maxLevel=3)
         is_found = status.ravel() == 1
         if is_found.sum() < LEAST_POINTS:
-            return 0.0, 0.0
-        matrix, inliers = cv2.estimateAffinePartial2D(
-            self._points[is_found], moved[is_found], method=cv2.RANSAC, ransacReprojThreshold=1.5
-        )
-        if matrix is None or inliers.sum() < max(LEAST_POINTS, 0.4 * is_found.sum()):
-            return 0.0, 0.0
-        agreed = inliers.ravel() == 1
-        before, after = self._points[is_found][agreed][:, 0], moved[is_found][agreed][:, 0]
-        middle = before.mean(axis=0)
-        residual = after - before @ matrix[:, :2].T - matrix[:, 2]
-        scatter = float(np.sqrt((residual**2).mean()))
-        spread = float(np.sqrt(((before - middle) ** 2).sum()))
-        zoom = float(np.hypot(matrix[0, 0], matrix[1, 0])) - 1.0
-        shift = float(np.linalg.norm(matrix[:, :2] @ middle + matrix[:, 2] - middle))
-        # What the scatter of the points can feign is no motion of the camera.
-        zoom = float(np.sign(zoom)) * max(0.0, abs(zoom) - SURE * scatter / max(spread, 1.0))
-        return max(0.0, shift - SURE * scatter / len(before) ** 0.5), zoom
+            return None
+        before, after = self._points[is_found], moved[is_found]
+        matrix, inliers = cv2.estimateAffinePartial2D(before, after, method=cv2.RANSAC, ransacReprojThreshold=1.5)
+        if matrix is None or inliers.sum() < max(LEAST_POINTS, LEAST_AGREEING * len(before)):
+            return None
+        return np.asarray(matrix)
 
     @staticmethod
     def _small(picture: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -273,6 +353,13 @@ class SceneWatch:
         return np.asarray(cv2.resize(picture, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
 
-def _event(kind: str, looks: list[_Look], text: str) -> Event:
-    first, last = looks[0].frame, looks[-1].frame
-    return Event(kind=kind, first_frame=first, last_frame=last, text=f"{text} (frames {first} to {last})")
+def _shift_px(move: FloatArray) -> float:
+    """Return the mean shift of the corners of the picture [px]."""
+    width, height = REFERENCE_SIZE_PX
+    corners = np.array([[0, 0], [width, 0], [0, height], [width, height]])
+    return float(np.linalg.norm(corners @ move[:, :2].T + move[:, 2] - corners, axis=1).mean())
+
+
+def _event(kind: str, frames: list[int], text: str, *, is_note: bool = False) -> Event:
+    text = f"{text} (frames {frames[0]} to {frames[-1]})"
+    return Event(kind=kind, first_frame=frames[0], last_frame=frames[-1], text=text, is_note=is_note)

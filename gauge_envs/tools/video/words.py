@@ -1,16 +1,20 @@
 """The world-model track in words, on a page and drawn into its videos: tasks, and scores with their intervals."""
 
+import math
+import re
 from base64 import b64encode
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
+from scipy.special import stdtrit
 
 from gauge_envs.errors import VideoError
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part, page
-from gauge_envs.pages.html import Html, below, element, join, listed
-from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.tools.video import METRICS, Grade, VideoScore, VideoTask, video_task, video_tasks
+from gauge_envs.pages.html import Html, element, join, listed
+from gauge_envs.pages.table import Column, Table
+from gauge_envs.tools.video import Grade, VideoScore, VideoTask, video_task, video_tasks
 from gauge_envs.tools.video.frames import FileFrames, Frames, Picture, cv2, write_mp4
 from gauge_envs.tools.video.tasks import published_results
 
@@ -21,6 +25,10 @@ TITLES = {
     "pd_s": "period [s]",
     "mte": "momentum transfer",
     "de_n": "dynamic error [N]",
+    "form": "form",
+    "friction": "friction",
+    "restitution": "restitution",
+    "damping_per_s": "damping [1/s]",
 }
 """Titles of the metrics by name."""
 
@@ -58,7 +66,7 @@ def score_document(result: VideoScore, real: Mapping[str, float]) -> Document:
     scale = f"{1000.0 * result.scale_m_per_px:.3f} mm a pixel of the first frame"
     if result.track.registration is not None:
         scale += f"; registered by {result.track.registration.method}"
-    known = [name for name in METRICS if result.metrics[name] is not None]
+    known = [name for name, value in result.metrics.items() if value is not None]
     table = Table(
         columns=(
             Column("", "metric", TITLES.__getitem__),
@@ -103,32 +111,26 @@ PICTURES = 6
 
 PICTURE_WIDTH_PX = 416
 
-LAYOUTS = {
-    "stretch": "width and height scaled each on its own",
-    "crop": "a crop of the first frame",
-    "pad": "the first frame with a border",
-    "first frame": "registered by points of the first frame",
-}
-"""How a video lies on the grid of the first frames, by the method of its registration."""
-
 VALUES_NOTE = (
-    "Below each value: the interval of 95 % of simulated tracks, and the published value where the folder has the name "
-    "of a published model. Bold: nearest to the real value among the valid videos. Grey: doubtful."
+    "Mean over the valid clips (seeds) of a model. Interval of 95 %: of the mean by Student's t; of one clip, of "
+    "simulated tracks. Spread: standard deviation over seeds. Usable: valid clips of all. Published: GAUGE, arXiv "
+    '2608.05948, Table 3; "negative" is with the negative prompt.'
 )
 
-PUBLISHED_NOTE = 'GAUGE, arXiv 2608.05948, Table 3. "negative" is with the negative prompt.'
-
-Results = Mapping[tuple[str, str], VideoScore]
-"""Results by model and task."""
+Results: TypeAlias = Mapping[tuple[str, str], Mapping[Path, VideoScore | None]]
+"""Results of the clips by model and task; None for a clip that cannot be judged."""
 
 
 def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
-    """Return the model, the task and the file of each video `<model>/<task>.mp4` in a folder, and the other videos."""
+    """Return model, task and file of the videos `MODEL/TASK.mp4` and `MODEL/TASK/seed_1.mp4`, and all other files."""
     tasks = {task.id: order for order, task in enumerate(video_tasks())}
-    files = [file for file in sorted(folder.rglob("*")) if file.suffix.lower() in SUFFIXES]
-    found = [
-        (file.parent.name, file.stem, file) for file in files if file.parent.parent == folder and file.stem in tasks
-    ]
+    files = [file for file in sorted(folder.rglob("*")) if file.is_file() and not file.name.startswith(".")]
+    found = []
+    for file in files:
+        model, *names = file.relative_to(folder).with_suffix("").parts
+        is_seed = len(names) == 2 and re.fullmatch("seed_[0-9]+", names[1]) is not None
+        if file.suffix.lower() in SUFFIXES and names and names[0] in tasks and (len(names) == 1 or is_seed):
+            found.append((model, names[0], file))
     if not found:
         raise VideoError(
             f"{folder}: it holds no video of a task; expected MODEL/TASK.mp4 with a TASK of {', '.join(tasks)}"
@@ -137,75 +139,56 @@ def find_videos(folder: Path) -> tuple[list[tuple[str, str, Path]], list[Path]]:
     return sorted(found, key=lambda one: (tasks[one[1]], one[0])), [file for file in files if file not in used]
 
 
-def video_page(results: Results, files: Mapping[tuple[str, str], Path]) -> str:
-    """Return the page of many videos, without any other file.
-
-    Args:
-        results: Results by model and task.
-        files: Video files by model and task.
-    """
-    models = list(dict.fromkeys(model for model, _ in results))
-    tasks = list(dict.fromkeys(task for _, task in results))
-    rows = [(task, name) for task in tasks for name in METRICS if name in video_task(task).real]
-    parts: list[Part] = [
-        element("p", VALUES_NOTE),
-        _values_table(models, rows, results),
-        Heading("Published models"),
-        element("p", PUBLISHED_NOTE, class_="quiet"),
-        _published_table(rows),
-    ]
-    for task in tasks:
-        parts.append(Heading(task))
-        parts += [
-            _clip(model, results[model, task], files[model, task]) for model in models if (model, task) in results
+def results_table(results: Results) -> Table:
+    """Return a row for each model, task and metric: the mean over valid clips, and what it is worth."""
+    rows = []
+    for (model, task), clips in results.items():
+        valid = [one for one in clips.values() if one is not None and one.grade is Grade.VALID]
+        for name in (*video_task(task).real, "form"):
+            values = np.array([one.metrics[name] for one in valid], dtype=float)
+            values = values[np.isfinite(values)]
+            mean, spread, ends = None, None, None
+            if len(values):
+                mean, ends = float(values.mean()), valid[0].uncertainty[name]
+            if mean is not None and len(values) > 1:
+                spread = float(values.std(ddof=1))
+                half = float(stdtrit(len(values) - 1, 0.975)) * spread / math.sqrt(len(values))
+                ends = (mean - half, mean + half)
+            row = {"model": model, "task": task, "metric": TITLES[name], "mean": mean, "spread": spread}
+            row["real"] = video_task(task).real.get(name)
+            row["low"], row["high"] = ends or (None, None)
+            rows.append(row | {"usable": len(valid) / len(clips), "valid": len(valid), "clips": len(clips)})
+    keys = [(task, name) for task in dict.fromkeys(task for _, task in results) for name in video_task(task).real]
+    for model, known in published_results().items():
+        rows += [
+            {"model": f"{model}, published", "task": t, "metric": TITLES[n], "mean": known.get((t, n))} for t, n in keys
         ]
+    titles = {"mean": "mean", "low": "95 % from", "high": "to", "spread": "spread", "real": "real"}
+    columns = [Column(key, title, short_text, is_number=True) for key, title in titles.items()]
+    columns.insert(0, Column("usable", "usable", "{:.0%}".format, is_number=True))
+    columns += [Column(key, key, short_text, is_number=True) for key in ("valid", "clips")]
+    names = (Column("model", "model"), Column("task", "task"), Column("metric", "metric"))
+    return Table(columns=(*names, *columns), rows=rows, notes=(VALUES_NOTE,))
+
+
+def video_page(results: Results) -> str:
+    """Return the page of many videos, without any other file."""
+    parts: list[Part] = [results_table(results)]
+    last = ""
+    for (model, task), clips in results.items():
+        parts += [Heading(task)] if task != last else []
+        parts += [_clip(model, one, file) for file, one in clips.items() if one is not None]
+        last = task
     return page("Videos and the laws of motion", parts)
-
-
-def _values_table(models: Sequence[str], rows: Sequence[tuple[str, str]], results: Results) -> Table:
-    lines = []
-    for task, name in rows:
-        real = video_task(task).real[name]
-        found = [results.get((model, task)) for model in models]
-        valid = [one.metrics[name] for one in found if one is not None and one.grade is Grade.VALID]
-        nearest = min(
-            (value for value in valid if value is not None), key=lambda value: abs(value - real), default=None
-        )
-        cells = (_cell(model, one, name, nearest) for model, one in zip(models, found, strict=True))
-        lines.append([join([task, below(TITLES[name]), below(f"real {short_text(real)}")]), *cells])
-    return grid(("task", *models), lines, look="matrix")
-
-
-def _cell(model: str, result: VideoScore | None, name: str, nearest: float | None) -> Html:
-    if result is None:
-        return Html("")
-    grade, value, interval = result.grade, result.metrics[name], result.uncertainty[name]
-    notes = [] if interval is None else [interval_text(interval)]
-    if grade is not Grade.VALID and value is not None:
-        notes.append(grade.value)
-    known = published_results().get(model.replace("-", "_"), {})
-    if (result.task, name) in known:
-        notes.append(f"published {short_text(known[result.task, name])}")
-    is_best = grade is Grade.VALID and value is not None and value == nearest
-    text = grade.value if value is None else short_text(value)
-    return element("span", element("b", text) if is_best else text, *map(below, notes), class_=grade.value)
-
-
-def _published_table(rows: Sequence[tuple[str, str]]) -> Table:
-    published = published_results()
-    lines = [
-        [join([task, below(TITLES[name])]), *(short_text(known.get((task, name))) for known in published.values())]
-        for task, name in rows
-    ]
-    return grid(("task", *published), lines, look="matrix")
 
 
 def _clip(model: str, result: VideoScore, file: Path) -> Html:
     text = f": {result.grade.value}; {span_text(result)}"
     if result.track.registration is not None:
-        text += f"; {LAYOUTS[result.track.registration.method]}"
+        text += f"; registered by {result.track.registration.method}"
     pictures = element("div", *_pictures(result, file), class_="strip")
-    return join([element("p", element("b", model), text), listed(result.reasons), pictures])
+    name = model if file.stem == result.task else f"{model}, {file.stem}"
+    return join([element("p", element("b", name), text), listed(result.reasons), pictures])
 
 
 def _pictures(result: VideoScore, file: Path) -> Iterator[Html]:
@@ -230,7 +213,7 @@ MARKED = (60, 60, 230)
 """Colours in blue, green and red: of retained places, of dropped ones, and of the present place."""
 
 
-def save_overlay(source: FileFrames, result: VideoScore, path: Path) -> Path:
+def save_overlay(source: Frames, result: VideoScore, path: Path) -> Path:
     """Write a video with the track, and return its path; its folder is created.
 
     Args:

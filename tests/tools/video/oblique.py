@@ -3,67 +3,84 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.tools.video import PlaneView, video_task
-from gauge_envs.tools.video.plane import Lens, PointPairs, Pose
+from gauge_envs.tools.video.plane import Lens, PointPairs
 from gauge_envs.tools.video.tasks import Motion
 
 FloatArray = NDArray[np.float64]
 SIZE_PX = (1280, 720)
 FPS = 50.0
 POINTS_SIGMA_PX = 0.3
-POSITION_SIGMA_M = 0.002
-ROTATION_SIGMA_RAD = 0.001
 
 
 @dataclass(frozen=True)
 class ObliqueClip:
-    """Places in the picture, the true values, and views as stated: off the truth by their uncertainty."""
+    """Places in the picture, the true values, and a view as stated: off the truth by its uncertainty."""
 
     task: str
     truth: dict[str, float]
-    true_view: PlaneView
-    from_pose: PlaneView
+    camera: Camera
     from_points: PlaneView
     times_s: FloatArray
     places_px: FloatArray
 
 
-def to_picture_px(view: PlaneView, points_m: FloatArray) -> FloatArray:
-    """Return places in the picture of a calibrated camera [px] of places in the plane [m], both of shape [count, 2]."""
-    assert isinstance(view.source, Pose) and view.lens is not None
-    matrix = np.linalg.inv(view.source.to_plane(view.lens))
-    straight = np.column_stack([points_m, np.ones(len(points_m))]) @ matrix.T
-    normalized = straight[:, :2] / straight[:, 2:]
-    square = (normalized**2).sum(axis=1, keepdims=True)
-    bent = normalized * (1.0 + view.lens.distortion[0] * square + view.lens.distortion[1] * square**2)
-    return np.asarray(bent @ view.lens.matrix[:2, :2].T + view.lens.matrix[:2, 2])
+@dataclass(frozen=True)
+class Camera:
+    """A calibrated camera and a plane in its world, in OpenCV's conventions.
+
+    Attributes:
+        axes: Directions to the right and up in the plane, shape [2, 3].
+    """
+
+    rvec: FloatArray
+    tvec: FloatArray
+    matrix: FloatArray
+    distortion: FloatArray
+    point_m: FloatArray
+    axes: FloatArray
+
+    def to_picture_px(self, points_m: FloatArray) -> FloatArray:
+        """Return places in the picture [px] of places in the plane [m], both of shape [count, 2]."""
+        world = self.point_m + points_m @ self.axes
+        bent = np.array([*self.distortion, 0.0, 0.0])
+        return np.asarray(cv2.projectPoints(world, self.rvec, self.tvec, self.matrix, bent)[0][:, 0], dtype=float)
+
+    def view(self, *, sigma_px: float = 0.0, sigma_m: float = 0.0, **motion: object) -> PlaneView:
+        """Return the view by the corners of a rectangle in the plane."""
+        corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
+        places = self.to_picture_px(corners)
+        pairs = PointPairs(px=places.tolist(), m=corners.tolist(), sigma_px=sigma_px, sigma_m=sigma_m)
+        lens = Lens(matrix=self.matrix.tolist(), distortion=tuple(self.distortion))
+        return PlaneView(size_px=SIZE_PX, source=pairs, lens=lens, **motion)
 
 
 def oblique_clip(name: str, rng: np.random.Generator) -> ObliqueClip:
     """Return a clip of a task from a random camera, 20 to 43 degrees off the normal of the plane."""
     task = video_task(name)
     place, truth, duration_s, motion = _motion(name, rng)
-    true_view = replace(_camera(task.motion, rng), **motion)
+    camera = _camera(task.motion, rng)
     times = np.arange(int(duration_s * FPS)) / FPS
-    places = to_picture_px(true_view, np.array([place(t)[0] for t in times]))
+    places = camera.to_picture_px(np.array([place(t)[0] for t in times]))
+    # A user has read four points of the plane in the picture, and measured the pivot.
+    view = camera.view(sigma_px=POINTS_SIGMA_PX, sigma_m=0.0005, **motion)
     return ObliqueClip(
         task=name,
         truth=truth,
-        true_view=true_view,
-        from_pose=true_view.drawn(rng),
-        from_points=_from_points(true_view, rng),
+        camera=camera,
+        from_points=view.drawn(rng),
         times_s=times,
         places_px=places,
     )
 
 
-def _camera(motion: Motion, rng: np.random.Generator) -> PlaneView:
+def _camera(motion: Motion, rng: np.random.Generator) -> Camera:
     """Return a camera that looks at the origin of a vertical plane or, for a turntable, of a horizontal one."""
     azimuth, height = rng.choice([-1.0, 1.0]) * np.radians(rng.uniform(15, 35)), np.radians(rng.uniform(10, 25))
     away = np.array([np.sin(azimuth) * np.cos(height), -np.cos(azimuth) * np.cos(height), np.sin(height)])
@@ -76,29 +93,16 @@ def _camera(motion: Motion, rng: np.random.Generator) -> PlaneView:
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     rotation = np.array([right, np.cross(forward, right), forward])
-    pose = Pose(
-        rvec=cv2.Rodrigues(rotation)[0][:, 0],
-        tvec=-rotation @ eye,
-        point_m=np.zeros(3),
-        normal=normal,
-        up=up,
-        sigma_m=0.001,
-        position_sigma_m=POSITION_SIGMA_M,
-        rotation_sigma_rad=ROTATION_SIGMA_RAD,
-    )
     matrix = np.array([[rng.uniform(1000, 1150), 0.0, 640.0], [0.0, 0.0, 360.0], [0.0, 0.0, 1.0]])
     matrix[1, 1] = matrix[0, 0]
-    distortion = np.array([rng.uniform(-0.12, 0.12), rng.uniform(-0.05, 0.05)])
-    return PlaneView(size_px=SIZE_PX, source=pose, lens=Lens(matrix=matrix, distortion=distortion, focal_sigma=0.001))
-
-
-def _from_points(view: PlaneView, rng: np.random.Generator) -> PlaneView:
-    """Return the view of a user who has read four points of the plane in the picture."""
-    corners = np.array([[-0.3, -0.22], [0.3, -0.22], [0.3, 0.22], [-0.3, 0.22]])
-    pairs = PointPairs(
-        points_px=to_picture_px(view, corners), points_m=corners, sigma_px=POINTS_SIGMA_PX, sigma_m=0.0005
+    return Camera(
+        rvec=cv2.Rodrigues(rotation)[0][:, 0],
+        tvec=-rotation @ eye,
+        matrix=matrix,
+        distortion=np.array([rng.uniform(-0.12, 0.12), rng.uniform(-0.05, 0.05)]),
+        point_m=np.zeros(3),
+        axes=np.array([np.cross(up, normal), up]),
     )
-    return replace(view, source=pairs.drawn(rng))
 
 
 def _motion(

@@ -8,10 +8,12 @@ from scipy import stats
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.tools.video.laws import (
+    apices,
     dynamic_error,
     fit_constant_acceleration,
     fit_damped_oscillation,
     momentum_transfer,
+    monotone_misfit,
 )
 
 TIMES_S = np.arange(40) / 30.0
@@ -118,3 +120,37 @@ def test_samples_that_cannot_be_fitted_are_errors(times_s: list[float], values: 
 def test_an_angle_that_does_not_change_is_an_error() -> None:
     with pytest.raises(ParameterError, match="no oscillation"):
         fit_damped_oscillation(TIMES_S, np.full(TIMES_S.size, 0.2))
+
+
+@pytest.mark.parametrize("release_s", [0.31, 0.35, 0.42])
+def test_rest_and_law_meet_at_the_release(release_s: float) -> None:
+    moving = np.maximum(TIMES_S - release_s, 0.0)
+    fit = fit_constant_acceleration(TIMES_S, 0.5 * 2.58 * moving**2, release_within_s=0.13, release_s=0.36)
+    assert fit.a_m_per_s2 == pytest.approx(2.58, rel=1e-4)
+    assert fit.release_s == pytest.approx(release_s, abs=1e-4)
+
+
+def test_form_is_the_same_for_any_scale() -> None:
+    steady = 0.3 * TIMES_S
+    fits = [fit_constant_acceleration(TIMES_S, scale * steady) for scale in (0.01, 1.0, 50.0)]
+    assert [fit.form for fit in fits] == pytest.approx([fits[0].form] * 3)
+    # The best a + b t^2 of t on 0..1 leaves 1/sqrt(5) - ... of its spread: sqrt(1/12 - 15/256) of the distance.
+    assert fits[0].form == pytest.approx((1 / 12 - 5 / 64) ** 0.5, abs=4e-3)
+
+
+def test_monotone_misfit_pools_what_falls() -> None:
+    assert monotone_misfit([1.0, 2.0, 2.0, 5.0], is_rising=True) == 0.0
+    # The pair 3, 1 is pooled to 2: two residuals of 1 of four values with the mean 2.
+    assert monotone_misfit([1.0, 3.0, 1.0, 3.0], is_rising=True) == pytest.approx(0.5**0.5 / 2.0)
+    assert monotone_misfit([3.0, 1.0], is_rising=False) == 0.0
+
+
+def test_an_apex_is_a_swing_that_is_seen_on_both_sides() -> None:
+    times_s = np.arange(60) / 30.0
+    swing = np.maximum(0.4 * np.sin(2.0 * np.pi * times_s), 0.0)
+    assert list(apices(times_s, swing)) == [7, 37] or len(apices(times_s, swing)) == 2
+    trembling = 0.1 + 0.005 * np.sin(2.0 * np.pi * times_s * 1.3)
+    assert not len(apices(times_s, trembling))
+    # The first frame after a gap is the highest that is left of this swing, and no apex.
+    seen = (times_s < 0.05) | (times_s > 0.3)
+    assert len(apices(times_s[seen], swing[seen])) == 1

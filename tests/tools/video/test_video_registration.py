@@ -78,11 +78,20 @@ def test_an_object_at_another_place_is_doubtful_without_the_first_frame(task: st
     assert numbers(found)[2:] == pytest.approx((50 / 1.2, 10 / 1.2), abs=1.5)
 
 
-def test_another_first_frame_is_doubtful() -> None:
-    found = registration_by_first_frame(first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood"))
-    assert "are found again" in found.problem
-    plain = registration_by_first_frame(np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood"))
-    assert "too few points" in plain.problem
+def test_a_larger_first_frame_registers_clips_of_its_size_and_of_others() -> None:
+    small = first_picture("BouncingBall-rubber")
+    large = np.asarray(cv2.resize(small, (1300, 750), interpolation=cv2.INTER_CUBIC))
+    for clip_of in (large, small):
+        found = registration_by_first_frame(clip_of, large)
+        width, height = clip_of.shape[1], clip_of.shape[0]
+        assert numbers(found) == pytest.approx((832 / width, 480 / height, 0.0, 0.0), abs=2e-3)
+
+
+def test_another_first_frame_is_an_error_that_says_what_is_needed() -> None:
+    with pytest.raises(VideoError, match=r"only \d+ of \d+ points .* \d+ are needed"):
+        registration_by_first_frame(first_picture("BouncingBall-rubber", 2), first_picture("Turntable-2-wood"))
+    with pytest.raises(VideoError, match=r"have 0 and \d+ points; 12 of each are needed"):
+        registration_by_first_frame(np.full((480, 832, 3), 90, np.uint8), first_picture("Turntable-2-wood"))
 
 
 @pytest.mark.parametrize("factor", [1.0, 2.5])

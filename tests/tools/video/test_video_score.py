@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import csv
 import json
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,9 +18,21 @@ from typer.testing import CliRunner  # noqa: E402
 
 from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import UnknownNameError, VideoError  # noqa: E402
-from gauge_envs.tools.video import Grade, Motion, VideoScore, read_track, score, score_track, video_task, video_tasks  # noqa: E402
+from gauge_envs.tools.video import (  # noqa: E402
+    Grade,
+    Motion,
+    Track,
+    VideoScore,
+    read_track,
+    score,
+    score_track,
+    video_task,
+    video_tasks,
+)
 from gauge_envs.tools.video.frames import FileFrames  # noqa: E402
 from gauge_envs.tools.video.tasks import published_results  # noqa: E402
+from gauge_envs.tools.video.tracker import SceneWatch  # noqa: E402
+from gauge_envs.tools.video.words import find_videos, results_table  # noqa: E402
 
 SWINGS = ("NewtonsCradle-metal", "Pendulum-metal")
 FIVE = ("SlopeSlider-2-wood", "BouncingBall-rubber", "Turntable-2-metal", *SWINGS)
@@ -98,16 +112,65 @@ def test_an_object_that_vanishes_is_named() -> None:
     assert any("is lost in" in reason for reason in result.reasons), result.reasons
 
 
-def test_a_camera_that_zooms_is_named() -> None:
-    one = known("SlopeSlider-2-wood")
+@pytest.mark.parametrize("move", ["zoom", "shake"])
+def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
+    one, rng = known("SlopeSlider-2-wood"), np.random.default_rng(2)
     height, width = one.frames[0].shape[:2]
-    frames = []
-    for number, frame in enumerate(one.frames):
-        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + 0.003 * number)
-        frames.append(cv2.warpAffine(frame, matrix, (width, height)))
+    frames = [one.frames[0]]
+    for number, frame in enumerate(one.frames[1:]):
+        matrix = cv2.getRotationMatrix2D((width / 2, height / 2), 0.0, 1.0 + (move == "zoom") * 0.0005 * number)
+        matrix[:, 2] += (move == "shake") * rng.normal(0.0, 3.0, 2)
+        frames.append(cv2.warpAffine(frame, matrix, (width, height), borderMode=cv2.BORDER_REPLICATE))
     result = score(frames, one.fps, one.task)
-    assert result.grade is not Grade.VALID
-    assert any("camera" in reason for reason in result.reasons), result.reasons
+    assert result.grade is Grade.VALID, result.reasons
+    assert "camera" in result.reasons[0] and "this is subtracted" in result.reasons[0]
+    assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
+
+
+def test_a_frame_with_the_object_elsewhere_is_no_motion() -> None:
+    one = known("SlopeSlider-2-wood")
+    frames = [*one.frames]
+    frames[2] = np.roll(frames[2], (12, -20), axis=(0, 1))
+    result = score(frames, one.fps, one.task)
+    assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
+
+
+def test_a_second_object_is_named() -> None:
+    one = known("SlopeSlider-2-wood")
+    task = video_task(one.task)
+    x, y = (round(value) for value in task.centre_px)
+    copy = one.frames[0][y - 50 : y + 50, x - 50 : x + 50].copy()
+    frames = [frame.copy() for frame in one.frames]
+    for frame in frames[12:]:
+        frame[100:200, 100:200] = copy
+    result = score(frames, one.fps, one.task)
+    assert result.grade is Grade.DOUBTFUL
+    assert any("a second object" in reason for reason in result.reasons), result.reasons
+
+
+def test_a_picture_of_another_scene_is_refused_though_it_is_the_first_frame(tmp_path: Path) -> None:
+    one = known("SlopeSlider-2-wood")
+    frames = [np.ascontiguousarray(frame[::-1, ::-1]) for frame in one.frames]
+    cv2.imwrite(str(tmp_path / "own.png"), frames[0][:, :, ::-1])
+    result = score(frames, one.fps, one.task, first_frame=tmp_path / "own.png")
+    assert result.grade is Grade.INVALID
+    assert any("does not show the object of the task" in reason for reason in result.reasons), result.reasons
+
+
+def test_bars_that_a_model_fills_are_no_other_scene() -> None:
+    one = known("BouncingBall-rubber", 5)
+    inner, grain = np.s_[:, 110:722], np.random.default_rng(1).integers(100, 200, one.frames[0].shape, dtype=np.uint8)
+    watched = {}
+    for name, bars in (("bars", np.zeros_like(grain)), ("scene", 255 - grain)):
+        frames = [(bars if number == 0 else grain).copy() for number in range(9)]
+        for frame, seen in zip(frames, one.frames, strict=False):
+            frame[inner] = seen[inner]
+        watch = SceneWatch(frames[0], np.zeros(frames[0].shape[:2], dtype=bool))
+        for number, frame in enumerate(frames):
+            watch.look(frame)
+            watch.compare(frame, number)
+        watched[name] = any(event.kind == "scene" for event in watch.events())
+    assert watched == {"bars": False, "scene": True}
 
 
 def test_a_still_picture_is_invalid() -> None:
@@ -140,6 +203,19 @@ def test_a_track_is_scored_like_a_video(tmp_path: Path) -> None:
     interval = result.uncertainty["a_m_s2"]
     assert interval is not None
     assert interval[0] < 1.7 < interval[1]
+
+
+def test_a_jump_that_friction_cannot_give_is_named() -> None:
+    task = video_task("Turntable-2-metal")
+    assert task.pivot_px is not None
+    angles = 0.03 * np.arange(60)
+    places = np.array(task.pivot_px) - 130.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+    track = Track(frames=np.arange(60), fps=24.0, points_px=places, confidence=np.ones(60), size_ratio=np.ones(60))
+    assert score_track(track, task).grade is Grade.VALID
+    assert score_track(track, task).metrics["form"] == pytest.approx(0.0, abs=1e-9)
+    places[36:] += [39.0, 0.0]
+    result = score_track(track, task)
+    assert result.grade is Grade.DOUBTFUL and "jumps" in result.reasons[0], result.reasons
 
 
 @pytest.mark.parametrize(
@@ -191,27 +267,62 @@ def test_the_command_scores_a_file_and_draws_the_track(tmp_path: Path) -> None:
 
 def test_the_report_shows_every_model_and_names_broken_files(tmp_path: Path) -> None:
     one = known("SlopeSlider-2-metal", 11)
+    videos = tmp_path / "videos"
     for model in ("seedance2", "slow"):
-        (tmp_path / "videos" / model).mkdir(parents=True)
-    written(one, tmp_path / "videos" / "seedance2" / "SlopeSlider-2-metal.mp4")
-    (tmp_path / "videos" / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
-    for other in ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm"):
-        (tmp_path / "videos" / other).parent.mkdir(parents=True, exist_ok=True)
-        (tmp_path / "videos" / other).write_text("no video")
-    outcome = CliRunner().invoke(app, ["video", "report", str(tmp_path / "videos"), "--out", str(tmp_path / "page")])
+        (videos / model).mkdir(parents=True)
+    written(one, videos / "seedance2" / "SlopeSlider-2-metal.mp4")
+    (videos / "slow" / "SlopeSlider-2-metal.mp4").write_text("no video")
+    ignored = ("slow/SlopeSlider-2-metal_v2.mp4", "seed/a/SlopeSlider-2-metal.mp4", "top.webm", "slow/notes.txt")
+    for other in ignored:
+        (videos / other).parent.mkdir(parents=True, exist_ok=True)
+        (videos / other).write_text("no video")
+    outcome = CliRunner().invoke(app, ["video", "report", str(videos), "--out", str(tmp_path / "page")])
     assert outcome.exit_code == 1
-    for other in ("SlopeSlider-2-metal_v2.mp4", "a/SlopeSlider-2-metal.mp4", "top.webm"):
-        assert f"{other}: left out, because it is named otherwise" in "".join(outcome.stderr.split("\n"))
+    for other in ignored:
+        assert f"{other}: left out: it is named otherwise" in "".join(outcome.stderr.split("\n"))
     page = (tmp_path / "page" / "index.html").read_text()
     (line,) = (tmp_path / "page" / "results.json").read_text().splitlines()
     assert json.loads(line)["model"] == "seedance2"
     assert page.count("<img ") == 6
-    # The published value stands below the one of the video, and in the table of the published models.
-    assert "published 0.074" in page
-    assert ">0.074</td>" in page
+    # The published models have rows of their own.
+    assert ">seedance2, published</td>" in page and page.count(">0.074</td>") == 1
+    assert ">0%</td>" in page
     assert "http" not in page
     empty = CliRunner().invoke(app, ["video", "report", str(tmp_path / "page")])
     assert empty.exit_code == 2
+
+
+def test_seeds_are_found_beside_single_clips(tmp_path: Path) -> None:
+    for name in ("a/Pendulum-metal/seed_3.mp4", "a/Pendulum-metal.mp4", "a/Pendulum-metal/other.mp4", "a/b/seed_1.mp4"):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).touch()
+    videos, others = find_videos(tmp_path)
+    assert [file.stem for *_, file in videos] == ["seed_3", "Pendulum-metal"]
+    assert {one[:2] for one in videos} == {("a", "Pendulum-metal")}
+    assert [file.name for file in others] == ["other.mp4", "seed_1.mp4"]
+
+
+def test_seeds_have_a_mean_with_its_interval_and_a_usable_share(tmp_path: Path) -> None:
+    one = score_track(read_track(slide_track(tmp_path / "track.csv", 1.7), fps=30.0), video_task("SlopeSlider-2-wood"))
+    grades = [Grade.VALID] * 4 + [Grade.DOUBTFUL]
+    seeds = [
+        replace(one, grade=grade, metrics={**one.metrics, "a_m_s2": a})
+        for grade, a in zip(grades, (1.0, 2.0, 3.0, 4.0, 90.0), strict=True)
+    ]
+    clips = {Path(f"seed_{number}.mp4"): result for number, result in enumerate((*seeds, None))}
+    table = results_table({("mine", one.task): clips, ("single", one.task): {Path("one.mp4"): one}})
+    rows = [row for row in csv.DictReader(table.csv().splitlines()) if row["metric"] == "acceleration [m/s^2]"]
+    row, single = rows[:2]
+    # Student's t with 3 degrees of freedom is 3.182, and the standard deviation of 1, 2, 3, 4 is 1.291.
+    half = 3.182446 * 1.2909944 / 2.0
+    assert float(row["mean"]) == 2.5
+    assert (float(row["low"]), float(row["high"])) == pytest.approx((2.5 - half, 2.5 + half), rel=1e-6)
+    assert (float(row["spread"]), row["valid"], row["clips"]) == (pytest.approx(1.2909944), "4", "6")
+    assert float(row["usable"]) == pytest.approx(4 / 6)
+    assert single["spread"] == "" and (float(single["low"]), float(single["high"])) == one.uncertainty["a_m_s2"]
+    latex = table.latex().splitlines()
+    assert latex[0] == r"\begin{tabular}{lllrrrrrrrr}" and latex[-1] == r"\end{tabular}"
+    assert r"67\%" in latex[2] and latex[2].count(" & ") == 10 and latex[2].endswith(r" \\")
 
 
 def test_published_values_are_those_of_the_table() -> None:

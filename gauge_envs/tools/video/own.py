@@ -1,0 +1,321 @@
+"""Judge a film of one's own: a frontal picture of the plane of motion, made by a camera file or a board in the film.
+
+With a ChArUco board in every frame the camera may be held by hand: its lens follows from the film, and its pose from
+each frame. What is judged is the object in a box of the first frame.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from PIL import Image
+
+from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
+from gauge_envs.files import os_errors
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video import laws
+from gauge_envs.tools.video.frames import Frames, Picture, cv2
+from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
+from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.tracker import track_object
+
+MOTIONS = {"slide": "SlopeSlider-2-wood", "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
+"""Tasks whose laws judge one's own films, by the name of the motion."""
+
+SQUARES = np.array([7, 5])
+"""Squares of the board across and down."""
+
+DPI = 300
+"""Least resolution of the printed board [dots per inch]."""
+
+LEAST_CORNERS, MOST_UNSEEN = 8, 0.3
+"""Fewest corners of the board by which a frame is placed, and largest share of frames without them."""
+
+MOST_CALIBRATED = 30
+"""Most frames from which the lens is found."""
+
+MOST_COARSE = 1.5
+"""Largest size of a pixel of the frontal picture, in pixels of the reference grid at the middle of the film."""
+
+LEVEL_SIGMA_RAD = math.radians(0.3)
+"""Standard uncertainty of the slope of a slide: that of a level, or of the upper edge of the board."""
+
+LEAST_FALL, REACH = 0.05, 4
+"""Share of the drop that a fall and a rebound have at least, and frames beside an impact in which it shows."""
+
+DRAWS = 40
+"""Simulated tracks from which the interval of a material's constant is taken."""
+
+LEAST_FLIGHT = 5
+"""Fewest frames of a flight between two impacts."""
+
+
+def charuco() -> Any:
+    """Return OpenCV's board with squares of length 1."""
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard(tuple(map(int, SQUARES)), 1.0, 0.75, words)
+
+
+def save_board(path: Path, square_mm: float) -> Path:
+    """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
+    if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
+        raise ParameterError(f"{path}, square_mm={square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm")
+    side = math.ceil(DPI * square_mm / 25.4)
+    sheet = cv2.copyMakeBorder(charuco().generateImage(tuple(map(int, SQUARES * side))), *[side // 2] * 4, 0, value=255)
+    low, bar = sheet.shape[0] - side // 3, round(100.0 * side / square_mm)
+    sheet[low : low + side // 12, side // 2 : side // 2 + bar] = 0
+    text = f"100 mm; squares {square_mm:g} mm"
+    cv2.putText(sheet, text, (side // 2, sheet.shape[0] - side // 12), 0, side / 250.0, 0, max(1, side // 120))
+    dpi = 25.4 * side / square_mm
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
+        Image.fromarray(sheet).save(path, dpi=(dpi, dpi), resolution=dpi)
+    return path
+
+
+class FrontalFilm(Frames):
+    """Frontal picture of the plane of motion in a film, on the reference grid.
+
+    Args:
+        source: The film.
+        view: How it sees the plane; by a board, the pose is found in each frame.
+
+    Attributes:
+        camera: How the first frame sees the plane, with the uncertainty of the calibration.
+    """
+
+    def __init__(self, source: Frames, view: PlaneView) -> None:
+        self.name, self.fps, self.size_px, self._source = source.name, source.fps, REFERENCE_SIZE_PX, source
+        if source.size_px != view.size_px:
+            raise VideoError(f"{self.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}")
+        self._views = _board_views(source, view, view.source) if isinstance(view.source, Board) else None
+        self.camera = view if self._views is None else self._views[0] or view
+        width, height = source.size_px
+        border = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]) * (width, height)
+        places = self.camera.to_plane_m(border)
+        low, high = places.min(axis=0), places.max(axis=0)
+        # What a slanted view shows far away would leave few pixels for the rest.
+        finest = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
+        self.scale = min(float(((high - low) / REFERENCE_SIZE_PX).max()), MOST_COARSE * finest)
+        self._blur = 0.4 * self.scale / finest * width / REFERENCE_SIZE_PX[0]
+        middle = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
+        self._origin = 0.5 * np.array(REFERENCE_SIZE_PX) - middle * (1.0, -1.0) / self.scale
+        self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
+        # What a moving camera uncovers is seen from the start, so that the scene stays the same.
+        for _ in self.native():
+            pass
+
+    @property
+    def times_s(self) -> FloatArray | None:
+        """Times of the frames that show the board [s]; None when they follow from the rate."""
+        times = self._source.times_s
+        if self._views is None or None not in self._views:
+            return times
+        kept = np.array([one is not None for one in self._views])
+        return (np.arange(len(kept)) / self.fps if times is None else times)[kept]
+
+    def native(self) -> Iterator[Picture]:
+        """Yield the frontal pictures of the frames that show the board; what a frame does not show stays."""
+        frontal = np.array(
+            [[1.0 / self.scale, 0.0, self._origin[0]], [0.0, -1.0 / self.scale, self._origin[1]], [0, 0, 1]]
+        )
+        maps: Any = None
+        for number, picture in enumerate(self._source.native()):
+            view = self.camera if self._views is None else self._views[number]
+            if view is None:
+                continue
+            if maps is None or self._views is not None:
+                lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
+                plane = view.source.to_plane(view.lens)
+                maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
+            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur) if self._blur > 0.5 else picture
+            cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
+            yield self._canvas.copy()
+
+    def to_grid_px(self, points_px: FloatArray) -> FloatArray:
+        """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
+        return self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale + self._origin
+
+    def seen(self, track: Track) -> Track:
+        """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
+        places = np.full(track.points_px.shape, np.nan)
+        plane_m = (track.points_px[track.is_found] - self._origin) * (self.scale, -self.scale)
+        shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
+        places[track.is_found] = self.camera.to_picture_px(plane_m) * shrinkage
+        return replace(track, points_px=places, size_ratio=np.full(len(places), np.nan), registration=None)
+
+    def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
+        """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
+        if motion not in MOTIONS:
+            raise UnknownNameError("motion of an own film", motion, list(MOTIONS))
+        left, top, width, height = box_px
+        corners = np.array([[left, top], [left + width, top], [left + width, top + height], [left, top + height]])
+        places = self.to_grid_px(corners)
+        size = math.sqrt(cv2.contourArea(places.astype(np.float32)))
+        centre, pivot = places.mean(axis=0), self.camera.pivot_m
+        return replace(
+            video_task(MOTIONS[motion]),
+            id=motion,
+            size_m=size * self.scale,
+            size_px=size,
+            centre_px=(float(centre[0]), float(centre[1])),
+            pivot_px=None if pivot is None else tuple(pivot * (1.0, -1.0) / self.scale + self._origin),
+            real={},
+        )
+
+
+def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneView | None]:
+    """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
+    detector = cv2.aruco.CharucoDetector(charuco())
+    # To the right and up from the middle of the board, and towards the camera.
+    corners_m = (charuco().getChessboardCorners() - [*(0.5 * SQUARES), 0.0]) * [1.0, -1.0, 0.0] * board.square_m
+    found: list[tuple[FloatArray, FloatArray] | None] = []
+    for picture in source.native():
+        places, ids, *_ = detector.detectBoard(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        is_seen = ids is not None and len(ids) >= LEAST_CORNERS
+        found.append((corners_m[ids.ravel()], places.reshape(-1, 2).astype(float)) if is_seen else None)
+    seen = [one for one in found if one is not None]
+    unseen = [str(number) for number, one in enumerate(found) if one is None]
+    if found[0] is None or len(unseen) > MOST_UNSEEN * len(found):
+        raise VideoError(
+            f"{source.name}: {LEAST_CORNERS} corners of the board must be seen in the first frame and in "
+            f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
+        )
+    lens = view.lens or _calibrated(seen, source.size_px)
+    ends_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
+    first: list[float] = []
+
+    def placed(one: tuple[FloatArray, FloatArray]) -> PlaneView:
+        _, rvec, tvec = cv2.solvePnP(*one, *lens.coefficients)
+        if not first:
+            away = cv2.projectPoints(one[0], rvec, tvec, *lens.coefficients)[0][:, 0] - one[1]
+            relative = board.offset_sigma_m / float(np.linalg.norm(tvec))
+            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+            first.extend([float(away.std()), 2.0 * math.hypot(board.sigma_m, relative * np.linalg.norm(ends_m[0]))])
+        px = cv2.projectPoints(ends_m + np.array([0.0, 0.0, board.offset_m]), rvec, tvec, *lens.coefficients)[0][:, 0]
+        pairs = PointPairs(px=px.tolist(), m=ends_m[:, :2].tolist(), sigma_px=first[0], sigma_m=first[1])
+        return replace(view, lens=lens, source=pairs)
+
+    return [None if one is None else placed(one) for one in found]
+
+
+def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, int]) -> Lens:
+    """Return the lens by which a film sees the board: its focal length and one coefficient of distortion."""
+    chosen = seen[:: math.ceil(len(seen) / MOST_CALIBRATED)]
+    start = np.array([[size_px[0], 0.0, 0.5 * size_px[0]], [0.0, size_px[0], 0.5 * size_px[1]], [0.0, 0.0, 1.0]])
+    names = ("USE_INTRINSIC_GUESS", "FIX_PRINCIPAL_POINT", "FIX_ASPECT_RATIO", "ZERO_TANGENT_DIST", "FIX_K2", "FIX_K3")
+    fixed = sum(getattr(cv2, f"CALIB_{name}") for name in names)
+    objects, pictures = ([one[part].astype(np.float32) for one in chosen] for part in (0, 1))
+    _, matrix, bent, *_ = cv2.calibrateCamera(objects, pictures, size_px, start, None, flags=fixed)
+    return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
+
+
+# --- score and material ----------------------------------------------------------------------------------------------
+
+
+def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None) -> VideoScore:
+    """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
+
+    Args:
+        film: The film.
+        motion: `slide`, `fall` or `pendulum`.
+        box_px: Left, top, width and height of the box [px].
+        angle_deg: Slope of a slide [degrees]; that of its motion in the plane if None.
+
+    Returns:
+        The result; its track is on the grid of the frontal film.
+    """
+    task = film.task(motion, box_px)
+    track = track_object(film, task)
+    seen = film.seen(track)
+    result = score_track(seen, task, name=film.name, camera=film.camera)
+    if result.interval_frames is None:
+        return replace(result, track=track)
+    if task.motion is Motion.SLIDE:
+        name, value, interval = "friction", *_friction(result, frontal_task(film.camera, seen, task), angle_deg)
+    else:
+        name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
+        value, interval = _drawn(seen, task, film.camera, result)
+    metrics, uncertainty = {**result.metrics, name: value}, {**result.uncertainty, name: interval}
+    return replace(result, track=track, metrics=metrics, uncertainty=uncertainty)
+
+
+Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
+"""A value and its interval of 95 %; None where the film does not show it."""
+
+
+def _friction(result: VideoScore, task: VideoTask, angle_deg: float | None) -> Estimate:
+    """Return the coefficient of friction that a slide with constant acceleration has on its slope."""
+    assert task.direction is not None
+    a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
+    if a is None or ends is None:
+        return None, None
+    angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
+
+    def friction(a_m_s2: float, more_rad: float = 0.0) -> float:
+        return math.tan(angle + more_rad) - a_m_s2 / (laws.GRAVITY_M_PER_S2 * math.cos(angle + more_rad))
+
+    tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
+    below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)
+    return friction(a), (friction(a) - math.hypot(below, tilt), friction(a) + math.hypot(above, tilt))
+
+
+def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) -> Estimate:
+    """Return the restitution of a drop or the damping of a swing over simulated noise and calibrations."""
+    assert result.interval_frames is not None
+    first, last = np.searchsorted(seen.frames, result.interval_frames)
+    rng, noise = np.random.default_rng(0), noise_px(seen, (first, last))
+    rows = np.flatnonzero(seen.is_found[: last + 1])
+    period, damping = result.metrics["pd_s"], result.details.get("damping_per_s", 0.0)
+
+    def judged(view: PlaneView, sample: Track) -> float:
+        own = frontal_task(view, sample, task)
+        track = frontal_track(view, sample, own)
+        if period is None:
+            return restitution(track, own)
+        angles, guess = laws.swing_angles_rad(track, own), (damping, 2.0 * math.pi / period)
+        swung = rows[rows >= first]
+        return laws.fit_damped_oscillation(track.times_s[swung], angles[swung], guess=guess).damping_per_s
+
+    try:
+        values = [judged(camera, seen)]
+        for _ in range(DRAWS):
+            moved = replace(seen, points_px=seen.points_px + rng.normal(0.0, noise, seen.points_px.shape))
+            values.append(judged(camera.drawn(rng), moved))
+    except ParameterError:
+        return None, None
+    half = 1.96 * float(np.std(values[1:], ddof=1))
+    return values[0], (values[0] - half, values[0] + half)
+
+
+def restitution(track: Track, task: VideoTask) -> float:
+    """Return the mean ratio of the speeds after and before the impacts of a ball: flights share one gravity."""
+    rows = np.flatnonzero(track.is_found)
+    times, heights = track.times_s[rows], -task.scale_m_per_px * track.points_px[rows, 1]
+    drop = float(np.ptp(heights))
+    start = int(np.flatnonzero(heights < heights[0] - LEAST_FALL * drop)[0])
+    inner = np.arange(start + 1, len(rows) - 1)
+    lowest = inner[(heights[inner] < heights[inner - 1]) & (heights[inner] <= heights[inner + 1])]
+    lowest = [one for one in lowest if np.ptp(heights[max(0, one - REACH) : one + REACH + 1]) > LEAST_FALL * drop]
+    # The frames beside an impact may be exposed across it.
+    cuts = [start - 2, *lowest, len(rows) + 1]
+    flights = [np.arange(low + 2, high - 1) for low, high in pairwise(cuts)]
+    whole = next((n for n, flight in enumerate(flights) if len(flight) < LEAST_FLIGHT), len(flights))
+    if whole < 2:
+        raise ParameterError("restitution: two flights of five frames are needed")
+    used, count = np.concatenate(flights[:whole]), np.repeat(np.arange(whole), [len(one) for one in flights[:whole]])
+    basis = np.zeros((len(used), 2 * whole + 1))
+    clock = times[used]
+    basis[np.arange(len(used)), 2 * count] = 1.0
+    basis[np.arange(len(used)), 2 * count + 1] = clock
+    basis[:, -1] = -0.5 * clock**2
+    found = np.linalg.lstsq(basis, heights[used], rcond=None)[0]
+    places, speeds = found[:-1:2], found[1::2]
+    impacts = -np.diff(places) / np.diff(speeds)
+    ratios = -(speeds[1:] - found[-1] * impacts) / (speeds[:-1] - found[-1] * impacts)
+    return float(ratios.mean())

@@ -1,0 +1,276 @@
+"""Films of a slide, a drop and a swing beside a board by a camera held by hand, whose constants are known.
+
+A pinhole camera with distortion moves and turns slowly. The board hangs on a wall, and the motion has its middle 35 mm
+before it. Each frame is the mean over its exposure, with noise and MPEG-4 compression.
+"""
+
+import argparse
+import csv
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.tools.video import FileFrames, read_camera
+from gauge_envs.tools.video.own import SQUARES, FrontalFilm, charuco, score_own
+
+FloatArray = NDArray[np.float64]
+
+SIZE_PX = (1280, 720)
+PX_PER_M = 1250.0
+WALL_M = np.array([1.9, 1.3])
+SQUARE_M, OFFSET_M, EDGE_M = 0.035, 0.035, 0.05
+EXPOSURES = 4
+G = 9.80665
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shot:
+    """A film on disk.
+
+    Attributes:
+        video: The film.
+        camera: Its camera file.
+        box_px: Box around the object in the first frame: left, top, width, height.
+        motion: `slide`, `fall` or `pendulum`.
+        name: What the film tells of the material.
+        truth: Its true value.
+    """
+
+    video: Path
+    camera: Path
+    box_px: tuple[float, ...]
+    motion: str
+    name: str
+    truth: float
+
+
+def shot(motion: str, seed: int, folder: Path, *, fps: float = 30.0) -> Shot:
+    """Write a film with random constants, camera and light, and return it with the truth."""
+    rng = np.random.default_rng(seed)
+    place, name, truth, lasts_s, pivot = {"slide": _slide, "fall": _fall, "pendulum": _swing}[motion](rng)
+    camera, focal = _camera(rng, lasts_s), rng.uniform(950.0, 1250.0)
+    bent = np.array([rng.uniform(-0.06, 0.06), 0.0, 0.0, 0.0])
+    lens = (np.array([[focal, 0.0, 639.5], [0.0, focal, 359.5], [0.0, 0.0, 1.0]]), bent)
+    wall, offset = _wall(motion, rng, place), OFFSET_M + rng.normal(0.0, 0.001)
+    # Straight rays of all pixels.
+    grid = np.stack(np.meshgrid(*(np.arange(one, dtype=np.float32) for one in SIZE_PX)), axis=-1)
+    rays = cv2.undistortPoints(grid.reshape(-1, 1, 2), *lens)
+    video = folder / f"{motion}_{seed}.mp4"
+    if not video.exists():
+        writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"mp4v"), fps, SIZE_PX)
+        grain = rng.normal(0.0, 2.5, (SIZE_PX[1] + 64, SIZE_PX[0] + 64, 3)).astype(np.float32)
+        for number in range(int(lasts_s * fps)):
+            total = np.zeros((*SIZE_PX[::-1], 3), np.float32)
+            for part in range(EXPOSURES):
+                time_s = (number + 0.5 * (part / (EXPOSURES - 1) - 0.5)) / fps
+                total += _picture(wall, rays, lens, camera(time_s), motion, (*place(time_s), offset, pivot))
+            # One sheet of grain is shifted from frame to frame, which is cheaper than a new one.
+            x, y = rng.integers(0, 64, 2)
+            noisy = total / EXPOSURES + grain[y : y + SIZE_PX[1], x : x + SIZE_PX[0]]
+            writer.write(np.clip(noisy, 0, 255).astype(np.uint8))
+        writer.release()
+    corners = np.column_stack([outline := _outline(motion, *place(0.0)), np.full(len(outline), offset + 0.5 * EDGE_M)])
+    seen = cv2.projectPoints(corners, *camera(0.0), *lens)[0]
+    low, high = seen[:, 0].min(axis=0), seen[:, 0].max(axis=0)
+    toml = folder / f"{motion}_{seed}.toml"
+    swing = "" if pivot is None else f"[motion]\npivot_m = {pivot.tolist()}\npivot_sigma_m = 0.002\n"
+    board = f"[board]\nsquare_m = {SQUARE_M}\noffset_m = {OFFSET_M}\noffset_sigma_m = 0.002\n"
+    toml.write_text(f"size_px = {list(SIZE_PX)}\n{board}{swing}", encoding="utf-8")
+    return Shot(video=video, camera=toml, box_px=(*low, *(high - low)), motion=motion, name=name, truth=truth)
+
+
+# --- motions ---------------------------------------------------------------------------------------------------------
+
+Place = Callable[[float], tuple[FloatArray, float]]
+"""Place of the object on its plane, from the middle of the board [m], and its rotation [rad], at a time [s]."""
+
+Motion = tuple[Place, str, float, float, FloatArray | None]
+"""Place, name and value of the constant, duration [s], and the pivot of a swing [m]."""
+
+
+def _slide(rng: np.random.Generator) -> Motion:
+    slope, friction = math.radians(rng.uniform(24.0, 34.0)), rng.uniform(0.1, 0.35)
+    a, release, reach = G * (math.sin(slope) - friction * math.cos(slope)), rng.uniform(0.3, 0.6), 0.42
+    lasts = math.sqrt(2.0 * reach / a)
+    down = np.array([-math.cos(slope), -math.sin(slope)])
+    start = np.array([0.62, 0.13])
+
+    def place(time_s: float) -> tuple[FloatArray, float]:
+        since = min(max(time_s - release, 0.0), lasts)
+        return start + 0.5 * a * since**2 * down, slope
+
+    return place, "friction", friction, release + lasts + 0.2, None
+
+
+def _fall(rng: np.random.Generator) -> Motion:
+    e, release, height = rng.uniform(0.55, 0.85), rng.uniform(0.3, 0.5), 0.42
+    impacts = [math.sqrt(2.0 * height / G)]
+    for bounce in range(1, 5):
+        impacts.append(impacts[-1] + 2.0 * e**bounce * G * impacts[0] / G)
+
+    def place(time_s: float) -> tuple[FloatArray, float]:
+        since = max(time_s - release, 0.0)
+        count = sum(since >= one for one in impacts)
+        if count == 0:
+            return np.array([0.3, 0.22 - 0.5 * G * since**2]), 0.0
+        late = since - impacts[count - 1]
+        rise = e**count * G * impacts[0] * late - 0.5 * G * late**2
+        return np.array([0.3, 0.22 - height + max(rise, 0.0)]), 0.0
+
+    return place, "restitution", e, release + impacts[2], None
+
+
+def _swing(rng: np.random.Generator) -> Motion:
+    damping, length, amplitude = rng.uniform(0.05, 0.3), rng.uniform(0.3, 0.36), rng.uniform(0.25, 0.45)
+    omega, pivot = math.sqrt(G / length), np.array([0.38, 0.2])
+
+    def place(time_s: float) -> tuple[FloatArray, float]:
+        angle = amplitude * math.exp(-damping * time_s) * math.cos(omega * time_s)
+        return pivot + length * np.array([math.sin(angle), -math.cos(angle)]), angle
+
+    return place, "damping_per_s", damping, 5.0, pivot
+
+
+# --- pictures --------------------------------------------------------------------------------------------------------
+
+
+def _camera(rng: np.random.Generator, lasts_s: float) -> Callable[[float], tuple[FloatArray, FloatArray]]:
+    """Return rotation vector and translation from the board to a camera that a hand moves, at a time."""
+    eye = np.array([0.25, 0.0, 0.0]) + rng.uniform([-0.25, -0.1, 1.05], [0.25, 0.2, 1.25])
+    target = np.array([0.22, -0.03, 0.0])
+    waves = rng.uniform(0.3, 2.5, (6, 3))
+    phases = rng.uniform(0.0, 2.0 * np.pi, (6, 3))
+    sizes = np.array([0.008, 0.008, 0.006, 0.012, 0.012, 0.01])[:, None] / waves
+    roll = rng.normal(0.0, 0.03)
+
+    def pose(time_s: float) -> tuple[FloatArray, FloatArray]:
+        sway = (sizes * np.sin(2.0 * np.pi * waves * time_s + phases)).sum(axis=1)
+        place = eye + sway[:3]
+        forward = target - place
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0.0, 1.0, 0.0])
+        right /= np.linalg.norm(right)
+        level = np.array([right, np.cross(forward, right), forward])
+        rotation = cv2.Rodrigues(sway[3:] + np.array([0.0, 0.0, roll]))[0] @ level
+        return cv2.Rodrigues(rotation)[0], -rotation @ place
+
+    return pose
+
+
+def _wall(motion: str, rng: np.random.Generator, place: Place) -> NDArray[np.uint8]:
+    """Return the wall with the board and what stands still, from the left top corner."""
+    width, height = (WALL_M * PX_PER_M).astype(int)
+    light = cv2.resize(rng.normal(0.0, 1.0, (6, 9, 3)), (width, height), interpolation=cv2.INTER_CUBIC)
+    wall = np.clip(rng.uniform(150, 215) + 12.0 * light, 0, 255).astype(np.uint8)
+    side = round(SQUARE_M * PX_PER_M * 4)
+    large = charuco().generateImage(tuple(map(int, SQUARES * side)))
+    extent = SQUARES * SQUARE_M
+    low = _wall_px(np.array([[-0.5 * extent[0], 0.5 * extent[1]]]))[0]
+    scale = np.array([[SQUARE_M * PX_PER_M / side, 0.0, low[0] - 0.5], [0.0, SQUARE_M * PX_PER_M / side, low[1] - 0.5]])
+    scale[:, 2] += 0.5 * scale[0, 0]
+    small = cv2.GaussianBlur(large, (0, 0), 1.6)
+    paper = _wall_px(np.array([[-0.5, 0.5], [0.5, -0.5]]) * (extent + 0.02)).round().astype(int)
+    cv2.rectangle(wall, tuple(map(int, paper[0])), tuple(map(int, paper[1])), (245, 245, 245), -1)
+    cv2.warpAffine(
+        cv2.cvtColor(small, cv2.COLOR_GRAY2BGR), scale, (width, height), dst=wall, borderMode=cv2.BORDER_TRANSPARENT
+    )
+    if motion == "slide":
+        start, slope = place(0.0)
+        along, up = np.array([math.cos(slope), math.sin(slope)]), np.array([-math.sin(slope), math.cos(slope)])
+        ends = [start + 0.08 * along - 0.5 * EDGE_M * up, start - 0.62 * along - 0.5 * EDGE_M * up]
+        board = np.array([*ends, ends[1] - 0.02 * up, ends[0] - 0.02 * up])
+        cv2.fillPoly(wall, [_wall_px(board).round().astype(np.int32)], (105, 150, 190), cv2.LINE_AA)
+    for _ in range(12):
+        x, y = rng.uniform([0, 0], [width, 0.2 * height])
+        cv2.circle(wall, (int(x), int(y)), int(rng.uniform(4, 14)), rng.uniform(60, 180, 3).tolist(), -1, cv2.LINE_AA)
+    return wall
+
+
+def _wall_px(points_m: FloatArray) -> FloatArray:
+    return (points_m * [1.0, -1.0] + [0.55, 0.5 * WALL_M[1]]) * PX_PER_M
+
+
+def _outline(motion: str, centre: FloatArray, tilt: float) -> FloatArray:
+    """Return points of the outline of the object on its plane [m], shape [count, 2]."""
+    if motion == "slide":
+        c, s = math.cos(tilt), math.sin(tilt)
+        square = 0.5 * EDGE_M * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+        return centre + square @ np.array([[c, s], [-s, c]])
+    angles = np.linspace(0.0, 2.0 * np.pi, 48, endpoint=False)
+    return centre + 0.5 * EDGE_M * np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _picture(
+    wall: NDArray[np.uint8],
+    rays: NDArray[np.float32],
+    lens: tuple[FloatArray, FloatArray],
+    pose: tuple[FloatArray, FloatArray],
+    motion: str,
+    seen: tuple[FloatArray, float, float, FloatArray | None],
+) -> NDArray[np.float32]:
+    """Return what the camera sees at one moment: the wall, and the object with its place, tilt, offset and pivot."""
+    (rvec, tvec), (centre, tilt, offset_m, pivot) = pose, seen
+    rotation = cv2.Rodrigues(rvec)[0]
+    plane = np.column_stack([rotation[:, 0], rotation[:, 1], tvec])
+    middle = [0.55 * PX_PER_M - 0.5, 0.5 * WALL_M[1] * PX_PER_M - 0.5]
+    to_wall = np.array([[PX_PER_M, 0.0, middle[0]], [0.0, -PX_PER_M, middle[1]], [0.0, 0.0, 1.0]])
+    maps = cv2.perspectiveTransform(rays, to_wall @ np.linalg.inv(plane)).reshape(*SIZE_PX[::-1], 2)
+    picture = cv2.remap(wall, maps, None, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+
+    def drawn(points_m: FloatArray, depth_m: float, colour: tuple[int, int, int]) -> None:
+        world = np.column_stack([points_m, np.full(len(points_m), depth_m)])
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
+        cv2.fillConvexPoly(picture, cv2.convexHull((places * 16).round().astype(np.int32)), colour, cv2.LINE_AA, 4)
+
+    outline = _outline(motion, centre, tilt)
+    front_m = offset_m + (0.5 * EDGE_M if motion == "slide" else 0.0)
+    if pivot is not None:
+        across = 0.0015 * np.array([math.cos(tilt), math.sin(tilt)])
+        drawn(np.array([pivot - across, pivot + across, centre + across, centre - across]), offset_m, (90, 90, 90))
+    if motion == "slide":
+        # The sides of the cube behind its face are seen where the camera is not before it.
+        world = np.vstack([np.column_stack([outline, np.full(4, depth)]) for depth in (front_m, front_m - EDGE_M)])
+        places = cv2.projectPoints(world, rvec, tvec, *lens)[0][:, 0]
+        hull = cv2.convexHull((places * 16).round().astype(np.int32))
+        cv2.fillConvexPoly(picture, hull, (40, 60, 90), cv2.LINE_AA, 4)
+    drawn(outline, front_m, (60, 95, 140) if motion == "slide" else (35, 30, 40))
+    return picture.astype(np.float32)
+
+
+# --- the study -------------------------------------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Score films of new seeds, print a line for each, and write `handheld.csv`."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs=2, default=(200, 220), metavar=("FIRST", "END"))
+    parser.add_argument("--motions", nargs="*", default=["slide", "fall", "pendulum"])
+    parser.add_argument("--folder", type=Path, default=Path("handheld_films"), help="films are kept there")
+    parser.add_argument("--csv", type=Path, default=Path(__file__).with_suffix(".csv"))
+    given = parser.parse_args()
+    given.folder.mkdir(exist_ok=True)
+    with given.csv.open("w", newline="", encoding="utf-8") as file:
+        rows = csv.writer(file, lineterminator="\n")
+        rows.writerow(["motion", "seed", "truth", "value", "low", "high", "is_inside", "grade", "cpu_s"])
+        for motion in given.motions:
+            for seed in range(*given.seeds):
+                one = shot(motion, seed, given.folder, fps=30.0 if motion == "pendulum" else 60.0)
+                start = time.process_time()
+                film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
+                found = score_own(film, one.motion, one.box_px)
+                cpu_s = time.process_time() - start
+                low, high = found.uncertainty.get(one.name) or (math.nan, math.nan)
+                value = found.metrics.get(one.name) or math.nan
+                numbers = [f"{number:.4f}" for number in (one.truth, value, low, high)]
+                rows.writerow([motion, seed, *numbers, low <= one.truth <= high, found.grade.value, f"{cpu_s:.1f}"])
+                file.flush()
+
+
+if __name__ == "__main__":
+    main()

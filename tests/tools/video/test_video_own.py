@@ -1,0 +1,153 @@
+"""Films of one's own: a board to print, a camera held by hand, and what the motion says of the material."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from places import ROOT
+
+cv2 = pytest.importorskip("cv2")
+
+from PIL import Image  # noqa: E402
+from typer.testing import CliRunner  # noqa: E402
+
+from gauge_envs.cli.app import app  # noqa: E402
+from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
+from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, video_task  # noqa: E402
+from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
+from gauge_envs.tools.video.own import FrontalFilm, charuco, restitution  # noqa: E402
+from gauge_envs.tools.video.plane import Board  # noqa: E402
+
+sys.path.insert(0, str(ROOT / "studies" / "handheld"))
+from handheld import SIZE_PX, shot  # noqa: E402
+
+
+def run(*words: object) -> Any:
+    return CliRunner().invoke(app, [str(one) for one in words])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".pdf"])
+def test_a_printed_board_has_its_size(tmp_path: Path, suffix: str) -> None:
+    file = tmp_path / f"board{suffix}"
+    outcome = run("video", "board", file, "square_mm=30")
+    assert outcome.exit_code == 0, outcome.output
+    if suffix == ".pdf":
+        # The box of the page is in points of 1/72 inch: 8 squares across, 6 down.
+        assert b"/MediaBox [ 0 0 680." in file.read_bytes()
+        assert 680 < 8 * 30 / 25.4 * 72 < 681
+        return
+    picture = Image.open(file)
+    mm_per_px = 25.4 / picture.info["dpi"][0]
+    corners, ids, *_ = cv2.aruco.CharucoDetector(charuco()).detectBoard(np.asarray(picture))
+    places = corners.reshape(-1, 2) * mm_per_px
+    assert len(ids) == 24
+    assert np.linalg.norm(places[5] - places[0]) == pytest.approx(5 * 30.0, rel=1e-3)
+    bar = np.flatnonzero(np.asarray(picture)[-round(8.5 / mm_per_px)] < 128)
+    assert (bar[-1] - bar[0]) * mm_per_px == pytest.approx(100.0, abs=0.2)
+
+
+def test_a_board_of_another_kind_is_refused(tmp_path: Path) -> None:
+    outcome = run("video", "board", tmp_path / "board.jpg")
+    assert outcome.exit_code == 2 and "give a .png or .pdf" in " ".join(outcome.output.split())
+
+
+def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("handheld.EXPOSURES", 3)
+    one = shot("slide", 5, tmp_path)
+    box = ",".join(f"{value:.1f}" for value in one.box_px)
+    words = ["--id", "slide", "--camera", one.camera, f"object={box}", "--out", tmp_path / "drawn"]
+    outcome = run("video", "score", one.video, *words, "--json")
+    assert outcome.exit_code == 0, outcome.output
+    found = json.loads(outcome.stdout)
+    low, high = found["uncertainty"]["friction"]
+    assert low <= one.truth <= high and high - low < 0.15
+    assert found["metrics"]["friction"] == pytest.approx(one.truth, abs=0.03)
+    assert (tmp_path / "drawn" / f"{one.video.stem}.overlay.mp4").exists()
+    friction = f"friction={found['metrics']['friction']:.3f}"
+    recipe = run("recipe", friction, "mass_kg=0.1", "timestep_s=0.002", "--backend", "mujoco")
+    assert recipe.exit_code == 0 and "All values that are asked are reached" in recipe.output
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("motion", ["slide", "fall", "pendulum"])
+def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
+    for seed in (6, 7, 8):
+        one = shot(motion, seed, tmp_path, fps=30.0 if motion == "pendulum" else 60.0)
+        box = ",".join(f"{value:.1f}" for value in one.box_px)
+        outcome = run("video", "score", one.video, "--id", motion, "--camera", one.camera, f"object={box}", "--json")
+        low, high = json.loads(outcome.stdout)["uncertainty"][one.name]
+        assert low <= one.truth <= high, (seed, one.truth, low, high)
+
+
+def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
+    frames = ArrayFrames([np.full((*SIZE_PX[::-1], 3), 120, np.uint8)] * 9, fps=30.0)
+    with pytest.raises(VideoError, match=r"8 corners of the board must be seen .* 9 of 9 lack them: 0, 1, 2"):
+        FrontalFilm(frames, PlaneView(size_px=SIZE_PX, source=Board(square_m=0.035)))
+    with pytest.raises(VideoError, match="the camera file states"):
+        FrontalFilm(frames, PlaneView(size_px=(640, 480), source=Board(square_m=0.035)))
+
+
+def test_a_static_camera_sees_the_plane_from_the_front(tmp_path: Path) -> None:
+    # A square of 0.4 m in an oblique picture is a square of the frontal one.
+    px = [[400, 600], [900, 600], [800, 300], [500, 300]]
+    picture = np.full((*SIZE_PX[::-1], 3), 200, np.uint8)
+    cv2.fillConvexPoly(picture, np.array(px), (220, 30, 30))
+    file = tmp_path / "camera.toml"
+    metres = "[[-0.2, -0.2], [0.2, -0.2], [0.2, 0.2], [-0.2, 0.2]]"
+    file.write_text(f"size_px = [1280, 720]\n[points]\npx = {px}\nm = {metres}\nsigma_px = 0.5\nsigma_m = 0.001\n")
+    film = FrontalFilm(ArrayFrames([picture] * 9, fps=30.0), read_camera(file))
+    blue, _, red = next(film.native()).transpose(2, 0, 1).astype(int)
+    dark = red - blue > 95
+    rows, columns = np.flatnonzero(dark.any(axis=1)), np.flatnonzero(dark.any(axis=0))
+    side = 0.4 / film.scale
+    assert (np.ptp(rows), np.ptp(columns)) == pytest.approx((side, side), abs=2.5)
+    assert dark.sum() == pytest.approx(side**2, rel=0.02)
+
+
+def test_rebounds_give_the_restitution() -> None:
+    task = video_task("BouncingBall-rubber")
+    times, e, height = np.arange(80) / 60.0, 0.7, 0.5
+    impact = 0.1 + math.sqrt(2.0 * height / 9.81)
+    flight = 2.0 * e * 9.81 * (impact - 0.1) / 9.81
+    late = np.where(times < impact + flight, times - impact, times - impact - flight)
+    speed = np.where(times < impact + flight, e, e**2) * 9.81 * (impact - 0.1)
+    fallen = height - 0.5 * 9.81 * np.maximum(times - 0.1, 0.0) ** 2
+    heights = np.where(times < impact, fallen, speed * late - 0.5 * 9.81 * late**2)
+    used = times < impact + flight * (1.0 + 0.9 * e)
+    places = np.column_stack([np.full(used.sum(), 300.0), -heights[used] / task.scale_m_per_px])
+    track = Track(
+        frames=np.arange(len(places)),
+        fps=60.0,
+        points_px=places,
+        confidence=np.ones(len(places)),
+        size_ratio=np.ones(len(places)),
+    )
+    assert restitution(track, task) == pytest.approx(e, abs=1e-6)
+    short = Track(
+        **{**vars(track), **{name: getattr(track, name)[:30] for name in ("frames", "points_px", "confidence")}}
+    )
+    with pytest.raises(ParameterError, match="two flights"):
+        restitution(short, task)
+
+
+@pytest.mark.parametrize("box", ["1,2,3", "1,2,0,4", "a,b,c,d"])
+def test_a_box_is_four_numbers(box: str, tmp_path: Path) -> None:
+    outcome = run("video", "score", tmp_path / "film.mp4", "--id", "slide", f"object={box}")
+    assert outcome.exit_code == 2 and "left, top, width and height" in " ".join(outcome.output.split())
+
+
+def test_the_camera_files_of_the_guide_are_read(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "world_models.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```toml\n(.*?)^```$", page, flags=re.MULTILINE | re.DOTALL)
+    kinds = []
+    for number, text in enumerate(blocks):
+        (tmp_path / f"{number}.toml").write_text(text, encoding="utf-8")
+        kinds.append(type(read_camera(tmp_path / f"{number}.toml").source))
+    assert kinds == [Board, PointPairs]
