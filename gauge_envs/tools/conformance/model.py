@@ -36,6 +36,7 @@ FAMILIES = (
     "momentum",
     "joints",
     "driven",
+    "grasp",
     "cloth",
     "air",
     "soft",
