@@ -47,7 +47,6 @@ FALL_S, SETTLED_S = 0.8, 0.6
 
 @Check(
     "air-terminal",
-    scene="a free horizontal sheet of cloth, 0.15 m by 0.15 m, that falls through still air",
     source=SOURCE,
     tolerance=TOLERANCE,
 )
@@ -105,7 +104,6 @@ def _carried(lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float) -> 
 
 @Check(
     "air-pressure",
-    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_n alone",
     source=SOURCE,
     tolerance=TOLERANCE,
 )
@@ -115,7 +113,6 @@ def _air_pressure(lab: Lab) -> Measurement:
 
 @Check(
     "air-friction",
-    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_t alone",
     source=SOURCE,
     tolerance=TOLERANCE,
 )
@@ -125,7 +122,6 @@ def _air_friction(lab: Lab) -> Measurement:
 
 @Check(
     "air-lift",
-    scene="a free sheet of cloth without gravity in a wind of 2 m/s that meets its plane at 40 degrees; C_l alone",
     tolerance=Tolerance("as for the drag; the speed is a difference of places", relative=0.02, absolute=0.2),
 )
 def _air_lift(lab: Lab) -> Measurement:
@@ -142,7 +138,6 @@ def _air_lift(lab: Lab) -> Measurement:
 
 @Check(
     "air-energy",
-    scene="a horizontal strip of cloth of 0.15 m in still air, held at one end, that falls and swings",
     tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
 )
 def _air_energy(lab: Lab) -> Measurement:

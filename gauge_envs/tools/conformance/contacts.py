@@ -116,7 +116,6 @@ FRICTION_TOLERANCE = Tolerance(
 
 @Check(
     "slide-between",
-    scene="a cube with friction 0.1 on a slab of 1 kg, which slides with friction 0.3 down a board of 30 degrees",
     tolerance=FRICTION_TOLERANCE,
 )
 def _slide_between(lab: Lab) -> Measurement:
@@ -137,7 +136,6 @@ def _slide_between(lab: Lab) -> Measurement:
 
 @Check(
     "spin-on-point",
-    scene="a ball that spins about the vertical with 20 rad/s on a plane, with friction 0.5",
     tolerance=Tolerance("as for a slide", relative=0.01),
 )
 def _spin_on_point(lab: Lab) -> Measurement:
@@ -157,7 +155,6 @@ def _hold_check(rollout: Rollout) -> Measurement:
 
 @Check(
     "hold-steep",
-    scene="a flat slab with friction 1.2 on a fixed board that leans by 47.5 degrees",
     tolerance=Tolerance("as for 10 degrees", absolute=0.1),
 )
 def _hold_steep(lab: Lab) -> Measurement:
@@ -235,12 +232,7 @@ _rebound_check(
     _dropped({"lively": 0.75, "dull": 0.2}),
     0.2,
     name="dull",
-    title="restitution is the pair's",
-    scene="two balls dropped by 0.4 m on one plane, with restitutions 0.75 and 0.2",
-    measures="outgoing over incoming speed of the ball with restitution 0.2",
-    source="Newton's law of restitution; contract (scene.Contact)",
     tolerance=Tolerance("as for one ball", absolute=0.005),
-    diagnosis="each pair of bodies has its own restitution: check how the engine combines the values of two bodies",
 )
 _rebound_check(
     "rebound-flat",
@@ -251,12 +243,7 @@ _rebound_check(
     ),
     0.5,
     name="box",
-    title="rebound of a box on its face",
-    scene="a box of 0.1 m by 0.08 m by 0.06 m dropped by 0.4 m on a plane, flat",
-    measures="outgoing over incoming speed of the box, at a restitution of 0.5",
     tolerance=Tolerance("as for one ball", absolute=0.005),
-    diagnosis="where rebound-0.5 passes, restitution depends on the number of contact points: each point adds its own, "
-    "or points are solved in turn",
 )
 _rebound_check(
     "rebound-sustained",
@@ -267,25 +254,14 @@ _rebound_check(
     ),
     0.0,
     drop_m=LOW_DROP_M,
-    title="sustained pair does not rebound",
-    scene="a ball dropped by 50 mm on a plane, with restitution 0.8 and the mode of sustained contacts",
-    law="v' = 0: a sustained pair has no restitution",
-    source="contract (scene.ContactMode)",
     tolerance=Tolerance("the ball then rises by at most 0.25 % of the drop, 0.13 mm", absolute=0.05),
-    diagnosis="restitution has no effect on a pair of the mode SUSTAINED: give the engine the value 0",
 )
 _rebound_check(
     "rebound-slow",
     _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1),
     0.5,
     drop_m=LOW_DROP_M,
-    title="slow rebound",
-    scene="a ball dropped by 50 mm on a plane at a gravity of 0.1 m/s^2, so that it lands with 0.1 m/s",
-    measures="outgoing over incoming speed of the ball, at a restitution of 0.5",
-    law="v' = -e v at any speed",
     tolerance=Tolerance("twice that of a fast rebound, of which a slow one is the tail", absolute=0.01),
-    diagnosis="where a fast ball rebounds (rebound-0.5), the engine has a threshold speed below which it does not: set "
-    "it to 0, or decline restitution",
 )
 FAST_DROP_M = 3.26
 _rebound_check(
@@ -293,12 +269,7 @@ _rebound_check(
     _dropped({"ball": 0.5}, drop_m=FAST_DROP_M),
     0.5,
     drop_m=FAST_DROP_M,
-    title="fast rebound",
-    scene="a ball dropped by 3.26 m on a plane, so that it lands with 8 m/s",
-    measures="outgoing over incoming speed of the ball, at a restitution of 0.5",
-    law="v' = -e v at any speed",
     tolerance=Tolerance("as for a slow rebound", absolute=0.01),
-    diagnosis="where rebound-0.5 passes, the restitution depends on speed, or a limit of speed acts",
 )
 
 

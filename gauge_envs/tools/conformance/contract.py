@@ -66,8 +66,6 @@ def _foam_scene() -> Scene:
 
 @Check(
     "finite",
-    scene="five scenes in turn, as far as the backend builds them: free bodies of all motions, a tumbling brick, a "
-    "hinge and a resting ball, a strip of cloth on a driven rod, a bar of foam",
     tolerance=COUNT,
 )
 def _finite(lab: Lab) -> Measurement:
@@ -188,7 +186,6 @@ BOUNCES = (
 
 @Check(
     "time",
-    scene="a falling brick, advanced by 1/30 s at a time and by 1/180 s at a time",
     tolerance=Tolerance("the steps are the same; only rounding differs", absolute=1e-4),
 )
 def _time(lab: Lab) -> Measurement:
@@ -210,7 +207,7 @@ def _time(lab: Lab) -> Measurement:
     return Measurement(measured=fallen[0] / fallen[1], expected=1.0, hint=hint if wrong else "")
 
 
-@Check("sample-positions", scene="a falling ball and a falling brick", tolerance=EXACT)
+@Check("sample-positions", tolerance=EXACT)
 def _sample_positions(lab: Lab) -> Measurement:
     scene = Scene(
         bodies=(ball("ball", (0.1, 0.2, 2.0)), box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03))), duration_s=1.0

@@ -118,7 +118,6 @@ def _slip(rollout: Rollout) -> Measurement:
 
 @Check(
     "carry-slip",
-    scene="a cube on a plate that accelerates with 2 m/s^2; friction 0.05",
     tolerance=Tolerance(
         "1 % as for a slide, and 1 % because the plate's speed changes within an interval", relative=0.02
     ),

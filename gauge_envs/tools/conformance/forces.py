@@ -262,7 +262,6 @@ for _kind in SHAPES:
 
 @Check(
     "wrench-reset",
-    scene="a floating box under a force; it is reset and runs on for 0.1 s",
     tolerance=Tolerance("no force acts", absolute=1e-9),
 )
 def _wrench_reset(lab: Lab) -> Measurement:
@@ -372,7 +371,6 @@ MASSES_KG = (1e-4, 1e-3, 0.0123, 1.0, 100.0)
 
 @Check(
     "masses",
-    scene="five floating balls of 0.1 g to 100 kg, each under a force of 1 N for each kg",
     tolerance=Tolerance("a mass is exact; 0.1 % is the tolerance of a fall", relative=1e-3),
 )
 def _masses(lab: Lab) -> Measurement:
@@ -403,7 +401,6 @@ STATED_SHARE = 2.0
 
 @Check(
     "stated-inertia",
-    scene="a ball of 30 mm radius that states twice the inertia of uniform density, on a hinge 60 mm away",
     tolerance=Tolerance("as for the pendulum of uniform density", relative=2e-3),
 )
 def _stated_inertia(lab: Lab) -> Measurement:

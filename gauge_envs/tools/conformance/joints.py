@@ -267,7 +267,6 @@ CHAIN: dict[str, Any] = {
 
 @Check(
     "joint-chain",
-    scene="a bar on a hinge to the world, and another bar on a hinge at its end, released at 0.6 and -0.4 rad",
     **CHAIN,
 )
 def _joint_chain(lab: Lab) -> Measurement:
@@ -276,7 +275,6 @@ def _joint_chain(lab: Lab) -> Measurement:
 
 @Check(
     "joint-between",
-    scene="the same chain with a torque motor of 0.03 N m between the bars, which turns the upper one",
     **CHAIN,
 )
 def _joint_between(lab: Lab) -> Measurement:

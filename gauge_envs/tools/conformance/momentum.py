@@ -189,7 +189,6 @@ def scissors_angle_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @Check(
     "hinged-angle",
-    scene="two equal blocks without gravity, joined by a hinge 40 mm from both centres, that open like scissors",
     tolerance=Tolerance("1 % of the angle, as for a body that spins freely", absolute=3.0),
 )
 def _hinged_angle(lab: Lab) -> Measurement:

@@ -77,7 +77,6 @@ def _free_fall(rollout: Rollout) -> Measurement:
 
 @Check(
     "free-fall-spinning",
-    scene="the same brick, thrown with 8 rad/s about each axis of the world",
     tolerance=FALL_TOLERANCE,
 )
 def _free_fall_spinning(lab: Lab) -> Measurement:
@@ -120,7 +119,7 @@ KINDS: dict[str, Shape] = {
 }
 
 
-@Check("all-bodies-move", scene="a falling box, sphere, cylinder and convex solid, without contacts", tolerance=COUNT)
+@Check("all-bodies-move", tolerance=COUNT)
 def _all_bodies_move(lab: Lab) -> Measurement:
     bodies = tuple(
         body(name, shape, Pose(position_m=(0.2 * index, 0.0, 2.0))) for index, (name, shape) in enumerate(KINDS.items())
@@ -223,7 +222,6 @@ def _tether_length(rollout: Rollout) -> Measurement:
 
 @Check(
     "tether-rest",
-    scene="a ball that hangs at rest on a taut string of 0.3 m",
     tolerance=Tolerance("0.5 mm of 300 is 0.08 % of the period", absolute=0.5),
 )
 def _tether_rest(lab: Lab) -> Measurement:

@@ -277,7 +277,6 @@ _roll_check(
 
 @Check(
     "slide-plane",
-    scene="a brick of 0.1 kg on a fixed plane that leans by 32 degrees about a diagonal; friction 0.2",
     tolerance=Tolerance("as for a slide on a box", relative=0.01),
 )
 def _slide_plane(lab: Lab) -> Measurement:

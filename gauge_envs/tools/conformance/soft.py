@@ -100,7 +100,7 @@ def _foam_poisson(rollout: Rollout) -> Measurement:
     return Measurement(measured=contraction / rate if rate > 0.0 else float("nan"), expected=POISSON)
 
 
-@Check("foam-pinned-face", scene="the same bar attached to a plate that turns by 0.5 rad", **ATTACHED)
+@Check("foam-pinned-face", **ATTACHED)
 def _foam_pinned_face(lab: Lab) -> Measurement:
     rotation = ramp(0.5, start_s=0.0, duration_s=0.2, ramp_s=0.08)
     scene = Scene(
@@ -194,7 +194,6 @@ FIRST_ZERO = float(jn_zeros(0, 1)[0])
 
 @Check(
     "rope-period",
-    scene="a straight rope of 0.3 m that hangs from one end, released at 4 degrees",
     tolerance=Tolerance("a chain of ten segments is 0.3 % slow, an end of twice its mass 0.8 % or more", relative=5e-3),
 )
 def _rope_period(lab: Lab) -> Measurement:

@@ -123,7 +123,6 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
 
 @Check(
     "start-velocity-reset",
-    scene="a ball thrown with rotation, reset after 0.1 s",
     tolerance=Tolerance("m/s and rad/s; single precision keeps seven digits", absolute=1e-4),
 )
 def _start_velocity_reset(lab: Lab) -> Measurement:
