@@ -122,7 +122,6 @@ def _air_friction(lab: Lab) -> Measurement:
 
 @Check(
     "air-lift",
-    tolerance=Tolerance("as for the drag; the speed is a difference of places", relative=0.02, absolute=0.2),
 )
 def _air_lift(lab: Lab) -> Measurement:
     rollout, moved = _in_wind(lab, 0.1, lift_coefficient=COEFFICIENT)
@@ -138,7 +137,6 @@ def _air_lift(lab: Lab) -> Measurement:
 
 @Check(
     "air-energy",
-    tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0),
 )
 def _air_energy(lab: Lab) -> Measurement:
     cloth = sheet(FABRIC, Pose(position_m=(0.0, 0.0, 1.0)), (0.15, 0.075))

@@ -48,7 +48,7 @@ from gauge_envs.tools.conformance.laws import (
     slide_acceleration,
     stiffness,
 )
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, recorded, rollout_of
 
 HANG_M, HANG_WIDTH_M = 0.3, 0.075
 
@@ -153,7 +153,6 @@ _cantilever = rollout_of(
 
 @_cantilever.check(
     "cloth-clamp",
-    tolerance=Tolerance("of free nodes 1 mm beyond the clamp, each droops by a micrometre or more", absolute=1.0),
 )
 def _cloth_clamp(rollout: Rollout) -> Measurement:
     local, cloth = local_nodes(rollout), strip_of(rollout)
@@ -164,9 +163,6 @@ def _cloth_clamp(rollout: Rollout) -> Measurement:
 
 @_hanging.check(
     "cloth-stretch",
-    tolerance=Tolerance(
-        "nonlinear laws differ by the largest strain, 0.5 % in equilibrium and 1 % at the lowest point", relative=0.02
-    ),
 )
 def stretch_stiffness(rollout: Rollout) -> Measurement:
     """Measure K_s [N/m] from the sag of a strip, a width or more from its clamp: u = rho g (L s - s^2/2) / K_s."""
@@ -199,7 +195,6 @@ def _sheared(lab: Lab) -> Rollout:
 
 @_sheared.check(
     "cloth-shear",
-    tolerance=Tolerance("the free edges and the mesh's diagonals contribute a few per cent", relative=0.05),
 )
 def _cloth_shear(rollout: Rollout) -> Measurement:
     rest, now = equilibrium(rollout, 0.15)
@@ -214,11 +209,6 @@ def _cloth_shear(rollout: Rollout) -> Measurement:
 
 @_cantilever.check(
     "cloth-bending",
-    tolerance=Tolerance(
-        "K_theta belongs to a hinge, and triangulations distribute it differently: the paper's mapping gives "
-        "0.88 along grid lines",
-        relative=0.2,
-    ),
 )
 def bending_stiffness(rollout: Rollout) -> Measurement:
     """Measure the bending stiffness per width [N m] from the droop of a clamped strip: D w'' = rho g (L - s)^2 / 2."""
@@ -234,7 +224,7 @@ def bending_stiffness(rollout: Rollout) -> Measurement:
 
 
 @_cantilever.check(
-    "cloth-energy", tolerance=Tolerance("masses and speeds of nodes are estimated from their positions", absolute=5.0)
+    "cloth-energy",
 )
 def _cloth_energy(rollout: Rollout) -> Measurement:
     local = local_nodes(rollout)
@@ -267,9 +257,6 @@ def _on_slab(rollout: Rollout) -> NDArray[np.float64]:
 
 @_sliding.check(
     "cloth-slide",
-    tolerance=Tolerance(
-        "a sheet has many light contacts that flutter: some of them are open at any time", relative=0.05
-    ),
 )
 def _cloth_slide(rollout: Rollout) -> Measurement:
     window = rollout.between(0.1, 0.4)
@@ -279,7 +266,6 @@ def _cloth_slide(rollout: Rollout) -> Measurement:
 
 @_sliding.check(
     "cloth-rests",
-    tolerance=Tolerance("twice the real trials' scatter; folding cloth needs a layer of about 2 mm", absolute=2.0),
 )
 def _cloth_rests(rollout: Rollout) -> Measurement:
     height = _on_slab(rollout)[rollout.between(0.3, 0.4), :, 2] - 0.5 * SLAB_M[2] - 0.5e-3

@@ -55,7 +55,7 @@ _hold = rollout_of(
 
 
 @_slide.check(
-    "fixed-body-stays", tolerance=Tolerance("a fixed body does not move; 1 um allows for rounding", absolute=1e-3)
+    "fixed-body-stays",
 )
 def _fixed_body_stays(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.displacement("board")))
@@ -104,7 +104,9 @@ _slide_check(
 )
 
 
-@_slide.check("slide-straight", tolerance=Tolerance("the real trials' scatter is about 1 mm", absolute=1.0))
+@_slide.check(
+    "slide-straight",
+)
 def _slide_straight(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(_along_slope(rollout, "rough")[:, 1:]).max()))
 
@@ -136,7 +138,6 @@ def _slide_between(lab: Lab) -> Measurement:
 
 @Check(
     "spin-on-point",
-    tolerance=Tolerance("as for a slide", relative=0.01),
 )
 def _spin_on_point(lab: Lab) -> Measurement:
     top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
@@ -147,7 +148,6 @@ def _spin_on_point(lab: Lab) -> Measurement:
 
 @_hold.check(
     "hold",
-    tolerance=Tolerance("real cubes that hold scatter by 0.6 mm; creep must be small in comparison", absolute=0.1),
 )
 def _hold_check(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(_along_slope(rollout, "cube")))
@@ -155,7 +155,6 @@ def _hold_check(rollout: Rollout) -> Measurement:
 
 @Check(
     "hold-steep",
-    tolerance=Tolerance("as for 10 degrees", absolute=0.1),
 )
 def _hold_steep(lab: Lab) -> Measurement:
     scene = _on_slope(47.5, {"slab": 1.2}, 0.3)
@@ -232,7 +231,6 @@ _rebound_check(
     _dropped({"lively": 0.75, "dull": 0.2}),
     0.2,
     name="dull",
-    tolerance=Tolerance("as for one ball", absolute=0.005),
 )
 _rebound_check(
     "rebound-flat",
@@ -243,7 +241,6 @@ _rebound_check(
     ),
     0.5,
     name="box",
-    tolerance=Tolerance("as for one ball", absolute=0.005),
 )
 _rebound_check(
     "rebound-sustained",
@@ -254,14 +251,12 @@ _rebound_check(
     ),
     0.0,
     drop_m=LOW_DROP_M,
-    tolerance=Tolerance("the ball then rises by at most 0.25 % of the drop, 0.13 mm", absolute=0.05),
 )
 _rebound_check(
     "rebound-slow",
     _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1),
     0.5,
     drop_m=LOW_DROP_M,
-    tolerance=Tolerance("twice that of a fast rebound, of which a slow one is the tail", absolute=0.01),
 )
 FAST_DROP_M = 3.26
 _rebound_check(
@@ -269,7 +264,6 @@ _rebound_check(
     _dropped({"ball": 0.5}, drop_m=FAST_DROP_M),
     0.5,
     drop_m=FAST_DROP_M,
-    tolerance=Tolerance("as for a slow rebound", absolute=0.01),
 )
 
 
@@ -329,7 +323,6 @@ def _largest_gain(rollout: Rollout) -> Measurement:
 
 @_pile.check(
     "pile-bounds",
-    tolerance=Tolerance("an environment ends an episode as diverged at higher speeds", absolute=1.0),
     diagnosis=ENERGY_DIAGNOSIS,
 )
 def _pile_bounds(rollout: Rollout) -> Measurement:
@@ -339,11 +332,6 @@ def _pile_bounds(rollout: Rollout) -> Measurement:
 
 @_pile.check(
     "pile-sinks",
-    tolerance=Tolerance(
-        "the real trials' scatter is about 1 mm. The time of landing is ignored: a soft contact then yields "
-        "by speed times its time constant, and recovers",
-        absolute=0.5,
-    ),
 )
 def _pile_sinks(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PILE_BOX_M).corners_m

@@ -48,7 +48,6 @@ _turntable = rollout_of(
 
 @_carry.check(
     "driven-velocity",
-    tolerance=Tolerance("friction depends on this velocity; 1 % is the tolerance of a slide", absolute=0.01),
 )
 def _driven_velocity(rollout: Rollout) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
@@ -56,7 +55,9 @@ def _driven_velocity(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
-@_turntable.check("driven-path", tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1))
+@_turntable.check(
+    "driven-path",
+)
 def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -74,7 +75,9 @@ _flick = rollout_of(
 )
 
 
-@_flick.check("driven-flick", tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1))
+@_flick.check(
+    "driven-flick",
+)
 def _driven_flick(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -118,9 +121,6 @@ def _slip(rollout: Rollout) -> Measurement:
 
 @Check(
     "carry-slip",
-    tolerance=Tolerance(
-        "1 % as for a slide, and 1 % because the plate's speed changes within an interval", relative=0.02
-    ),
 )
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
@@ -180,13 +180,15 @@ def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float
 
 
 @_collision.check(
-    "pushed-ball", tolerance=Tolerance("a stiff contact may release some elastic energy; 2 % is 1 cm/s", relative=0.02)
+    "pushed-ball",
 )
 def _pushed_ball(rollout: Rollout) -> Measurement:
     return Measurement(measured=_speeds(rollout, BEFORE_S)[0], expected=PUSH_M_PER_S)
 
 
-@_collision.check("collision-momentum", tolerance=Tolerance("only rounding and damping can change it", absolute=1e-3))
+@_collision.check(
+    "collision-momentum",
+)
 def _collision_momentum(rollout: Rollout) -> Measurement:
     return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
 
@@ -197,14 +199,9 @@ RELATIVE_SPEED = {
 }
 
 
-@_slow_collision.check(
-    "collision-slow", tolerance=Tolerance("as for the fast collision", absolute=0.01), **RELATIVE_SPEED
-)
+@_slow_collision.check("collision-slow", **RELATIVE_SPEED)
 @_collision.check(
     "collision-rebound",
-    tolerance=Tolerance(
-        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
-    ),
     **RELATIVE_SPEED,
 )
 def _relative_speed(rollout: Rollout) -> Measurement:

@@ -98,7 +98,7 @@ _held = rollout_of(
 
 
 @_held.check(
-    "joint-stick", tolerance=Tolerance("0.1 mm at the end of the bar, as for a cube that holds", absolute=0.02)
+    "joint-stick",
 )
 def _joint_stick(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max())))
@@ -132,7 +132,9 @@ def _joint_viscous(rollout: Rollout) -> Measurement:
 @rollout_of(
     "a bar on a hinge with an armature of 0.01 kg m^2, released at 0.5 rad",
     _scene(_bar(angle_rad=RELEASE_RAD), seconds=4.0, gravity=G, armature_kg_m2=ARMATURE),
-).check("joint-armature", tolerance=Tolerance("as for the pendulum without armature", relative=2e-3))
+).check(
+    "joint-armature",
+)
 def _joint_armature(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt((ABOUT_CENTRE + ARMATURE) / MASS_KG))
     expected = pendulum_period_s(length_m=CENTRE_M, gyration_m=gyration, amplitude_rad=RELEASE_RAD, gravity_m_per_s2=G)
@@ -165,7 +167,9 @@ def _joint_torque(rollout: Rollout) -> Measurement:
     return Measurement(measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA)
 
 
-@_pushed.check("joint-delay", tolerance=Tolerance("half of an interval of 1/180 s", absolute=2.7))
+@_pushed.check(
+    "joint-delay",
+)
 def _joint_delay(rollout: Rollout) -> Measurement:
     square, slope, _ = _parabola(rollout)
     return Measurement(measured=-500.0 * float(slope / square) if square else np.nan, expected=1e3 * DELAY_S)
@@ -180,7 +184,6 @@ def _servo(step_rad: float, **limit: float) -> Servo:
     _scene(_bar(), seconds=1.0, motor=_servo(STEP_RAD)),
 ).check(
     "joint-servo",
-    tolerance=Tolerance("a servo's encoder of 4096 counts resolves 0.09 degrees; this is twice as much", absolute=0.18),
 )
 def _joint_servo(rollout: Rollout) -> Measurement:
     decay, times = 0.5 * KV / INERTIA, rollout.times_s

@@ -108,7 +108,7 @@ def _unknown(_: Lab) -> Measurement:
 class Check:
     """One law that a backend must obey, measured by one number. It decorates the function that measures it.
 
-    The texts of this package's checks are in `checks.toml`, by id.
+    The texts and tolerances of this package's checks are in `checks.toml`, by id, where several do not share them.
 
     Attributes:
         id: Stable name.
@@ -220,8 +220,12 @@ class CheckResult(Outcome):
 
 @cache
 def _words() -> dict[str, dict[str, Any]]:
-    """Return the texts of the checks of this package, by id."""
-    return tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
+    """Return the texts and tolerances of the checks of this package, by id."""
+    words = tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
+    return {
+        id: one | ({"tolerance": Tolerance(**one["tolerance"])} if "tolerance" in one else {})
+        for id, one in words.items()
+    }
 
 
 check = Check

@@ -277,7 +277,6 @@ _roll_check(
 
 @Check(
     "slide-plane",
-    tolerance=Tolerance("as for a slide on a box", relative=0.01),
 )
 def _slide_plane(lab: Lab) -> Measurement:
     brick = Box(size_m=(0.06, 0.03, 0.05))

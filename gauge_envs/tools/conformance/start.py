@@ -12,7 +12,7 @@ from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, S
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, largest_mm, torque_free_orientation
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, recorded, rollout_of
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
@@ -67,7 +67,6 @@ def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[ND
 
 @_thrown_ball.check(
     "start-velocity",
-    tolerance=Tolerance("nothing acts; single precision rounds each of some hundred steps to 0.1 um", absolute=0.1),
 )
 def _start_velocity(rollout: Rollout) -> Measurement:
     velocity = np.array(LINEAR_M_PER_S)
@@ -82,9 +81,6 @@ def _start_velocity(rollout: Rollout) -> Measurement:
 
 @_thrown_brick.check(
     "start-spin",
-    tolerance=Tolerance(
-        "it rotates by 180 degrees; the tolerance is that of the free rotation after a hit", absolute=3.0
-    ),
 )
 def _start_spin(rollout: Rollout) -> Measurement:
     last = rollout.rotation("thrown")[-1]
@@ -110,7 +106,6 @@ def _start_spin(rollout: Rollout) -> Measurement:
 
 @_thrown_solid.check(
     "start-velocity-of-origin",
-    tolerance=Tolerance("the real trials' scatter is about 1 mm; a wrong point gives over 100 mm", absolute=0.5),
 )
 def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)
@@ -123,7 +118,6 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
 
 @Check(
     "start-velocity-reset",
-    tolerance=Tolerance("m/s and rad/s; single precision keeps seven digits", absolute=1e-4),
 )
 def _start_velocity_reset(lab: Lab) -> Measurement:
     with closing(lab.build(BALL)) as simulation:
@@ -172,7 +166,7 @@ def _extremes(lab: Lab) -> Rollout:
 
 
 @_extremes.check(
-    "spin-fast", tolerance=Tolerance("bearings and wheels turn faster; 1 % is the tolerance of a slide", relative=0.01)
+    "spin-fast",
 )
 def _spin_fast(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("thrown")
@@ -183,14 +177,16 @@ def _spin_fast(rollout: Rollout) -> Measurement:
 
 
 @_extremes.check(
-    "orientation-unit", tolerance=Tolerance("single precision rounds to 1e-7; a user divides by it", absolute=1e-5)
+    "orientation-unit",
 )
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
     return Measurement(measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0)
 
 
-@_extremes.check("slow-drift", tolerance=Tolerance("nothing acts; 1 % is the tolerance of a slide", relative=0.01))
+@_extremes.check(
+    "slow-drift",
+)
 def _slow_drift(rollout: Rollout) -> Measurement:
     moved = float(rollout.displacement("slow")[-1, 1])
     return Measurement(measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1]))
