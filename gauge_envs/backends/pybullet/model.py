@@ -12,6 +12,7 @@ from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushin
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
@@ -112,6 +113,8 @@ class WorldPyBullet(BulletWorld):
             # The cache knows files by their names, for the whole process.
             enableFileCaching=0,
         )
+        asked = {"fixedTimeStep": settings.timestep_s, "numSolverIterations": settings.solver_iterations}
+        check_kept("PyBullet", asked, self.call("getPhysicsEngineParameters"))
         if settings.split_impulse == "all":
             self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
 
