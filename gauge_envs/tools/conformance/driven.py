@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +12,7 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driven_box, driver, ramp
 from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, rollout_of
 
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
@@ -95,11 +94,6 @@ def _turn_hint(rollout: Rollout) -> str:
     return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
-CARRY: dict[str, Any] = {
-    "source": "Coulomb",
-    "unit": "mm",
-    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
-}
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
     "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
@@ -109,9 +103,11 @@ CARRY_DIAGNOSIS = (
 @_turntable.check(
     "carry-turn",
     diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
-    **CARRY,
 )
-@_carry.check("carry-line", diagnosis=CARRY_DIAGNOSIS, **CARRY)
+@_carry.check(
+    "carry-line",
+    diagnosis=CARRY_DIAGNOSIS,
+)
 def _slip(rollout: Rollout) -> Measurement:
     """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)
@@ -193,16 +189,11 @@ def _collision_momentum(rollout: Rollout) -> Measurement:
     return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
 
 
-RELATIVE_SPEED = {
-    "measures": "relative speed of the two balls after their collision, over that before",
-    "source": "Newton's law of restitution",
-}
-
-
-@_slow_collision.check("collision-slow", **RELATIVE_SPEED)
+@_slow_collision.check(
+    "collision-slow",
+)
 @_collision.check(
     "collision-rebound",
-    **RELATIVE_SPEED,
 )
 def _relative_speed(rollout: Rollout) -> Measurement:
     return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)

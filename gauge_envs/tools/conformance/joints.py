@@ -144,11 +144,6 @@ def _joint_armature(rollout: Rollout) -> Measurement:
 # --- motors ----------------------------------------------------------------------------------------------------------
 
 TORQUE_N_M, DELAY_S, STEP_RAD = 0.03, 0.1, 0.3
-ACCELERATION: dict[str, Any] = {
-    "source": "Newton",
-    "unit": "rad/s^2",
-    "tolerance": Tolerance("nothing else acts, as for a force on a free body", relative=1e-3),
-}
 
 _pushed = rollout_of(
     "a bar on a hinge without gravity, whose motor exerts 0.03 N m from 0.1 s on: a step at the start with this delay",
@@ -162,7 +157,9 @@ def _parabola(rollout: Rollout) -> Array:
     return np.polyfit(rollout.times_s[part], _turned_rad(rollout)[part], 2)
 
 
-@_pushed.check("joint-torque", **ACCELERATION)
+@_pushed.check(
+    "joint-torque",
+)
 def _joint_torque(rollout: Rollout) -> Measurement:
     return Measurement(measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA)
 
@@ -196,7 +193,9 @@ def _joint_servo(rollout: Rollout) -> Measurement:
 @rollout_of(
     "the same servo with a largest torque of 0.03 N m, whose command steps by 2 rad",
     _scene(_bar(), seconds=0.8, motor=_servo(2.0, torque_limit_n_m=LIMIT_N_M)),
-).check("joint-limit", **ACCELERATION)
+).check(
+    "joint-limit",
+)
 def _joint_limit(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
     return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
@@ -260,17 +259,8 @@ def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
     return Measurement(measured=100.0 * float(max(errors)))
 
 
-CHAIN: dict[str, Any] = {
-    "source": "Lagrange, integrated by scipy's DOP853",
-    "measures": "largest error of the angle of a bar within 1 s, over the range of its angle",
-    "unit": "%",
-    "tolerance": Tolerance("1 % of the angle, as for two bodies that a hinge joins (hinged-angle)", absolute=1.0),
-}
-
-
 @Check(
     "joint-chain",
-    **CHAIN,
 )
 def _joint_chain(lab: Lab) -> Measurement:
     return _chain_error(lab, 0.0)
@@ -278,7 +268,6 @@ def _joint_chain(lab: Lab) -> Measurement:
 
 @Check(
     "joint-between",
-    **CHAIN,
 )
 def _joint_between(lab: Lab) -> Measurement:
     return _chain_error(lab, TORQUE_N_M)

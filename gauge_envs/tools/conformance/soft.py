@@ -5,7 +5,6 @@ strains are small. The fit ignores nodes within one width of the clamp, which hi
 """
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +27,7 @@ from gauge_envs.tools.conformance.laws import (
     passive_energy_gain,
     stiffness,
 )
-from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, recorded, rollout_of
 
 EDGE_M, LENGTH_M = 0.04, 0.2
 DENSITY_KG_PER_M3, YOUNG_PA, POISSON = 100.0, 1e4, 0.3
@@ -127,16 +126,6 @@ def _along(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(nodes[:, np.argsort(nodes[0, :, 0])])
 
 
-START: dict[str, Any] = {
-    "measures": "distance of the node at the free end from the end of the axis, at the start",
-    "law": "pose and length_m",
-    "source": "contract (scene.py)",
-    "unit": "mm",
-    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
-    "diagnosis": "it is built at another position, orientation or length: the axis is x for a rope and z for a rod",
-}
-
-
 def _start_error(rollout: Rollout) -> Measurement:
     """Measure the distance of the last node of the only line of a scene from its end [mm]."""
     (line,) = rollout.scene.deformables
@@ -146,7 +135,9 @@ def _start_error(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
 
 
-_falling_rope.check("rope-start", **START)(_start_error)
+_falling_rope.check(
+    "rope-start",
+)(_start_error)
 
 
 @_falling_rope.check("rope-nodes", tolerance=COUNT)
@@ -228,7 +219,9 @@ def _drooping_rod(lab: Lab) -> Rollout:
     return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
 
 
-_drooping_rod.check("rod-start", **START)(_start_error)
+_drooping_rod.check(
+    "rod-start",
+)(_start_error)
 
 
 @_drooping_rod.check(
