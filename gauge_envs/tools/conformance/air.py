@@ -120,9 +120,7 @@ def _air_friction(lab: Lab) -> Measurement:
     return _carried(lab, 0, ALONG_M_PER_S, tangential_coefficient=COEFFICIENT)
 
 
-@Check(
-    "air-lift",
-)
+@Check("air-lift")
 def _air_lift(lab: Lab) -> Measurement:
     rollout, moved = _in_wind(lab, 0.1, lift_coefficient=COEFFICIENT)
     speeds = np.gradient(moved, rollout.times_s, axis=0)
@@ -135,9 +133,7 @@ def _air_lift(lab: Lab) -> Measurement:
     return Measurement(measured=math.degrees(math.atan2(across, along)), expected=expected, hint=hint)
 
 
-@Check(
-    "air-energy",
-)
+@Check("air-energy")
 def _air_energy(lab: Lab) -> Measurement:
     cloth = sheet(FABRIC, Pose(position_m=(0.0, 0.0, 1.0)), (0.15, 0.075))
     scene = clamped(cloth, Region(axis="x", side="low"), duration_s=0.6)

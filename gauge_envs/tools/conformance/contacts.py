@@ -54,24 +54,13 @@ _hold = rollout_of(
 )
 
 
-@_slide.check(
-    "fixed-body-stays",
-)
+@_slide.check("fixed-body-stays")
 def _fixed_body_stays(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.displacement("board")))
 
 
-def _slide_check(id: str, name: str, friction: float, **texts: str) -> None:
-    @_slide.check(
-        id,
-        law="a = g (sin 30 - mu cos 30)",
-        unit="m/s^2",
-        tolerance=Tolerance(
-            "real slides scatter by 1.4 to 3 % (wood to metal); the error of an engine must be well below that",
-            relative=0.01,
-        ),
-        **texts,
-    )
+def _slide_check(id: str, name: str, friction: float) -> None:
+    @_slide.check(id)
     def measure(rollout: Rollout) -> Measurement:
         along = _along_slope(rollout, name)
         found = slide_acceleration(acceleration_m_per_s2(rollout.times_s, along[:, 0]), friction)
@@ -80,33 +69,11 @@ def _slide_check(id: str, name: str, friction: float, **texts: str) -> None:
         return found
 
 
-SLIDE_DIAGNOSIS = (
-    "check how the friction of two surfaces is combined (the contract's is the pair's), the friction cone, and "
-    "regularized friction"
-)
-_slide_check(
-    "slide",
-    "rough",
-    0.3,
-    title="slide on 30 degrees",
-    measures="acceleration downhill of a cube with friction 0.3, quadratic fit over 0.5 s",
-    source="Coulomb",
-    diagnosis=SLIDE_DIAGNOSIS,
-)
-_slide_check(
-    "slide-of-pair",
-    "smooth",
-    0.1,
-    title="friction is the pair's",
-    measures="acceleration downhill of a second cube, with friction 0.1, on the same board",
-    source="Coulomb; contract (scene.Contact)",
-    diagnosis="each pair of bodies has its own friction; " + SLIDE_DIAGNOSIS,
-)
+_slide_check("slide", "rough", 0.3)
+_slide_check("slide-of-pair", "smooth", 0.1)
 
 
-@_slide.check(
-    "slide-straight",
-)
+@_slide.check("slide-straight")
 def _slide_straight(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(_along_slope(rollout, "rough")[:, 1:]).max()))
 
@@ -136,9 +103,7 @@ def _slide_between(lab: Lab) -> Measurement:
     return Measurement(measured=friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG)), expected=0.1)
 
 
-@Check(
-    "spin-on-point",
-)
+@Check("spin-on-point")
 def _spin_on_point(lab: Lab) -> Measurement:
     top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
     held = contact("top", "ground", friction=0.5)
@@ -146,16 +111,12 @@ def _spin_on_point(lab: Lab) -> Measurement:
     return Measurement(measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0)
 
 
-@_hold.check(
-    "hold",
-)
+@_hold.check("hold")
 def _hold_check(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(_along_slope(rollout, "cube")))
 
 
-@Check(
-    "hold-steep",
-)
+@Check("hold-steep")
 def _hold_steep(lab: Lab) -> Measurement:
     scene = _on_slope(47.5, {"slab": 1.2}, 0.3)
     # A slab as thick as a cube is tall would tip.
@@ -202,36 +163,15 @@ def _ratio_of_speeds(
     return Measurement(measured=float(np.sqrt(outgoing) / incoming), expected=restitution)
 
 
-def _rebound_check(
-    id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M, **texts: Any
-) -> None:
-    common = {"measures": "outgoing over incoming speed of the ball", "source": "Newton's law of restitution"}
-
-    @Check(id, **({"law": "v' = -e v"} | common | texts))
+def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M) -> None:
+    @Check(id)
     def measure(lab: Lab) -> Measurement:
         return _ratio_of_speeds(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
 
 
 for _restitution in (0.2, 0.5, 0.75, 0.95):
-    _rebound_check(
-        f"rebound-{_restitution:g}",
-        _dropped({"ball": _restitution}),
-        _restitution,
-        title=f"rebound, e = {_restitution:g}",
-        scene=f"a ball of radius 30 mm dropped by {DROP_M:g} m on a plane",
-        measures=f"outgoing over incoming speed of a ball dropped by {DROP_M:g} m on a plane",
-        tolerance=Tolerance(
-            "the real ball's ratio scatters by 0.0022 over 22 trials; this is twice as much", absolute=0.005
-        ),
-        diagnosis="check how restitution enters (coefficient, or damping of the contact), a threshold speed below "
-        "which the engine does not rebound, and the step",
-    )
-_rebound_check(
-    "rebound-of-pair",
-    _dropped({"lively": 0.75, "dull": 0.2}),
-    0.2,
-    name="dull",
-)
+    _rebound_check(f"rebound-{_restitution:g}", _dropped({"ball": _restitution}), _restitution)
+_rebound_check("rebound-of-pair", _dropped({"lively": 0.75, "dull": 0.2}), 0.2, name="dull")
 _rebound_check(
     "rebound-flat",
     Scene(
@@ -252,38 +192,12 @@ _rebound_check(
     0.0,
     drop_m=LOW_DROP_M,
 )
-_rebound_check(
-    "rebound-slow",
-    _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1),
-    0.5,
-    drop_m=LOW_DROP_M,
-)
+_rebound_check("rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5, drop_m=LOW_DROP_M)
 FAST_DROP_M = 3.26
-_rebound_check(
-    "rebound-fast",
-    _dropped({"ball": 0.5}, drop_m=FAST_DROP_M),
-    0.5,
-    drop_m=FAST_DROP_M,
-)
+_rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=FAST_DROP_M), 0.5, drop_m=FAST_DROP_M)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------
-
-
-ENERGY_DIAGNOSIS = (
-    "the engine makes energy: contacts too stiff for the step, too few solver iterations, or penetration corrections "
-    "that add speed. All states may be finite all the time"
-)
-PASSIVE: dict[str, Any] = {
-    "law": "T + V <= initial T + V",
-    "source": "contacts are passive",
-    "unit": "%",
-    "tolerance": Tolerance(
-        "contacts only dissipate energy; a stiff contact may store 1 %, which is 3 mm of the height of fall",
-        absolute=1.0,
-    ),
-    "diagnosis": ENERGY_DIAGNOSIS,
-}
 
 
 @recorded("a box dropped by 0.35 m on a corner, on a plane")
@@ -307,8 +221,8 @@ def _pile(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(*boxes, ground()), contacts=contacts, duration_s=1.0))
 
 
-@_pile.check("pile-energy", **PASSIVE)
-@_tumble.check("drop-energy", **PASSIVE)
+@_pile.check("pile-energy")
+@_tumble.check("drop-energy")
 def _largest_gain(rollout: Rollout) -> Measurement:
     """Measure the gain of kinetic and potential energy of the dynamic boxes above z = 0, over the initial one [%]."""
     energy = np.zeros(len(rollout.times_s))
@@ -321,18 +235,13 @@ def _largest_gain(rollout: Rollout) -> Measurement:
     return Measurement(measured=gain, hint=f"the energy is highest at {at:.3g} s")
 
 
-@_pile.check(
-    "pile-bounds",
-    diagnosis=ENERGY_DIAGNOSIS,
-)
+@_pile.check("pile-bounds")
 def _pile_bounds(rollout: Rollout) -> Measurement:
     speeds = [np.linalg.norm(rollout.velocity(one.name), axis=1).max() for one in rollout.scene.dynamic_bodies]
     return Measurement(measured=float(max(speeds)) / rollout.scene.speed_limit_m_per_s)
 
 
-@_pile.check(
-    "pile-sinks",
-)
+@_pile.check("pile-sinks")
 def _pile_sinks(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PILE_BOX_M).corners_m
     deepest = 0.0

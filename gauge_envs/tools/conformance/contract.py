@@ -121,18 +121,14 @@ def _order_of_names(built: _Built) -> Measurement:
     return Measurement(measured=float(np.abs(built.states - built.backward).max()))
 
 
-@_as_built.check(
-    "start-position",
-)
+@_as_built.check("start-position")
 def _start_position(built: _Built) -> Measurement:
     positions, expected = built.states[:, :3], np.array([one.pose.position_m for one in built.scene.bodies])
     hint = "positions are in mm" if np.allclose(positions, 1e3 * expected, atol=1.0) else ""
     return Measurement(measured=largest_mm(positions - expected), hint=hint)
 
 
-@_as_built.check(
-    "start-orientation",
-)
+@_as_built.check("start-orientation")
 def _start_orientation(built: _Built) -> Measurement:
     expected = np.array([one.pose.quaternion for one in built.scene.bodies])
 
@@ -149,9 +145,7 @@ def _start_orientation(built: _Built) -> Measurement:
     return Measurement(measured=error(reported), hint=hint)
 
 
-@_as_built.check(
-    "start-rest",
-)
+@_as_built.check("start-rest")
 def _start_rest(built: _Built) -> Measurement:
     return Measurement(measured=float(np.abs(built.states[:, 7:]).max()))
 
@@ -190,9 +184,7 @@ BOUNCES = (
 )
 
 
-@Check(
-    "time",
-)
+@Check("time")
 def _time(lab: Lab) -> Measurement:
     scene = Scene(bodies=(box("brick", (0.0, 0.0, 3.0), (0.1, 0.06, 0.03)),), duration_s=1.0)
     fallen = []

@@ -45,18 +45,14 @@ _turntable = rollout_of(
 """The centripetal acceleration is 0.2 m/s^2; friction can hold 3.9 m/s^2."""
 
 
-@_carry.check(
-    "driven-velocity",
-)
+@_carry.check("driven-velocity")
 def _driven_velocity(rollout: Rollout) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
     speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
-@_turntable.check(
-    "driven-path",
-)
+@_turntable.check("driven-path")
 def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -74,9 +70,7 @@ _flick = rollout_of(
 )
 
 
-@_flick.check(
-    "driven-flick",
-)
+@_flick.check("driven-flick")
 def _driven_flick(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -115,9 +109,7 @@ def _slip(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
-@Check(
-    "carry-slip",
-)
+@Check("carry-slip")
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
@@ -175,25 +167,17 @@ def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float
     return Measurement(measured=float("nan"), expected=expected, hint=hint)
 
 
-@_collision.check(
-    "pushed-ball",
-)
+@_collision.check("pushed-ball")
 def _pushed_ball(rollout: Rollout) -> Measurement:
     return Measurement(measured=_speeds(rollout, BEFORE_S)[0], expected=PUSH_M_PER_S)
 
 
-@_collision.check(
-    "collision-momentum",
-)
+@_collision.check("collision-momentum")
 def _collision_momentum(rollout: Rollout) -> Measurement:
     return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
 
 
-@_slow_collision.check(
-    "collision-slow",
-)
-@_collision.check(
-    "collision-rebound",
-)
+@_slow_collision.check("collision-slow")
+@_collision.check("collision-rebound")
 def _relative_speed(rollout: Rollout) -> Measurement:
     return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)

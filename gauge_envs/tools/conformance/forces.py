@@ -260,9 +260,7 @@ for _kind in SHAPES:
     _inertia_check(_kind)
 
 
-@Check(
-    "wrench-reset",
-)
+@Check("wrench-reset")
 def _wrench_reset(lab: Lab) -> Measurement:
     with closing(lab.build(_pushed_scene(SHAPES["box"]))) as simulation:
         simulation.reset(0)
@@ -368,9 +366,7 @@ for _kind in ("box", "cylinder", "union"):
 MASSES_KG = (1e-4, 1e-3, 0.0123, 1.0, 100.0)
 
 
-@Check(
-    "masses",
-)
+@Check("masses")
 def _masses(lab: Lab) -> Measurement:
     balls = tuple(
         body(
@@ -397,9 +393,7 @@ STATED_SHARE = 2.0
 """Stated moment of inertia of a ball over that of uniform density."""
 
 
-@Check(
-    "stated-inertia",
-)
+@Check("stated-inertia")
 def _stated_inertia(lab: Lab) -> Measurement:
     length_m, radius_m, angle = 0.06, 0.03, np.radians(60.0)
     pivot = np.array([0.1, 0.2, 1.0])

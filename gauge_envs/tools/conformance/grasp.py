@@ -82,25 +82,19 @@ def _held(lab: Lab) -> Rollout:
     return _pushed(lab, _grasp(2.0 * WEIGHT_N, 2.5), shake)
 
 
-@_held.check(
-    "grasp-sink",
-)
+@_held.check("grasp-sink")
 def _grasp_sink(rollout: Rollout) -> Measurement:
     apart = rollout.displacement("left")[:, 0] - rollout.displacement("right")[:, 0]
     return Measurement(measured=0.5e6 * float(apart[rollout.between(STILL_S, SHAKEN_S)].mean()))
 
 
-@_held.check(
-    "grasp-creep",
-)
+@_held.check("grasp-creep")
 def _grasp_creep(rollout: Rollout) -> Measurement:
     still = rollout.between(STILL_S, SHAKEN_S)
     return Measurement(measured=-1e6 * float(np.polyfit(rollout.times_s[still], _from_pads(rollout)[still, 2], 1)[0]))
 
 
-@_held.check(
-    "grasp-holds",
-)
+@_held.check("grasp-holds")
 def _grasp_holds(rollout: Rollout) -> Measurement:
     places = _from_pads(rollout.cut(SHAKEN_S, rollout.times_s[-1]))
     return Measurement(measured=1e3 * float(np.abs(places[:, 2] - places[0, 2]).max()))
@@ -126,9 +120,7 @@ def _turned(lab: Lab) -> Rollout:
     return _pushed(lab, _grasp(2.0 * WEIGHT_N, 0.1, gravity=0.0), lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0))
 
 
-@_turned.check(
-    "grasp-torsion",
-)
+@_turned.check("grasp-torsion")
 def _grasp_torsion(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
     held_n_m = TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * acceleration_m_per_s2(rollout.times_s, angles)

@@ -97,9 +97,7 @@ _held = rollout_of(
 )
 
 
-@_held.check(
-    "joint-stick",
-)
+@_held.check("joint-stick")
 def _joint_stick(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.degrees(np.abs(_turned_rad(rollout, "held")).max())))
 
@@ -157,16 +155,12 @@ def _parabola(rollout: Rollout) -> Array:
     return np.polyfit(rollout.times_s[part], _turned_rad(rollout)[part], 2)
 
 
-@_pushed.check(
-    "joint-torque",
-)
+@_pushed.check("joint-torque")
 def _joint_torque(rollout: Rollout) -> Measurement:
     return Measurement(measured=2.0 * float(_parabola(rollout)[0]), expected=TORQUE_N_M / INERTIA)
 
 
-@_pushed.check(
-    "joint-delay",
-)
+@_pushed.check("joint-delay")
 def _joint_delay(rollout: Rollout) -> Measurement:
     square, slope, _ = _parabola(rollout)
     return Measurement(measured=-500.0 * float(slope / square) if square else np.nan, expected=1e3 * DELAY_S)
@@ -259,15 +253,11 @@ def _chain_error(lab: Lab, torque_n_m: float) -> Measurement:
     return Measurement(measured=100.0 * float(max(errors)))
 
 
-@Check(
-    "joint-chain",
-)
+@Check("joint-chain")
 def _joint_chain(lab: Lab) -> Measurement:
     return _chain_error(lab, 0.0)
 
 
-@Check(
-    "joint-between",
-)
+@Check("joint-between")
 def _joint_between(lab: Lab) -> Measurement:
     return _chain_error(lab, TORQUE_N_M)

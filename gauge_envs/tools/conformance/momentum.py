@@ -30,9 +30,7 @@ from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins
 # --- torque-free spin ------------------------------------------------------------------------------------------------
 
 
-@spinning_brick.check(
-    "spin-momentum",
-)
+@spinning_brick.check("spin-momentum")
 @if_it_spins
 def _spin_momentum(rollout: Rollout) -> Measurement:
     momentum = np.einsum("tij,tj->ti", inertia_kg_m2(rollout, "brick"), rollout.angular_velocity("brick"))
@@ -40,9 +38,7 @@ def _spin_momentum(rollout: Rollout) -> Measurement:
     return Measurement(measured=100.0 * float(change))
 
 
-@spinning_brick.check(
-    "spin-orientation",
-)
+@spinning_brick.check("spin-orientation")
 @if_it_spins
 def _spin_orientation(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("brick")
@@ -55,9 +51,7 @@ def _spin_orientation(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.degrees((rotations[-1] * expected.inv()).magnitude())))
 
 
-@spinning_solid.check(
-    "solid-spin-centre",
-)
+@spinning_solid.check("solid-spin-centre")
 @if_it_spins
 def _solid_spin_centre(rollout: Rollout) -> Measurement:
     centre, times = rollout.position("brick") + rollout.rotation("brick").apply(-SOLID_ORIGIN_M), rollout.times_s
@@ -110,9 +104,7 @@ def _centre(rollout: Rollout) -> NDArray[np.float64]:
     return np.asarray(weighed / sum(one.mass_kg for one in blocks))
 
 
-@_tumbling.check(
-    "hinged-closed",
-)
+@_tumbling.check("hinged-closed")
 def _hinged_closed(rollout: Rollout) -> Measurement:
     (hinge,) = rollout.scene.body_hinges
     frames = hinge_frames(hinge, *(rollout.scene.body(name).pose for name in (hinge.first, hinge.second)))
@@ -187,9 +179,7 @@ def scissors_angle_rad(times_s: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.interp(times_s, cumulative_trapezoid(slowness, angles, initial=0.0), angles)
 
 
-@Check(
-    "hinged-angle",
-)
+@Check("hinged-angle")
 def _hinged_angle(lab: Lab) -> Measurement:
     anchor, axis = np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, 1.0])
     blades = []

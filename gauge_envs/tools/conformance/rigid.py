@@ -88,16 +88,12 @@ def _free_fall_spinning(lab: Lab) -> Measurement:
     return Measurement(measured=measured, expected=G, hint=hint)
 
 
-@_fall.check(
-    "free-fall-drift",
-)
+@_fall.check("free-fall-drift")
 def _free_fall_drift(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(np.abs(rollout.displacement("brick")[:, :2]).max()))
 
 
-@_fall.check(
-    "free-fall-turn",
-)
+@_fall.check("free-fall-turn")
 def _free_fall_turn(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("brick")
     turned = rotations * rotations[0].inv()
@@ -140,9 +136,7 @@ def _pendulum(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(bob,), joints=(hinge,), duration_s=3.0))
 
 
-@_pendulum.check(
-    "pendulum-period",
-)
+@_pendulum.check("pendulum-period")
 def _pendulum_period(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt(0.4) * BOB_M)
     expected = pendulum_period_s(
@@ -154,9 +148,7 @@ def _pendulum_period(rollout: Rollout) -> Measurement:
     return Measurement(measured=measured, expected=expected, hint=hint)
 
 
-@_pendulum.check(
-    "pendulum-energy",
-)
+@_pendulum.check("pendulum-energy")
 def _pendulum_energy(rollout: Rollout) -> Measurement:
     speed, spin = rollout.velocity("bob"), rollout.angular_velocity("bob")
     kinetic = 0.5 * (np.square(speed) + 0.4 * BOB_M**2 * np.square(spin)).sum(axis=1)
@@ -169,9 +161,7 @@ def _pendulum_energy(rollout: Rollout) -> Measurement:
     return Measurement(measured=100.0 * worst / (G * PENDULUM_M * (1.0 - np.cos(AMPLITUDE_RAD))), hint=hint)
 
 
-@_pendulum.check(
-    "hinge-radius",
-)
+@_pendulum.check("hinge-radius")
 def _hinge_radius(rollout: Rollout) -> Measurement:
     arm = rollout.position("bob") - np.asarray(PIVOT_M)
     radial, along = np.abs(np.hypot(arm[:, 0], arm[:, 2]) - PENDULUM_M), np.abs(arm[:, 1])
@@ -193,9 +183,7 @@ def _tether(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(bob,), joints=(string,), duration_s=1.0))
 
 
-@_tether.check(
-    "tether-slack",
-)
+@_tether.check("tether-slack")
 def _tether_slack(rollout: Rollout) -> Measurement:
     falling = rollout.between(0.0, 0.13)
     measured = -acceleration_m_per_s2(rollout.times_s[falling], rollout.position("bob")[falling, 2])
@@ -205,9 +193,7 @@ def _tether_slack(rollout: Rollout) -> Measurement:
     return Measurement(measured=measured, expected=G, hint=hint)
 
 
-@_tether.check(
-    "tether-length",
-)
+@_tether.check("tether-length")
 def _tether_length(rollout: Rollout) -> Measurement:
     distance = np.linalg.norm(rollout.position("bob") - [0.0, 0.0, 1.0], axis=1)
     missing = distance.max() > 2.0 * STRING_M
@@ -215,9 +201,7 @@ def _tether_length(rollout: Rollout) -> Measurement:
     return Measurement(measured=1e3 * float(distance.max()), expected=1e3 * STRING_M, hint=hint)
 
 
-@Check(
-    "tether-rest",
-)
+@Check("tether-rest")
 def _tether_rest(lab: Lab) -> Measurement:
     bob = ball("bob", (0.0, 0.0, 1.0 - STRING_M), radius_m=0.01)
     string = Tether(body="bob", anchor_m=(0.0, 0.0, 1.0), length_m=STRING_M)
@@ -237,9 +221,7 @@ def _pairs(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=0.5))
 
 
-@_pairs.check(
-    "contact-unlisted",
-)
+@_pairs.check("contact-unlisted")
 def _contact_unlisted(rollout: Rollout) -> Measurement:
     # A fit, since after 0.5 s a semi-implicit step of 1/180 s has fallen by 1.1 % more than the law.
     falls = {
@@ -251,9 +233,7 @@ def _contact_unlisted(rollout: Rollout) -> Measurement:
     return Measurement(measured=falls[slow], expected=G, hint=hint)
 
 
-@_pairs.check(
-    "contact-listed",
-)
+@_pairs.check("contact-listed")
 def _contact_listed(rollout: Rollout) -> Measurement:
     height_mm = 1e3 * float(rollout.position("listed")[-1, 2] - 0.03)
     hint = ""

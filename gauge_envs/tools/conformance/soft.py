@@ -73,17 +73,13 @@ def _foam_start(rollout: Rollout) -> Measurement:
     return bounds_error(rollout.nodes_m["foam"][0] - np.asarray(CENTRE_M), BAR.shape.size_m)
 
 
-@_hanging.check(
-    "foam-tension",
-)
+@_hanging.check("foam-tension")
 def _foam_tension(rollout: Rollout) -> Measurement:
     rate = _strain_rate_per_m(*_equilibrium(rollout))
     return stiffness(DENSITY_KG_PER_M3 * G, rate, YOUNG_PA, "stretches")
 
 
-@_hanging.check(
-    "foam-poisson",
-)
+@_hanging.check("foam-poisson")
 def _foam_poisson(rollout: Rollout) -> Measurement:
     rest, displacement = _equilibrium(rollout)
     height = rest[:, 2] + 0.5 * LENGTH_M
@@ -146,9 +142,7 @@ def _rope_nodes(rollout: Rollout) -> Measurement:
     return Measurement(measured=float((np.diff(along) <= 0.0).sum()))
 
 
-@_falling_rope.check(
-    "rope-length",
-)
+@_falling_rope.check("rope-length")
 def _rope_length(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(np.diff(_along(rollout), axis=1), axis=2).sum(axis=1)
     at_start = abs(lengths[0] - ROPE_M) > 0.005 * ROPE_M
@@ -159,9 +153,7 @@ def _rope_length(rollout: Rollout) -> Measurement:
     )
 
 
-@_falling_rope.check(
-    "rope-energy",
-)
+@_falling_rope.check("rope-energy")
 def _rope_energy(rollout: Rollout) -> Measurement:
     nodes = _along(rollout)
     return passive_energy_gain(nodes, rollout.times_s, _mass_shares(nodes[0, :, 0]), G)
@@ -178,9 +170,7 @@ LEAN_DEG = 4.0
 FIRST_ZERO = float(jn_zeros(0, 1)[0])
 
 
-@Check(
-    "rope-period",
-)
+@Check("rope-period")
 def _rope_period(lab: Lab) -> Measurement:
     hanging = replace(ROPE, pose=Pose.from_euler_deg(CENTRE_M, (0.0, 90.0 - LEAN_DEG, 0.0)))
     rollout = lab.rollout(clamped(hanging, Region(axis="x", side="low"), duration_s=0.75))
@@ -224,9 +214,7 @@ _drooping_rod.check(
 )(_start_error)
 
 
-@_drooping_rod.check(
-    "rod-bending",
-)
+@_drooping_rod.check("rod-bending")
 def _rod_bending(rollout: Rollout) -> Measurement:
     nodes = rollout.nodes_m["rod"]
     droop = (nodes[0] - hann_mean(nodes[rollout.between(0.3, 1.1)]))[:, 2]

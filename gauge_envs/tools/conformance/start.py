@@ -65,9 +65,7 @@ def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[ND
     return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
 
-@_thrown_ball.check(
-    "start-velocity",
-)
+@_thrown_ball.check("start-velocity")
 def _start_velocity(rollout: Rollout) -> Measurement:
     velocity = np.array(LINEAR_M_PER_S)
     explanations = {
@@ -79,9 +77,7 @@ def _start_velocity(rollout: Rollout) -> Measurement:
     return _explained(_off_line_mm(rollout.displacement("thrown"), rollout), velocity, explanations)
 
 
-@_thrown_brick.check(
-    "start-spin",
-)
+@_thrown_brick.check("start-spin")
 def _start_spin(rollout: Rollout) -> Measurement:
     last = rollout.rotation("thrown")[-1]
     spin = np.array(ANGULAR_RAD_PER_S)
@@ -104,9 +100,7 @@ def _start_spin(rollout: Rollout) -> Measurement:
     return _explained(error_deg, spin, explanations)
 
 
-@_thrown_solid.check(
-    "start-velocity-of-origin",
-)
+@_thrown_solid.check("start-velocity-of-origin")
 def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)
     moved -= POSE.to_world(CENTRE_M)
@@ -116,9 +110,7 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     return _explained(_off_line_mm(moved, rollout), of_centre, explanations)
 
 
-@Check(
-    "start-velocity-reset",
-)
+@Check("start-velocity-reset")
 def _start_velocity_reset(lab: Lab) -> Measurement:
     with closing(lab.build(BALL)) as simulation:
         simulation.reset(0)
@@ -165,9 +157,7 @@ def _extremes(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0))
 
 
-@_extremes.check(
-    "spin-fast",
-)
+@_extremes.check("spin-fast")
 def _spin_fast(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("thrown")
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
@@ -176,17 +166,13 @@ def _spin_fast(rollout: Rollout) -> Measurement:
     return Measurement(measured=rate, expected=SPIN_RAD_PER_S, hint=f"it reports {reported:.4g} rad/s at the end")
 
 
-@_extremes.check(
-    "orientation-unit",
-)
+@_extremes.check("orientation-unit")
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
     return Measurement(measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0)
 
 
-@_extremes.check(
-    "slow-drift",
-)
+@_extremes.check("slow-drift")
 def _slow_drift(rollout: Rollout) -> Measurement:
     moved = float(rollout.displacement("slow")[-1, 1])
     return Measurement(measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1]))
