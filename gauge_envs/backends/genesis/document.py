@@ -78,11 +78,13 @@ class Constants:
         friction: Coulomb's coefficient.
         solref: Time constant [s] and damping ratio.
         solimp: Impedance: least, greatest, width [m], midpoint, power.
+        turning: Torsional and rolling friction [m].
     """
 
     friction: float
     solref: tuple[float, float]
     solimp: tuple[float, ...]
+    turning: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass
@@ -122,7 +124,8 @@ def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Con
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
         solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
-    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE))
+    turning = (contact.torsion_m, contact.rolling_m)
+    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE), turning)
 
 
 @cache
@@ -344,7 +347,7 @@ def _add_geoms(
                 quat=pose.quaternion,
                 contype=layer.offers,
                 conaffinity=layer.accepts,
-                friction=(constants.friction, 0.0, 0.0),
+                friction=(constants.friction, *constants.turning),
                 solref=constants.solref,
                 solimp=constants.solimp,
                 # Geoms of this group are not rendered.

@@ -185,6 +185,8 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         friction_cone=getattr(gs.friction_cone, settings.friction_cone),
         contact_resolution=getattr(gs.contact_resolution, settings.contact_resolution),
         impratio=settings.impratio,
+        enable_torsional_friction=any(one.torsion_m or one.rolling_m for one in scene.contacts),
+        enable_rolling_friction=any(one.rolling_m for one in scene.contacts),
         contact_pruning_tolerance=settings.pruning_tolerance,
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,

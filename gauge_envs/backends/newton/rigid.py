@@ -372,7 +372,10 @@ def add_strings(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, s
 
 def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
     builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
-    attributes: dict[str, Any] = {"condim": 3 if constants.friction > 0.0 else 1, "geom_priority": 1}
+    builder.shape_material_mu_torsional[shape] = constants.torsion_m
+    builder.shape_material_mu_rolling[shape] = constants.rolling_m
+    dimension = 6 if constants.rolling_m else 4 if constants.torsion_m else 3
+    attributes: dict[str, Any] = {"condim": dimension if constants.friction > 0.0 else 1, "geom_priority": 1}
     if newton_material:
         builder.shape_material_kf[shape] = newton.ModelBuilder.ShapeConfig().kf
     else:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import body_mass_properties, hull_faces
@@ -60,6 +61,12 @@ DRIVEN_MASS_KG = 1e6
 
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
+
+DYNAMICS = (
+    *("mass", "lateralFriction", "inertia", "frame", "orientation", "restitution", "rollingFriction"),
+    *("spinningFriction", "contactDamping", "contactStiffness"),
+)
+"""What `getDynamicsInfo` returns, in its order."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +226,8 @@ class BulletWorld:
     def set_dynamics(self, handle: Handle, **named: Any) -> None:
         """Change dynamic properties of a body or a link."""
         self.call("changeDynamics", handle.body, handle.link, **named)
+        kept = dict(zip(DYNAMICS, self.call("getDynamicsInfo", handle.body, handle.link), strict=False))
+        check_kept("PyBullet", {name: value for name, value in named.items() if name in DYNAMICS}, kept)
 
     def add_multibody(self, base: dict[str, Any], moments: list[float], links: Sequence[Link]) -> int:
         """Add bodies on joints without friction and motors, and return PyBullet's number of the multibody.
