@@ -348,6 +348,7 @@ def _add_geoms(
                 contype=layer.offers,
                 conaffinity=layer.accepts,
                 friction=(constants.friction, *constants.turning),
+                **({"condim": 6 if constants.turning[1] else 4} if any(constants.turning) else {}),
                 solref=constants.solref,
                 solimp=constants.solimp,
                 # Geoms of this group are not rendered.
