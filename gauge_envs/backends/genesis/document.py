@@ -124,7 +124,8 @@ def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Con
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
         solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
-    turning = (contact.torsion_m, contact.rolling_m)
+    # Genesis applies rolling friction only where there is torsional friction.
+    turning = (max(contact.torsion_m, 0.01 * contact.rolling_m), contact.rolling_m)
     return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE), turning)
 
 
