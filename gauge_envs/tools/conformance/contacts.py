@@ -114,7 +114,7 @@ def _spin_on_point(lab: Lab) -> Measurement:
 TORSION_M, ROLLING_M, ROLLS_M_PER_S = 2e-4, 1e-3, 0.3
 
 
-def _turned_on(lab: Lab, seconds: float, velocity: float, spin: tuple[float, ...], **turning: float) -> Rollout:
+def _turned_on(lab: Lab, seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any) -> Rollout:
     """Return the rollout of a ball with torsional or rolling friction on a plane."""
     turns = replace(
         ball("ball", (0.0, 0.0, RADIUS_M)),
