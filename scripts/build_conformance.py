@@ -77,6 +77,21 @@ def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
+GRASP = ("grasp-sink", "grasp-creep", "grasp-holds", "grasp-slips", "grasp-torsion", "grasp-swing", "torsion", "rolling")
+
+
+def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
+    """Yield the measured values of a grasp, and of torsional and rolling friction, below those of the laws."""
+    found = [column for column in columns if column.name in SHOWN]
+    of_law = found[0].current()
+    rows = [["law", "", *(expected_text([of_law[name]]) for name in GRASP)]]
+    for column in found:
+        results = [column.current().get(name) for name in GRASP]
+        cells = ["-" if one is None or one.measured is None else f"{round(one.measured, 4):.4g}" for one in results]
+        rows.append([column.backend, f"`{column.name}`", *cells])
+    yield from markdown_table(["engine", "configuration", *(f"`{name.removeprefix('grasp-')}`" for name in GRASP)], rows)
+
+
 def generate(scoring: Path) -> dict[Path, str]:
     """Return the page with its generated part replaced."""
     columns = read_columns(scoring / "conformance.json")
@@ -95,7 +110,8 @@ def generate(scoring: Path) -> dict[Path, str]:
         "",
         *check_table(columns),
     ]
-    return {PAGE: with_part(PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines))}
+    page = with_part(PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines))
+    return {PAGE: with_part(page, "grasps", SCRIPT, "\n".join(grasp_table(columns)))}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
