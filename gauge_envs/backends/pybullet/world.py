@@ -62,11 +62,8 @@ DRIVEN_MASS_KG = 1e6
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
 
-DYNAMICS = (
-    *("mass", "lateralFriction", "inertia", "frame", "orientation", "restitution", "rollingFriction"),
-    *("spinningFriction", "contactDamping", "contactStiffness"),
-)
-"""What `getDynamicsInfo` returns, in its order."""
+DYNAMICS = {"lateralFriction": 1, "rollingFriction": 6, "spinningFriction": 7}
+"""Places in what `getDynamicsInfo` returns; that of the restitution is 0 for some bodies that rebound."""
 
 
 @dataclass(frozen=True)
@@ -226,8 +223,9 @@ class BulletWorld:
     def set_dynamics(self, handle: Handle, **named: Any) -> None:
         """Change dynamic properties of a body or a link."""
         self.call("changeDynamics", handle.body, handle.link, **named)
-        kept = dict(zip(DYNAMICS, self.call("getDynamicsInfo", handle.body, handle.link), strict=False))
-        check_kept("PyBullet", {name: value for name, value in named.items() if name in DYNAMICS}, kept)
+        kept = self.call("getDynamicsInfo", handle.body, handle.link)
+        asked = {name: value for name, value in named.items() if name in DYNAMICS}
+        check_kept("PyBullet", asked, {name: kept[place] for name, place in DYNAMICS.items()})
 
     def add_multibody(self, base: dict[str, Any], moments: list[float], links: Sequence[Link]) -> int:
         """Add bodies on joints without friction and motors, and return PyBullet's number of the multibody.
