@@ -1,4 +1,4 @@
-"""Write the tables of `docs/engines/conformance.md` from `scoring/conformance.json`.
+"""Write the tables of `docs/engines/conformance.md` and of `studies/grasp` from `scoring/conformance.json`.
 
     gauge backend check '*:*' --only '*' --out engines.json                     in each environment that has engines
     gauge backend check engines.json genesis.json --out scoring/conformance.json
@@ -23,6 +23,7 @@ from gauge_envs.tools.conformance.model import CheckResult, Status
 from gauge_envs.tools.conformance.words import error_text, expected_text, measured_text, tally
 
 PAGE = ROOT / "docs" / "engines" / "conformance.md"
+STUDY = ROOT / "studies" / "grasp" / "README.md"
 SCRIPT = Path(__file__).name
 SHOWN = ("default", "out_of_box")
 """Configurations that the table of checks shows, one sign each."""
@@ -110,8 +111,11 @@ def generate(scoring: Path) -> dict[Path, str]:
         "",
         *check_table(columns),
     ]
-    page = with_part(PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines))
-    return {PAGE: with_part(page, "grasps", SCRIPT, "\n".join(grasp_table(columns)))}
+    grasps = "\n".join(grasp_table(columns))
+    return {
+        PAGE: with_part(PAGE.read_text(encoding="utf-8"), "matrix", SCRIPT, "\n".join(lines)),
+        STUDY: with_part(STUDY.read_text(encoding="utf-8"), "grasps", SCRIPT, grasps),
+    }
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
