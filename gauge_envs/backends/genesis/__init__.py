@@ -31,7 +31,7 @@ class BackendGenesis(BundledBackend):
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.TORSION, Feature.ROLLING}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(

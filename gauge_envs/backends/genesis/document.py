@@ -78,13 +78,11 @@ class Constants:
         friction: Coulomb's coefficient.
         solref: Time constant [s] and damping ratio.
         solimp: Impedance: least, greatest, width [m], midpoint, power.
-        turning: Torsional and rolling friction [m].
     """
 
     friction: float
     solref: tuple[float, float]
     solimp: tuple[float, ...]
-    turning: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass
@@ -124,9 +122,7 @@ def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Con
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
         solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
-    # Genesis applies rolling friction only where there is torsional friction.
-    turning = (max(contact.torsion_m, 0.01 * contact.rolling_m), contact.rolling_m)
-    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE), turning)
+    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE))
 
 
 @cache
@@ -348,8 +344,7 @@ def _add_geoms(
                 quat=pose.quaternion,
                 contype=layer.offers,
                 conaffinity=layer.accepts,
-                friction=(constants.friction, *constants.turning),
-                **({"condim": 6 if constants.turning[1] else 4} if any(constants.turning) else {}),
+                friction=(constants.friction, 0.0, 0.0),
                 solref=constants.solref,
                 solimp=constants.solimp,
                 # Geoms of this group are not rendered.

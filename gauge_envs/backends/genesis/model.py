@@ -170,7 +170,6 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     gs = engine()
     layers = layers_of_bodies(scene, settings)
     collides = bool(layers) or bool(scene.deformables)
-    turns = any(one.torsion_m or one.rolling_m for one in scene.contacts)
     pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
@@ -186,8 +185,6 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         friction_cone=getattr(gs.friction_cone, settings.friction_cone),
         contact_resolution=getattr(gs.contact_resolution, settings.contact_resolution),
         impratio=settings.impratio,
-        enable_torsional_friction=turns,
-        enable_rolling_friction=turns,
         contact_pruning_tolerance=settings.pruning_tolerance,
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,
