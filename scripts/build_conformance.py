@@ -78,7 +78,7 @@ def check_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     yield from markdown_table(["check", "expected", *engines], rows)
 
 
-GRASP = ("grasp-sink", "grasp-creep", "grasp-holds", "grasp-slips", "grasp-torsion", "grasp-swing", "torsion", "rolling")
+GRASP = (*(f"grasp-{name}" for name in ("sink", "creep", "holds", "slips", "torsion", "swing")), "torsion", "rolling")
 
 
 def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
@@ -90,7 +90,8 @@ def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
         results = [column.current().get(name) for name in GRASP]
         cells = ["-" if one is None or one.measured is None else f"{round(one.measured, 4):.4g}" for one in results]
         rows.append([column.backend, f"`{column.name}`", *cells])
-    yield from markdown_table(["engine", "configuration", *(f"`{name.removeprefix('grasp-')}`" for name in GRASP)], rows)
+    names = [f"`{name}`" for name in GRASP]
+    yield from markdown_table(["engine", "configuration", *names], rows)
 
 
 def generate(scoring: Path) -> dict[Path, str]:
