@@ -85,13 +85,13 @@ def grasp_table(columns: Sequence[MatrixColumn]) -> Iterator[str]:
     """Yield the measured values of a grasp, and of torsional and rolling friction, below those of the laws."""
     found = [column for column in columns if column.name in SHOWN]
     of_law = found[0].current()
-    rows = [["law", "", *(expected_text([of_law[name]]) for name in GRASP)]]
+    rows = [["law", *(expected_text([of_law[name]]).split(" ")[0] for name in GRASP)]]
     for column in found:
         results = [column.current().get(name) for name in GRASP]
         cells = ["-" if one is None or one.measured is None else f"{round(one.measured, 4):.4g}" for one in results]
-        rows.append([column.backend, f"`{column.name}`", *cells])
+        rows.append([column.title.replace(" ", "/"), *cells])
     names = [f"`{name}`" for name in GRASP]
-    yield from markdown_table(["engine", "configuration", *names], rows)
+    yield from markdown_table(["engine", *names], rows)
 
 
 def generate(scoring: Path) -> dict[Path, str]:
