@@ -301,8 +301,8 @@ def graded_results(engine: str, preset: str, folder: Path) -> list[Result]:
 COUNTED = ((Status.PASS,), (Status.FAIL, Status.ERROR), (Status.DECLINED,))
 """What the tables count: passed, failed, declined."""
 
-UNRANKED = ("oblique-", "slide-between", "rebound-flat", "joint-")
-"""Checks of what no ranked experiment has: impacts that slip, bodies that rub, flat landings, resistance of hinges."""
+UNRANKED = ("oblique-", "slide-between", "rebound-flat", "joint-", "grasp-", "torsion", "rolling")
+"""Checks of what no ranked experiment has: impacts that slip, bodies that rub, flat landings, joints, grasps, spins."""
 
 
 def failed_checks(known: Mapping[str, Any]) -> int:

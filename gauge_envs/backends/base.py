@@ -459,6 +459,10 @@ class Feature(StrEnum):
     """`Servo` on a joint."""
     TORQUE_MOTOR = "torque motor"
     """`TorqueMotor` on a joint."""
+    TORSION = "torsional friction"
+    """`Contact.torsion_m`."""
+    ROLLING = "rolling friction"
+    """`Contact.rolling_m`."""
 
 
 JOINT_FEATURES = frozenset(
@@ -645,6 +649,10 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
         ):
             if value:
                 missing[feature] = f"the joint of {name!r} has {what}, which this backend does not build"
+    for feature, resists in ((Feature.TORSION, "torsion_m"), (Feature.ROLLING, "rolling_m")):
+        for touch in (one for one in scene.contacts if getattr(one, resists)):
+            joined = f"{touch.first[0]!r} and {touch.second[0]!r}"
+            missing[feature] = f"{joined} touch with {feature.value}, which this backend does not build"
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
             missing[Feature.STATED_INERTIA] = f"{body.name!r} states its inertia, which this backend does not read"

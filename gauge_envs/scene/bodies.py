@@ -221,6 +221,8 @@ class Contact:
         friction: Coulomb coefficient of each pair.
         restitution: Ratio of outgoing to incoming normal speed of each pair.
         mode: Typical behaviour of the contact.
+        torsion_m: Largest torque of friction about the normal, over the normal force [m].
+        rolling_m: Torque against rolling, over the normal force [m].
     """
 
     first: tuple[str, ...]
@@ -228,6 +230,9 @@ class Contact:
     friction: float
     restitution: float
     mode: ContactMode = ContactMode.SUSTAINED
+    # Hashes of scenes whose contacts have none stay.
+    torsion_m: NonNegative = field(default=0.0, repr=False)
+    rolling_m: NonNegative = field(default=0.0, repr=False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -73,7 +73,7 @@ class Scene:
             a body that has a string or an attachment; its bodies start with velocities that tear it, or hang on the
             world by two hinges.
         ParameterError: A contact lists the two bodies of a hinge.
-        ParameterError: Two contacts list the same pair.
+        ParameterError: Two contacts list the same pair, or one has torsional or rolling friction without friction.
         ParameterError: There is air and no cloth.
     """
 
@@ -149,6 +149,11 @@ class Scene:
         """Raise an error if two contacts list the same pair."""
         seen: set[frozenset[str]] = set()
         for contact in self.contacts:
+            if (contact.torsion_m or contact.rolling_m) and not contact.friction:
+                raise ParameterError(
+                    f"scene: {contact.first[0]!r} and {contact.second[0]!r} touch with torsional or rolling friction "
+                    "and without sliding friction, on which engines build both: give a friction above 0"
+                )
             for first, second in self.colliding_pairs(contact):
                 pair = frozenset((first, second))
                 if pair in seen:

@@ -1,4 +1,4 @@
-"""Faults of friction, armature and motors of joints, and of chains on the world."""
+"""Faults of friction, armature and motors of joints, of chains on the world, and of grasps by motors."""
 
 from __future__ import annotations
 
@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import Simulation
-from gauge_envs.scene import JointDynamics, Scene
+from gauge_envs.scene import Box, JointDynamics, Scene, Shape, Sphere
 from gauge_envs.scene.motors import Servo
 from mutations.mutant import Fault, Passed, fault
+from mutations.scenes import change_contacts
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,53 @@ class _SoftFriction(Passed):
         super().__init__(inner, scene)
         self.inner.model.dof_solimp[:] = (0.9, 0.95, 0.001, 0.5, 2.0)
         self.inner.model.dof_solref[:] = (0.02, 1.0)
+
+
+def _grasps(change: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
+    """Return a fault that changes scenes in which bodies with motors touch others."""
+    return lambda scene: change(scene) if scene.motors and scene.contacts else scene
+
+
+def _pads(kind: type, shape: Shape) -> Callable[[Scene], Scene]:
+    """Return a fault that gives bodies of a kind of shape on hinges another shape."""
+    return lambda scene: replace(
+        scene,
+        bodies=tuple(
+            replace(one, shape=shape) if one.name in scene.hung and isinstance(one.shape, kind) else one
+            for one in scene.bodies
+        ),
+    )
+
+
+class _SoftPads(Passed):
+    """Contacts of bodies with motors have MuJoCo's largest softness."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        if scene.motors:
+            self.inner.model.pair_solref[:] = (0.05, 1.0)
+            self.inner.model.pair_solimp[:] = (0.9, 0.9, 0.001, 0.5, 2.0)
+
+
+class _CreepingPads(Passed):
+    """Friction of bodies with motors has the impedance of the normal force."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        if scene.motors:
+            self.inner.model.opt.impratio = 0.1
+
+
+class _TiredMotors(Passed):
+    """Motors lose a third of their torque after 300 intervals."""
+
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        self._count = 0
+
+    def command(self, values: Array) -> None:
+        self._count += 1
+        self.inner.command(0.7 * values if self._count > 300 else values)
 
 
 FAULTS: dict[str, Fault] = dict(
@@ -151,6 +199,37 @@ FAULTS: dict[str, Fault] = dict(
             "joint-between",
             "the second body relative to the first",
             simulation=_ReversedBetween,
+        ),
+        fault("grasp-soft", "pads are soft", "grasp-sink", "its stiffness", simulation=_SoftPads, engine="mujoco"),
+        fault(
+            "grasp-creeps",
+            "pads creep",
+            "grasp-creep",
+            "friction is regularized",
+            simulation=_CreepingPads,
+            engine="mujoco",
+        ),
+        fault("motor-tired", "motors lose torque", "grasp-holds", "than torque over length", simulation=_TiredMotors),
+        fault(
+            "grasp-friction",
+            "friction of pads times 0.95",
+            "grasp-slips",
+            "that both pads rub",
+            scene=_grasps(change_contacts(friction=lambda mu: 0.95 * mu)),
+        ),
+        fault(
+            "grasp-points",
+            "a pad touches at one point",
+            "grasp-torsion",
+            "turns freely",
+            scene=_grasps(_pads(Box, Sphere(radius_m=0.005))),
+        ),
+        fault(
+            "grasp-faces",
+            "a fingertip touches with a face",
+            "grasp-swing",
+            "holds a torque",
+            scene=_grasps(_pads(Sphere, Box(size_m=(0.01, 0.01, 0.01)))),
         ),
     )
 )

@@ -140,11 +140,11 @@ class Mutant(Backend):
 
 
 FAILS_ITSELF: Mapping[str, frozenset[str]] = {
-    "mujoco": frozenset({"oblique-slip-rebound", "rebound-flat"}),
+    "mujoco": frozenset({"grasp-creep", "oblique-slip-rebound", "rebound-flat"}),
     "newton": frozenset({"oblique-slip-rebound", "rebound-flat"}),
     "rapier": frozenset({"oblique-grip-speed", "oblique-slip-friction", "rebound-flat"}),
     "physx": frozenset({"oblique-grip-speed", "oblique-grip-spin"}),
-    "drake": frozenset({"slide-between", "rebound-flat"}),
+    "drake": frozenset({"grasp-creep", "grasp-slips", "grasp-torsion", "slide-between", "rebound-flat"}),
     # The implicit damping of a servo also brakes it at its largest torque.
     "genesis": frozenset({"oblique-grip-speed", "oblique-grip-spin", "joint-limit"}),
 }

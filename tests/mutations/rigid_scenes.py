@@ -247,8 +247,26 @@ def _is_of_two_moving(scene: Scene, contact: Contact) -> bool:
     return set(contact.first) <= moving and set(contact.second) <= moving and contact.first != contact.second
 
 
+def _turning(change: Callable[[Contact], Contact]) -> Callable[[Scene], Scene]:
+    return lambda scene: replace(scene, contacts=tuple(map(change, scene.contacts)))
+
+
 FAULTS: dict[str, Fault] = dict(
     (
+        fault(
+            "torsion-share",
+            "torsional friction times friction",
+            "torsion",
+            "a share of the friction",
+            scene=_turning(lambda one: replace(one, torsion_m=one.torsion_m * one.friction)),
+        ),
+        fault(
+            "rolling-none",
+            "no rolling friction",
+            "rolling",
+            "the dimension of rolling friction",
+            scene=_turning(lambda one: replace(one, rolling_m=0.0)),
+        ),
         fault("margin", "collision margin of 1 mm left in", "contact-listed", "margin", scene=change_bodies(_margin)),
         fault(
             "cylinder-length",

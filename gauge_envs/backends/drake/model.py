@@ -30,6 +30,7 @@ from scipy.spatial import ConvexHull
 
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import BRAKE_RATE_RAD_PER_S, joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
@@ -113,6 +114,10 @@ def build_model(scene: Scene, settings: SettingsDrake) -> Model:
     plant.set_contact_surface_representation(SURFACES[settings.surface])
     plant.set_stiction_tolerance(settings.stiction_speed_m_per_s)
     plant.set_sap_near_rigid_threshold(settings.near_rigid_threshold)
+    asked = {"timestep_s": settings.timestep_s, "near_rigid_threshold": settings.near_rigid_threshold}
+    kept = {"timestep_s": plant.time_step(), "near_rigid_threshold": plant.get_sap_near_rigid_threshold()}
+    asked["approximation"] = _approximation(settings.approximation)
+    check_kept("Drake", asked, kept | {"approximation": plant.get_discrete_contact_approximation()})
     plant.mutable_gravity_field().set_gravity_vector([0.0, 0.0, -scene.gravity_m_per_s2])
     free, driven = plant.AddModelInstance("free"), plant.AddModelInstance("driven")
     plant.set_gravity_enabled(driven, False)

@@ -12,6 +12,7 @@ from gauge_envs.backends.genesis.document import body_label, document, layers_of
 from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.scene import Motion, Scene
@@ -109,6 +110,10 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         if part is not None:
             part.finish(built)
     solver = built.sim.rigid_solver
+    if solver.is_active and solver.constraint_solver is not None:
+        inner = solver.constraint_solver
+        kept = {"tolerance": inner.tolerance, "line_search_iterations": inner.ls_iterations, "timestep_s": built.sim.dt}
+        check_kept("Genesis", settings.model_dump(), kept)
     return Model(
         key=key,
         lease=lease,

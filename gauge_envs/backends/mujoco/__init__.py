@@ -9,9 +9,11 @@ from gauge_envs.backends.base import Feature, ModelFile
 from gauge_envs.backends.mujoco.deformables import unsupported_features
 from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
 from gauge_envs.backends.mujoco.model import build_model
+from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Scene
@@ -49,7 +51,9 @@ class BackendMuJoCo(BundledBackend):
             raise UnsupportedSceneError(reason)
         chosen = settings_for(scene, settings)
         in_force = without_absent(chosen.model_dump(mode="json"))
-        return SimulationMuJoCo(scene, in_force, *build_model(scene, chosen))
+        spec, model, parts = build_model(scene, chosen)
+        check_kept("MuJoCo", in_force, option_settings(model))
+        return SimulationMuJoCo(scene, in_force, spec, model, parts)
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""

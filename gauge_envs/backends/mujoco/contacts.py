@@ -61,7 +61,8 @@ def contact_constants(contact: Contact, settings: SettingsMuJoCo) -> ContactCons
         recipe["solreffriction"] = settings.contact_solreffriction
     friction = _friction(contact, settings)
     # A contact without friction has no tangential constraints, which is exact and cheap.
-    condim = (settings.condim or 3) if friction[0] > 0.0 else 1
+    least = 6 if contact.rolling_m else 4 if contact.torsion_m else 3
+    condim = max(settings.condim or 3, least) if friction[0] > 0.0 else 1
     return ContactConstants(condim=condim, friction=friction, **recipe | given_constants(settings))
 
 
@@ -79,8 +80,8 @@ def given_constants(settings: SettingsMuJoCo) -> dict[str, Any]:
 def _friction(contact: Contact, settings: SettingsMuJoCo) -> tuple[float, ...]:
     if settings.o_friction is not None:
         return settings.o_friction
-    sliding, rolling = settings.friction_scale * contact.friction, settings.rolling_friction_m
-    return (sliding, sliding, settings.torsional_friction_m, rolling, rolling)
+    sliding, rolling = settings.friction_scale * contact.friction, contact.rolling_m or settings.rolling_friction_m
+    return (sliding, sliding, contact.torsion_m or settings.torsional_friction_m, rolling, rolling)
 
 
 def _sustained(settings: SettingsMuJoCo) -> dict[str, Any]:

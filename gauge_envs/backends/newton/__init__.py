@@ -44,7 +44,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.TORSION, Feature.ROLLING}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True

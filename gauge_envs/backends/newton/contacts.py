@@ -6,7 +6,7 @@ consist of particles, which share one friction.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class ShapeConstants:
     solref: tuple[float, float]
     solimp: tuple[float, ...]
     friction_gain_n_s_per_m: float
+    torsion_m: float = 0.0
+    rolling_m: float = 0.0
 
 
 def _constants(contact: Contact, mass_kg: float, settings: SettingsMuJoCoWarp) -> ShapeConstants:
@@ -77,7 +79,11 @@ def pair_constants(scene: Scene, settings: SettingsMuJoCoWarp) -> dict[frozenset
     """Return the constants of each colliding pair of bodies."""
     inverse_masses = {body.name: 1.0 / body.mass_kg for body in scene.dynamic_bodies}
     return {
-        frozenset(pair): _constants(contact, 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair), settings)
+        frozenset(pair): replace(
+            _constants(contact, 1.0 / sum(inverse_masses.get(name, 0.0) for name in pair), settings),
+            torsion_m=contact.torsion_m,
+            rolling_m=contact.rolling_m,
+        )
         for contact in scene.contacts
         for pair in scene.colliding_pairs(contact)
     }

@@ -33,6 +33,7 @@ from gauge_envs.backends.newton.contacts import (
 from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
@@ -371,7 +372,10 @@ def add_strings(builder: newton.ModelBuilder, scene: Scene, index: RigidIndex, s
 
 def _carry(builder: newton.ModelBuilder, shape: int, constants: ShapeConstants, *, newton_material: bool) -> None:
     builder.shape_material_mu[shape] = max(constants.friction, NO_FRICTION)
-    attributes: dict[str, Any] = {"condim": 3 if constants.friction > 0.0 else 1, "geom_priority": 1}
+    builder.shape_material_mu_torsional[shape] = constants.torsion_m
+    builder.shape_material_mu_rolling[shape] = constants.rolling_m
+    dimension = 6 if constants.rolling_m else 4 if constants.torsion_m else 3
+    attributes: dict[str, Any] = {"condim": dimension if constants.friction > 0.0 else 1, "geom_priority": 1}
     if newton_material:
         builder.shape_material_kf[shape] = newton.ModelBuilder.ShapeConfig().kf
     else:
@@ -418,6 +422,10 @@ class StepperMuJoCo(Stepper):
                 njmax=ROWS_PER_POINT * CONTACT_POINTS_PER_PAIR * pair_count + ROWS_PER_WELD * len(driven) + strings
                 or None,
             )
+        option = solver.mjw_model.opt
+        kept = {"iterations": option.iterations, "line_search_iterations": option.ls_iterations}
+        kept |= {"tolerance": option.tolerance.numpy()[0], "impratio": option.impratio_invsqrt.numpy()[0] ** -2}
+        check_kept("Newton", settings.model_dump(), kept)
         has_pipeline = pair_count and not settings.mujoco_contacts
         self._pipeline = collision_pipeline(model) if has_pipeline else None
         self._contacts = self._pipeline.contacts() if self._pipeline else None

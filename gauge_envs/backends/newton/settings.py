@@ -42,7 +42,7 @@ class SettingsMuJoCoWarp(SettingsNewton):
         impratio: Ratio of frictional to normal constraint impedance; values above 1 reduce the creep of resting bodies.
         iterations: Maximum number of solver iterations.
         line_search_iterations: Maximum number of iterations of each line search.
-        tolerance: Solver tolerance.
+        tolerance: Solver tolerance; MuJoCo Warp raises smaller ones to 1e-6.
         sustained_solref: Time constant [s] and damping ratio of sustained contacts.
         sustained_solimp: Impedance of sustained contacts: d0, dwidth, width [m].
         impact_stiffness: Dimensionless stiffness s of impacts, as in the MuJoCo backend: the direct solref of a pair is
@@ -67,7 +67,7 @@ class SettingsMuJoCoWarp(SettingsNewton):
     impratio: float = Field(default=10.0, gt=0.0)
     iterations: int = Field(default=100, ge=1)
     line_search_iterations: Annotated[int, Native("ls_iterations")] = Field(default=50, ge=1)
-    tolerance: float = Field(default=1e-8, ge=0.0)
+    tolerance: float = Field(default=1e-6, ge=1e-6)
     sustained_solref: tuple[float, float] = (0.005, 1.0)
     sustained_solimp: tuple[float, float, float] = (0.95, 0.95, 0.001)
     impact_stiffness: float = Field(default=0.002, gt=0.0)

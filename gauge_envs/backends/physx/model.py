@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
+from gauge_envs.backends.settings import check_kept, put
 from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
@@ -111,21 +112,21 @@ _LEASES: WeakSet[EngineLease] = WeakSet()
 def new_system(settings: SettingsPhysX, gravity_m_per_s2: float) -> physx.PhysxCpuSystem:
     """Return an empty PhysX scene. The defaults of other users of SAPIEN in this process do not change."""
     before = physx.get_scene_config()
-    physx.set_scene_config(
-        gravity=[0.0, 0.0, -gravity_m_per_s2],
-        bounce_threshold=settings.bounce_threshold_m_per_s,
-        enable_pcm=settings.persistent_manifolds,
-        enable_tgs=settings.solver == "TGS",
-        enable_ccd=settings.continuous_detection,
-        enable_enhanced_determinism=settings.enhanced_determinism,
-        enable_friction_every_iteration=settings.friction_every_iteration,
-        cpu_workers=0,
-    )
+    asked = {
+        "bounce_threshold": settings.bounce_threshold_m_per_s,
+        "enable_pcm": settings.persistent_manifolds,
+        "enable_tgs": settings.solver == "TGS",
+        "enable_ccd": settings.continuous_detection,
+        "enable_enhanced_determinism": settings.enhanced_determinism,
+        "enable_friction_every_iteration": settings.friction_every_iteration,
+    }
+    physx.set_scene_config(gravity=[0.0, 0.0, -gravity_m_per_s2], cpu_workers=0, **asked)
     try:
         system = physx.PhysxCpuSystem()
     finally:
         physx.set_scene_config(before)
-    system.timestep = settings.timestep_s
+    check_kept("PhysX", asked, system.config)
+    put("PhysX", system, timestep=settings.timestep_s)
     return system
 
 
@@ -183,8 +184,8 @@ def build_model(scene: Scene, settings: SettingsPhysX) -> Model:
         hinge = hinges.get(body.name)
         component = _link(world, scene, body, linked[body.name], parts) if body.name in linked else _component(body)
         for shape in _shapes(body.shape, groups.get(body.name, {}), materials):
-            shape.contact_offset, shape.rest_offset = settings.contact_offset_m, settings.rest_offset_m
-            shape.patch_radius, shape.min_patch_radius = settings.patch_radius_m, settings.min_patch_radius_m
+            put("PhysX", shape, contact_offset=settings.contact_offset_m, rest_offset=settings.rest_offset_m)
+            put("PhysX", shape, patch_radius=settings.patch_radius_m, min_patch_radius=settings.min_patch_radius_m)
             component.attach(shape)
         centre_m, inertia = body_mass_properties(body)
         parts[body.name] = Part(component, centre_m)
@@ -372,18 +373,26 @@ def _set_mass(
 def _set_limits(component: physx.PhysxRigidBodyComponent, settings: SettingsPhysX) -> None:
     is_link = isinstance(component, physx.PhysxArticulationLinkComponent)
     component.linear_damping = settings.linear_damping_per_s + is_link * settings.link_linear_damping_per_s
-    component.angular_damping = settings.angular_damping_per_s
-    component.max_linear_velocity = settings.max_linear_velocity_m_per_s
-    component.max_angular_velocity = settings.max_angular_velocity_rad_per_s
-    component.max_depenetration_velocity = settings.max_depenetration_velocity_m_per_s
+    put(
+        "PhysX",
+        component,
+        angular_damping=settings.angular_damping_per_s,
+        max_linear_velocity=settings.max_linear_velocity_m_per_s,
+        max_angular_velocity=settings.max_angular_velocity_rad_per_s,
+        max_depenetration_velocity=settings.max_depenetration_velocity_m_per_s,
+    )
     if isinstance(component, physx.PhysxRigidDynamicComponent):
         _set_solver(component, settings)
 
 
 def _set_solver(place: physx.PhysxRigidDynamicComponent | physx.PhysxArticulation, settings: SettingsPhysX) -> None:
-    place.solver_position_iterations = settings.position_iterations
-    place.solver_velocity_iterations = settings.velocity_iterations
-    place.sleep_threshold = settings.sleep_threshold_m2_per_s2
+    put(
+        "PhysX",
+        place,
+        solver_position_iterations=settings.position_iterations,
+        solver_velocity_iterations=settings.velocity_iterations,
+        sleep_threshold=settings.sleep_threshold_m2_per_s2,
+    )
 
 
 def _add_hinge(component: physx.PhysxRigidDynamicComponent, body: RigidBody, hinge: Hinge) -> None:

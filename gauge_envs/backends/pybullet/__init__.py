@@ -9,7 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
-from gauge_envs.backends.pybullet.contacts import surfaces
+from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds
@@ -47,7 +47,12 @@ class BackendPyBullet(BundledBackend):
         "a servo is a torque that this package computes in each step, because Bullet's gains are not in SI units",
     )
     # Bullet's joints have no inertia of their own.
-    features = (JOINT_FEATURES - {Feature.ARMATURE}) | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = (JOINT_FEATURES - {Feature.ARMATURE}) | {
+        Feature.BODY_HINGES,
+        Feature.STATED_INERTIA,
+        Feature.TORSION,
+        Feature.ROLLING,
+    }
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""
@@ -70,6 +75,7 @@ class BackendPyBullet(BundledBackend):
             if isinstance(rope, Rope):
                 yield from _unsupported_rope(scene, rope)
         try:
+            turning_shares(scene)
             yield from _unsupported_hinges(scene)
         except UnsupportedSceneError as error:
             yield str(error)

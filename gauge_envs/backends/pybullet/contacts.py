@@ -52,6 +52,24 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
     return {name: [Surface(frozenset(others), values[0][name], values[1][name])] for name, others in partners.items()}
 
 
+def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
+    """Return torsional and rolling friction of each body's contacts over their friction [m].
+
+    Bullet's value of a pair is that of each body times the friction of the other one, added.
+    """
+    shares: dict[str, tuple[float, float]] = {}
+    for contact, pair in _pairs(scene):
+        friction = contact.friction or 1.0
+        for name in pair:
+            share = (contact.torsion_m / friction, contact.rolling_m / friction)
+            if shares.setdefault(name, share) != share:
+                raise UnsupportedSceneError(
+                    f"contacts of {name!r} differ in torsional or rolling friction over friction, of which Bullet has "
+                    "one for each body"
+                )
+    return shares
+
+
 def _with_copies(
     friction: Mapping[Pair, float],
     restitution: Mapping[Pair, float],

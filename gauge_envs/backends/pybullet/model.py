@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces
+from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces, turning_shares
 from gauge_envs.backends.pybullet.deformables import add_rope, add_soft_body
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
 from gauge_envs.backends.pybullet.world import DRIVEN_MASS_KG, BulletWorld, Frame, Handle, Link, pybullet, silent
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, world_hinges
 from gauge_envs.scene import BodyHinge, Hinge, Motion, RigidBody, Rope, Scene, SoftBody, Tether
@@ -112,6 +113,8 @@ class WorldPyBullet(BulletWorld):
             # The cache knows files by their names, for the whole process.
             enableFileCaching=0,
         )
+        asked = {"fixedTimeStep": settings.timestep_s, "numSolverIterations": settings.solver_iterations}
+        check_kept("PyBullet", asked, self.call("getPhysicsEngineParameters"))
         if settings.split_impulse == "all":
             self.call("setPhysicsEngineParameter", splitImpulsePenetrationThreshold=0.0)
 
@@ -233,7 +236,11 @@ class WorldPyBullet(BulletWorld):
             "contactStiffness": settings.contact_stiffness_n_per_m,
             "contactDamping": settings.contact_damping_n_s_per_m,
         }
+        shares = turning_shares(self.scene)
         for name in self.handles:
+            torsion, rolling = shares.get(name, (0.0, 0.0))
+            # Bullet applies torsional friction only where there is rolling friction.
+            rolling = max(rolling, 1e-6 * torsion)
             is_dynamic = self.scene.body(name).motion is Motion.DYNAMIC
             has_springs = is_dynamic and settings.contact_stiffness_n_per_m is not None
             for surface, handle in self._surface_handles(name):
@@ -241,8 +248,8 @@ class WorldPyBullet(BulletWorld):
                     handle,
                     lateralFriction=surface.friction,
                     restitution=surface.restitution,
-                    rollingFriction=0.0,
-                    spinningFriction=0.0,
+                    rollingFriction=0.5 * self.scale * rolling * surface.friction,
+                    spinningFriction=0.5 * self.scale * torsion * surface.friction,
                     linearDamping=self.settings.linear_damping,
                     angularDamping=self.settings.angular_damping,
                     frictionAnchor=int(self.settings.friction_anchors),

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.settings import SettingsPyBullet
+from gauge_envs.backends.settings import check_kept
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, Motion, Plane, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.meshes import body_mass_properties, hull_faces
@@ -60,6 +61,9 @@ DRIVEN_MASS_KG = 1e6
 
 NO_SHAPE = -1
 """Number of the shape of links that touch nothing."""
+
+DYNAMICS = {"lateralFriction": 1, "rollingFriction": 6, "spinningFriction": 7}
+"""Places in what `getDynamicsInfo` returns; that of the restitution is 0 for some bodies that rebound."""
 
 
 @dataclass(frozen=True)
@@ -219,6 +223,9 @@ class BulletWorld:
     def set_dynamics(self, handle: Handle, **named: Any) -> None:
         """Change dynamic properties of a body or a link."""
         self.call("changeDynamics", handle.body, handle.link, **named)
+        kept = self.call("getDynamicsInfo", handle.body, handle.link)
+        asked = {name: value for name, value in named.items() if name in DYNAMICS}
+        check_kept("PyBullet", asked, {name: kept[place] for name, place in DYNAMICS.items()})
 
     def add_multibody(self, base: dict[str, Any], moments: list[float], links: Sequence[Link]) -> int:
         """Add bodies on joints without friction and motors, and return PyBullet's number of the multibody.

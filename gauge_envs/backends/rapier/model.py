@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
+from gauge_envs.backends.settings import put
 from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
@@ -97,28 +98,32 @@ def _add_joints(world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settin
 
 
 def _set_parameters(parameters: Any, settings: SettingsRapier) -> None:
-    parameters.dt = settings.timestep_s
-    parameters.length_unit = 1.0
-    parameters.num_solver_iterations = settings.solver_iterations
-    parameters.num_internal_pgs_iterations = settings.pgs_iterations
-    parameters.num_internal_stabilization_iterations = settings.stabilization_iterations
-    parameters.friction_model = getattr(rapier.FrictionModel, settings.friction_model.upper())
     parameters.contact_softness = rapier.SpringCoefficients(
         settings.contact_frequency_hz, settings.contact_damping_ratio
     )
     parameters.static_contact_softness = rapier.SpringCoefficients(
         settings.static_contact_frequency_hz, settings.static_contact_damping_ratio
     )
-    parameters.normalized_allowed_linear_error = settings.allowed_linear_error_m
-    parameters.normalized_max_corrective_velocity = settings.max_corrective_velocity_m_per_s
-    parameters.normalized_prediction_distance = settings.prediction_distance_m
-    parameters.contact_clustering = settings.contact_clustering
-    parameters.contact_recycling = settings.contact_recycling
-    parameters.normalized_contact_recycle_distance = settings.recycle_distance_m
-    parameters.warmstart_coefficient = settings.warmstart_coefficient
-    parameters.warmstart_joints = settings.warmstart_joints
-    parameters.friction_in_bias_pass = settings.friction_in_bias_pass
-    parameters.normalized_max_linear_velocity = settings.max_linear_velocity_m_per_s
+    put(
+        "Rapier",
+        parameters,
+        dt=settings.timestep_s,
+        length_unit=1.0,
+        num_solver_iterations=settings.solver_iterations,
+        num_internal_pgs_iterations=settings.pgs_iterations,
+        num_internal_stabilization_iterations=settings.stabilization_iterations,
+        friction_model=getattr(rapier.FrictionModel, settings.friction_model.upper()),
+        normalized_allowed_linear_error=settings.allowed_linear_error_m,
+        normalized_max_corrective_velocity=settings.max_corrective_velocity_m_per_s,
+        normalized_prediction_distance=settings.prediction_distance_m,
+        contact_clustering=settings.contact_clustering,
+        contact_recycling=settings.contact_recycling,
+        normalized_contact_recycle_distance=settings.recycle_distance_m,
+        warmstart_coefficient=settings.warmstart_coefficient,
+        warmstart_joints=settings.warmstart_joints,
+        friction_in_bias_pass=settings.friction_in_bias_pass,
+        normalized_max_linear_velocity=settings.max_linear_velocity_m_per_s,
+    )
 
 
 def _body_builder(body: RigidBody, settings: SettingsRapier) -> tuple[rapier.RigidBodyBuilder, NDArray[np.float64]]:

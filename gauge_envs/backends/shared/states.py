@@ -169,7 +169,9 @@ class StateOrigin:
             parts = (one.bodies, one.deformables, one.joints, one.attachments, one.contacts, one.gravity_m_per_s2)
             # Parts that few scenes have follow, so that the hashes of the others stay.
             dynamics = [hinge.dynamics for hinge in one.hinges if hinge.dynamics != JointDynamics()]
-            rare = "".join(repr(part) for part in (one.air, one.body_hinges, dynamics, one.motors) if part)
+            resists = ((at, touch.torsion_m, touch.rolling_m) for at, touch in enumerate(one.contacts))
+            turned = [values for values in resists if any(values[1:])]
+            rare = "".join(repr(part) for part in (one.air, one.body_hinges, dynamics, one.motors, turned) if part)
             self._hash = hashlib.sha256((repr(parts) + rare).encode()).hexdigest()
         return self._hash
 

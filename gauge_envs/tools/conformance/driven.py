@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -13,7 +12,7 @@ from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driven_box, driver, ramp
 from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, rollout_of
 
 PLATE_M = (0.6, 0.4, 0.02)
 CUBE_M = 0.05
@@ -46,17 +45,14 @@ _turntable = rollout_of(
 """The centripetal acceleration is 0.2 m/s^2; friction can hold 3.9 m/s^2."""
 
 
-@_carry.check(
-    "driven-velocity",
-    tolerance=Tolerance("friction depends on this velocity; 1 % is the tolerance of a slide", absolute=0.01),
-)
+@_carry.check("driven-velocity")
 def _driven_velocity(rollout: Rollout) -> Measurement:
     cruise = rollout.scene.drivers[0].motions[0].rate(0.6)
     speed = rollout.velocity("plate")[rollout.sample_at(0.6), 0]
     return Measurement(measured=float(speed / cruise), expected=1.0)
 
 
-@_turntable.check("driven-path", tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1))
+@_turntable.check("driven-path")
 def _driven_path(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -74,7 +70,7 @@ _flick = rollout_of(
 )
 
 
-@_flick.check("driven-flick", tolerance=Tolerance("a tenth of the real trials' scatter", absolute=0.1))
+@_flick.check("driven-flick")
 def _driven_flick(rollout: Rollout) -> Measurement:
     corners = Box(size_m=PLATE_M).corners_m
     rotated = np.stack([rotation.apply(corners) for rotation in rollout.rotation("plate")])
@@ -92,11 +88,6 @@ def _turn_hint(rollout: Rollout) -> str:
     return f"in each interval it turns {ratio:.3g} times as far as prescribed: drive() gives rad/s" if wrong else ""
 
 
-CARRY: dict[str, Any] = {
-    "source": "Coulomb",
-    "unit": "mm",
-    "tolerance": Tolerance("the real trials' scatter is about 1 mm", absolute=1.0),
-}
 CARRY_DIAGNOSIS = (
     "the driven body must have a velocity in every step, so that friction carries the cube; a piecewise constant speed "
     "jolts the cube at each change, as when the acceleration that drive() gives is ignored"
@@ -106,9 +97,11 @@ CARRY_DIAGNOSIS = (
 @_turntable.check(
     "carry-turn",
     diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
-    **CARRY,
 )
-@_carry.check("carry-line", diagnosis=CARRY_DIAGNOSIS, **CARRY)
+@_carry.check(
+    "carry-line",
+    diagnosis=CARRY_DIAGNOSIS,
+)
 def _slip(rollout: Rollout) -> Measurement:
     """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)
@@ -116,13 +109,7 @@ def _slip(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(np.array(places) - places[0]))
 
 
-@Check(
-    "carry-slip",
-    scene="a cube on a plate that accelerates with 2 m/s^2; friction 0.05",
-    tolerance=Tolerance(
-        "1 % as for a slide, and 1 % because the plate's speed changes within an interval", relative=0.02
-    ),
-)
+@Check("carry-slip")
 def _carry_slip(lab: Lab) -> Measurement:
     start = TrapezoidProfile(start_s=0.0, duration_s=0.5, accelerate_s=0.5, brake_s=0.0, amount=0.25)
     motion = driver("plate", "translate", (1.0, 0.0, 0.0), start)
@@ -180,33 +167,17 @@ def _collided(rollout: Rollout, expected: float, measure: Callable[[float, float
     return Measurement(measured=float("nan"), expected=expected, hint=hint)
 
 
-@_collision.check(
-    "pushed-ball", tolerance=Tolerance("a stiff contact may release some elastic energy; 2 % is 1 cm/s", relative=0.02)
-)
+@_collision.check("pushed-ball")
 def _pushed_ball(rollout: Rollout) -> Measurement:
     return Measurement(measured=_speeds(rollout, BEFORE_S)[0], expected=PUSH_M_PER_S)
 
 
-@_collision.check("collision-momentum", tolerance=Tolerance("only rounding and damping can change it", absolute=1e-3))
+@_collision.check("collision-momentum")
 def _collision_momentum(rollout: Rollout) -> Measurement:
     return _collided(rollout, 1.0, lambda before, left, right: (LEFT_KG * left + RIGHT_KG * right) / (LEFT_KG * before))
 
 
-RELATIVE_SPEED = {
-    "measures": "relative speed of the two balls after their collision, over that before",
-    "source": "Newton's law of restitution",
-}
-
-
-@_slow_collision.check(
-    "collision-slow", tolerance=Tolerance("as for the fast collision", absolute=0.01), **RELATIVE_SPEED
-)
-@_collision.check(
-    "collision-rebound",
-    tolerance=Tolerance(
-        "each ball of a cradle passes on (1 + e) / 2 of its speed: this is 0.5 % for each collision", absolute=0.01
-    ),
-    **RELATIVE_SPEED,
-)
+@_slow_collision.check("collision-slow")
+@_collision.check("collision-rebound")
 def _relative_speed(rollout: Rollout) -> Measurement:
     return _collided(rollout, RESTITUTION, lambda before, left, right: (right - left) / before)

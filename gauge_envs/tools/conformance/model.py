@@ -36,6 +36,7 @@ FAMILIES = (
     "momentum",
     "joints",
     "driven",
+    "grasp",
     "cloth",
     "air",
     "soft",
@@ -107,7 +108,7 @@ def _unknown(_: Lab) -> Measurement:
 class Check:
     """One law that a backend must obey, measured by one number. It decorates the function that measures it.
 
-    The texts of this package's checks are in `checks.toml`, by id.
+    The texts and tolerances of this package's checks are in `checks.toml`, by id, where several do not share them.
 
     Attributes:
         id: Stable name.
@@ -219,8 +220,12 @@ class CheckResult(Outcome):
 
 @cache
 def texts_of_checks() -> dict[str, Any]:
-    """Return the texts of the checks of this package by id, and `canonical`: one id for each phenomenon."""
-    return tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
+    """Return texts and tolerances of the checks of this package by id, and `canonical`: one id for each phenomenon."""
+    texts = tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
+    return {
+        id: one | {"tolerance": Tolerance(**one["tolerance"])} if "tolerance" in one else one
+        for id, one in texts.items()
+    }
 
 
 check = Check

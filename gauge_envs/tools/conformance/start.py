@@ -12,7 +12,7 @@ from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, S
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, largest_mm, torque_free_orientation
-from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded, rollout_of
+from gauge_envs.tools.conformance.model import Check, Measurement, recorded, rollout_of
 
 FLIGHT_S = 0.5
 LINEAR_M_PER_S = (1.2, -0.8, 0.5)
@@ -65,10 +65,7 @@ def _off_line_mm(moved_m: NDArray[np.float64], rollout: Rollout) -> Callable[[ND
     return lambda velocity: largest_mm(moved_m - np.outer(rollout.times_s, velocity))
 
 
-@_thrown_ball.check(
-    "start-velocity",
-    tolerance=Tolerance("nothing acts; single precision rounds each of some hundred steps to 0.1 um", absolute=0.1),
-)
+@_thrown_ball.check("start-velocity")
 def _start_velocity(rollout: Rollout) -> Measurement:
     velocity = np.array(LINEAR_M_PER_S)
     explanations = {
@@ -80,12 +77,7 @@ def _start_velocity(rollout: Rollout) -> Measurement:
     return _explained(_off_line_mm(rollout.displacement("thrown"), rollout), velocity, explanations)
 
 
-@_thrown_brick.check(
-    "start-spin",
-    tolerance=Tolerance(
-        "it rotates by 180 degrees; the tolerance is that of the free rotation after a hit", absolute=3.0
-    ),
-)
+@_thrown_brick.check("start-spin")
 def _start_spin(rollout: Rollout) -> Measurement:
     last = rollout.rotation("thrown")[-1]
     spin = np.array(ANGULAR_RAD_PER_S)
@@ -108,10 +100,7 @@ def _start_spin(rollout: Rollout) -> Measurement:
     return _explained(error_deg, spin, explanations)
 
 
-@_thrown_solid.check(
-    "start-velocity-of-origin",
-    tolerance=Tolerance("the real trials' scatter is about 1 mm; a wrong point gives over 100 mm", absolute=0.5),
-)
+@_thrown_solid.check("start-velocity-of-origin")
 def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     moved = rollout.position("thrown") + rollout.rotation("thrown").apply(CENTRE_M)
     moved -= POSE.to_world(CENTRE_M)
@@ -121,11 +110,7 @@ def _start_velocity_of_origin(rollout: Rollout) -> Measurement:
     return _explained(_off_line_mm(moved, rollout), of_centre, explanations)
 
 
-@Check(
-    "start-velocity-reset",
-    scene="a ball thrown with rotation, reset after 0.1 s",
-    tolerance=Tolerance("m/s and rad/s; single precision keeps seven digits", absolute=1e-4),
-)
+@Check("start-velocity-reset")
 def _start_velocity_reset(lab: Lab) -> Measurement:
     with closing(lab.build(BALL)) as simulation:
         simulation.reset(0)
@@ -172,9 +157,7 @@ def _extremes(lab: Lab) -> Rollout:
     return lab.rollout(Scene(bodies=(thrown, slow), duration_s=2.0, gravity_m_per_s2=0.0))
 
 
-@_extremes.check(
-    "spin-fast", tolerance=Tolerance("bearings and wheels turn faster; 1 % is the tolerance of a slide", relative=0.01)
-)
+@_extremes.check("spin-fast")
 def _spin_fast(rollout: Rollout) -> Measurement:
     rotations = rollout.rotation("thrown")
     turned = (rotations[1:] * rotations[:-1].inv()).magnitude()
@@ -183,15 +166,13 @@ def _spin_fast(rollout: Rollout) -> Measurement:
     return Measurement(measured=rate, expected=SPIN_RAD_PER_S, hint=f"it reports {reported:.4g} rad/s at the end")
 
 
-@_extremes.check(
-    "orientation-unit", tolerance=Tolerance("single precision rounds to 1e-7; a user divides by it", absolute=1e-5)
-)
+@_extremes.check("orientation-unit")
 def _orientation_unit(rollout: Rollout) -> Measurement:
     lengths = np.linalg.norm(rollout.states["thrown"][:, 3:7], axis=1)
     return Measurement(measured=float(lengths[np.abs(lengths - 1.0).argmax()]), expected=1.0)
 
 
-@_extremes.check("slow-drift", tolerance=Tolerance("nothing acts; 1 % is the tolerance of a slide", relative=0.01))
+@_extremes.check("slow-drift")
 def _slow_drift(rollout: Rollout) -> Measurement:
     moved = float(rollout.displacement("slow")[-1, 1])
     return Measurement(measured=1e3 * moved, expected=1e3 * SLOW_M_PER_S * float(rollout.times_s[-1]))

@@ -142,8 +142,8 @@ def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:
 
 def list_materials(patterns: Sequence[str]) -> list[Table]:
     """Return the tables of the measured pairs and fabrics."""
-    from gauge_envs.tools.recipes.materials import material_pairs
-    from gauge_envs.tools.recipes.words import fabric_table, material_table
+    from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
+    from gauge_envs.tools.recipes.words import fabric_table, material_table, published_table
 
-    tables = [material_table(material_pairs()), fabric_table(_fabrics())]
+    tables = [material_table(material_pairs()), published_table(published_pairs()), fabric_table(_fabrics())]
     return arguments.matching(tables, patterns, kind="material")

@@ -3,12 +3,14 @@
 All numbers are those of the task files; none stands here.
 """
 
+import csv
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.tables import read_content, scoring_folder
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,3 +120,9 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
         source=f"{origin} ({', '.join(filter(None, (spec.source.metadata, spec.source.paper)))})",
         uncertainty_source="; ".join(whence),
     )
+
+
+def published_pairs() -> list[dict[str, str]]:
+    """Return friction of further pairs as tables in the literature state it: texts, of which some are ranges."""
+    text = read_content(scoring_folder("facts") / "friction_tables.csv").decode()
+    return [{key: value or "-" for key, value in row.items()} for row in csv.DictReader(text.splitlines())]

@@ -91,6 +91,22 @@ def material_table(pairs: tuple[MaterialPair, ...]) -> Table:
     )
 
 
+PUBLISHED = (
+    "",
+    "Values of tables, for clean and dry surfaces. Samples of one pair differ, steel by a factor of five: measure.",
+    "CTU Code: IMO, ILO and UNECE, Code of Practice for Packing of Cargo Transport Units, annex 7, appendix 2; its "
+    "dynamic value is 75 % of the static one.",
+    "CDA3000: Lust, Engineering Guide CDA3000, appendix A. Surface Improvement: Handbook of Surface Improvement and "
+    "Modification, p. 167. SAE 2001-01-2755: Strauss, Carnahan, Inendino.",
+)
+
+
+def published_table(rows: list[dict[str, str]]) -> Table:
+    """Return friction of further pairs with its sources."""
+    names = {"name": "pair", "static": "static", "dynamic": "dynamic", "rolling_mm": "rolling [mm]", "source": "source"}
+    return Table(columns=tuple(Column(*one) for one in names.items()), rows=rows, notes=PUBLISHED)
+
+
 # --- fabrics ---------------------------------------------------------------------------------------------------------
 
 

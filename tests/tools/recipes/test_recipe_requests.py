@@ -22,7 +22,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
 from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.explain import explain, parsed_contact
-from gauge_envs.tools.recipes.materials import material_pairs
+from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
+from gauge_envs.tools.recipes.words import PUBLISHED
 
 
 def gauge(*arguments: str) -> Any:
@@ -214,8 +215,18 @@ def test_materials_are_listed() -> None:
     result = CliRunner().invoke(app, ["list", "materials", "--json"])
     assert [json.loads(line)["name"] for line in result.stdout.splitlines()] == [
         *(pair.name for pair in material_pairs()),
+        *(pair["name"] for pair in published_pairs()),
         *fabrics(),
     ]
+
+
+def test_published_friction_names_a_source_that_the_list_explains() -> None:
+    explained = " ".join(PUBLISHED)
+    for pair in published_pairs():
+        assert pair["source"].split(",")[0] in explained
+        numbers = [float(one) for key in ("static", "dynamic") for one in pair[key].split(" to ") if one != "-"]
+        assert all(0.05 <= one <= 1.5 for one in numbers)
+        assert numbers or float(pair["rolling_mm"]) > 0.0
 
 
 @pytest.mark.slow

@@ -56,7 +56,7 @@ attributes = {{  # of the foot's shapes: add_shape_box(..., cfg=config, custom_a
 }}
 options = dict(  # SolverMuJoCo(model, **options), which takes contacts from newton.CollisionPipeline
     solver="newton", integrator="{integrator}", cone="{cone}", impratio={impratio},
-    iterations={iterations}, ls_iterations={ls_iterations}, tolerance=1e-8, use_mujoco_contacts=False,
+    iterations={iterations}, ls_iterations={ls_iterations}, tolerance=1e-6, use_mujoco_contacts=False,
 )
 timestep = {timestep_s}
 """
