@@ -1,6 +1,6 @@
 """Check submissions: their files, what they state, their trajectories, their scores, and a sample run again."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from importlib.metadata import version as installed_version
@@ -9,7 +9,7 @@ from pathlib import Path
 from gauge_envs.backends import backend
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import task_sha256
+from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.variants import find_variant, variants
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
@@ -235,7 +235,7 @@ def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
         "backend": stated.engine,
         "parameters": stated.parameters,
         "settings_given": stated.settings,
-        "task_sha256": task_sha256(find_variant(result.id).family),
+        "revision": task_spec(find_variant(result.id).family).revision,
         "seed": 0,
         "jitter": {},
         "marker_proxy": MarkerProxy.MATERIAL.value,
@@ -266,7 +266,7 @@ def _hints(stated: Statement) -> dict[str, str]:
         "backend": f", the engine of {STATEMENT_FILE}",
         "parameters": f", as {STATEMENT_FILE} states",
         "settings_given": f", as {STATEMENT_FILE} states; settings are the same for all experiments",
-        "task_sha256": ", the hash of the installed task file: run it again with this version of gauge-envs",
+        "revision": ", that of the installed task file: run it again with this version of gauge-envs",
         "seed": ": the calibrated start is run once",
     }
 
@@ -289,8 +289,11 @@ def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
         yield "left_out", f"no result and no reason for {some}: add the files, or the reason in left_out"
 
 
-def _notes(results: Iterable[Result]) -> Iterator[str]:
+def _notes(results: Collection[Result]) -> Iterator[str]:
     made_with = {result.versions["gauge-envs"] for result in results}
+    families = {find_variant(result.id).family: result.task_sha256 for result in results}
+    if other := [family for family, stated in families.items() if stated != task_sha256(family)]:
+        yield f"task files of the same revision, but with another text than those installed: {', '.join(other)}"
     installed = versions()["gauge-envs"]
     for version in sorted(made_with - {installed}):
         yield (
