@@ -78,7 +78,7 @@ bench: $(VENV)/.installed
 gallery: $(VENV)/.installed
 	$(BIN)/python scripts/build_gallery.py
 
-docs: $(VENV)/.installed
+docs: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[docs]"
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 
