@@ -64,7 +64,9 @@ def copy_studies(app: Sphinx) -> None:
     for note in STUDIES.rglob("README.md"):
         name = "index" if note.parent == STUDIES else note.parent.name
         text = re.sub(r"\]\((?:\.\./)?(\w+)/README\.md", r"](\1.md", note.read_text(encoding="utf-8"))
-        text = re.sub(r"\]\(([\w-]+\.(?:png|gif))", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../"))
+        text = re.sub(
+            r"\]\(([\w-]+\.(?:png|gif))", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../")
+        )
         (pages / f"{name}.md").write_text(text, encoding="utf-8")
 
 

@@ -185,11 +185,10 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
-    if not result.has_experiment_file:
-        installed = task_spec(find_variant(result.id).family).revision
-        if result.revision != installed:
-            reason = f"it has revision {result.revision}, and the installed package revision {installed}"
-            raise ResultFileError(f"{result.id}: {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it")
+    installed = 1 if result.has_experiment_file else task_spec(find_variant(result.id).family).revision
+    if result.revision != installed:
+        reason = f"has revision {result.revision}, and the installed package revision {installed}"
+        raise ResultFileError(f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it")
     if not record or "scene" not in record:
         return load_experiment(
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]

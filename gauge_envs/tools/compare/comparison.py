@@ -1,6 +1,6 @@
 """Results of any configurations side by side: their scores, costs and distances, and what the data say of them."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations
@@ -274,10 +274,14 @@ def _has_one_reference(one: ExperimentComparison) -> bool:
 def compare(results: Iterable[Result]) -> Comparison:
     """Return a comparison of results of any experiments, engines, parameters, settings and seeds.
 
-    Of several results of one experiment, configuration and seed the latest counts; a note reports that.
+    Of several results of one experiment the newest revision counts, and of one configuration and seed the latest; notes
+    report both.
     """
-    notes: list[str] = []
-    every = list(_of_one_revision(list(results), notes))
+    given = sorted(results, key=lambda result: result.revision)
+    newest = {one.id: one.revision for one in given}
+    every = [one for one in given if one.revision == newest[one.id]]
+    older = dict.fromkeys(short_id(one.id) for one in given if one.revision < newest[one.id])
+    notes = [f"{name}: results of an older revision are left out; compare them apart" for name in older]
     groups = group_by_configuration(every)
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
@@ -311,15 +315,6 @@ def compare(results: Iterable[Result]) -> Comparison:
         experiments=tuple(experiments),
         notes=(*notes, *_mismatches(every)),
     )
-
-
-def _of_one_revision(results: Sequence[Result], notes: list[str]) -> Iterator[Result]:
-    """Yield the results of the newest revision of each experiment, and note which others are left out."""
-    newest = {one.id: one.revision for one in sorted(results, key=lambda result: result.revision)}
-    older = [one for one in results if one.revision < newest[one.id]]
-    for name in dict.fromkeys(short_id(one.id) for one in older):
-        notes.append(f"{name}: results of an older revision are left out; compare them apart")
-    yield from (one for one in results if one.revision == newest[one.id])
 
 
 def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result], notes: list[str]) -> Cell | None:
