@@ -49,7 +49,7 @@ FILM_FPS = 20.0
 CONTROL_FRACTION = 0.98
 """Share of its limit that the law's policy uses in the pictures of control tasks."""
 
-MOST_FILM_BYTES = 600_000
+MOST_FILM_BYTES = 640_000
 MOST_BYTES = 4_000_000
 """Largest size of a film, and of all pictures of the gallery."""
 
@@ -123,7 +123,7 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
 
 
 def around_motion(pictures: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
-    """Return the part of pictures in which something moves, in the size of a strip: a task's camera shows all its goals."""
+    """Return the part of pictures in which something moves; the camera of a task shows all its goals."""
     frames = np.stack(pictures).astype(np.int16)
     moving = np.ptp(frames, axis=0).max(axis=2) > MOVES_BY
     rows, columns = (np.flatnonzero(moving.any(axis=axis)) for axis in (1, 0))
