@@ -1,8 +1,10 @@
 """Numerical settings of a backend: named presets and validated changes to them."""
 
 import json
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
@@ -62,6 +64,22 @@ def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
 
 
 Settings = TypeVar("Settings", bound=SteppedSettings)
+
+
+def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any]]:
+    """Return the settings that `presets.toml` beside an engine's module states, by name of the preset.
+
+    Args:
+        module: Path of the module.
+        group: First part of the names of the tables.
+    """
+    presets: dict[str, dict[str, Any]] = {}
+    for name, own in tomllib.loads(Path(module).with_name("presets.toml").read_text(encoding="utf-8"))[group].items():
+        if "steps_per_s" in own:
+            own["timestep_s"] = 1 / own.pop("steps_per_s")
+        unset = dict.fromkeys(own.pop("unset", ()))
+        presets[name] = (presets[own.pop("like")] if "like" in own else {}) | own | unset
+    return presets
 
 
 def resolve_settings(

@@ -1,7 +1,7 @@
 """Numerical settings of the Drake backend: its presets and the choice of a preset for a scene.
 
-The content of a scene determines its preset; scores have no influence. A comment at each preset gives the rationale of
-its numbers, measured on closed forms.
+The content of a scene determines its preset; scores have no influence. The presets are in
+`presets.toml`, each with the reasons for its numbers, measured on closed forms.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from gauge_envs.backends.settings import SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import SteppedSettings, read_presets, resolve_settings
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Box, ContactMode, ConvexUnion, Cylinder, Motion, Plane, Scene, Sphere
 
@@ -62,46 +62,7 @@ class SettingsDrake(SteppedSettings):
     tether_rate: float = Field(default=0.2, gt=0.0, le=1.0)
 
 
-# A linear contact has one restitution at all speeds. At this rate the phase of the first step in contact changes it by
-# 0.005. A relaxation time of 20 steps keeps balls with sustained contacts from rebounding by more than 0.05.
-IMPACT: dict[str, Any] = {
-    "approximation": "sap",
-    "contact_model": "point",
-    "sustained_rate": 1.0,
-    "sustained_relaxation_steps": 20.0,
-    "impact_rate": 0.03,
-}
-
-PRESETS: dict[str, SettingsDrake] = {
-    # A cube slides within 0.001 % of Coulomb's law, and a prism within 0.2 %. `sap` and `similar` lift a sliding box by
-    # up to (mu v)^2 / 2g. `tamsi` does not converge in piles at a rate of 3, and Drake 1.58 has dropped it. `lagged`
-    # makes bodies stick if contacts are too stiff: the prism at a rate of 4, or at 1 with the surface `polygon`.
-    "default": SettingsDrake(preset="default", timestep_s=1 / 3600),
-    # A rolling cylinder accelerates 5 % too slowly at 1/1800 s and 0.9 % here; at a rate of 1 it is 1.2 %.
-    "rolling": SettingsDrake(preset="rolling", timestep_s=1 / 9000, sustained_rate=2.0),
-    # With a restitution of 0.2, gravity during the contact takes 0.007 of it at half the frequency.
-    "impact": SettingsDrake(preset="impact", timestep_s=1 / 72000, **IMPACT),
-    # Gravity has no part in horizontal impacts, so longer contacts do.
-    "impact_chain": SettingsDrake(preset="impact_chain", timestep_s=1 / 36000, **IMPACT),
-    # A polyhedron touches a plane at its corners alone. A hydroelastic corner is a small surface, whose force grows
-    # with the cube of the depth: a cube of 105 mm that strikes with 1.5 m/s sinks in by 25 mm, and its spin is 24 %
-    # off. Here it is within 5 %, and friction in an impact within 6 %. At 1/3600 s and a rate of 0.4, which is as
-    # stiff, `lagged` friction is 48 % too large.
-    "corners": SettingsDrake(preset="corners", timestep_s=1 / 9000, contact_model="point", impact_rate=0.2),
-    # The energy of a pendulum oscillates by 0.04 %.
-    "contact_free": SettingsDrake(preset="contact_free", timestep_s=1 / 9000),
-    # The contact surfaces of a wall of 118 bricks have 17 000 faces, which take 220 s for a simulated second.
-    "stack": SettingsDrake(preset="stack", timestep_s=1 / 900, contact_model="point"),
-    # One approximation each, otherwise as `default`.
-    "tamsi": SettingsDrake(preset="tamsi", timestep_s=1 / 3600, approximation="tamsi"),
-    "sap": SettingsDrake(preset="sap", timestep_s=1 / 3600, approximation="sap"),
-    "similar": SettingsDrake(preset="similar", timestep_s=1 / 3600, approximation="similar"),
-    "lagged": SettingsDrake(preset="lagged", timestep_s=1 / 3600, approximation="lagged"),
-    "point": SettingsDrake(preset="point", timestep_s=1 / 3600, contact_model="point"),
-    # Drake's documented defaults, at the rate of the paper's rigid runs; only masses, shapes and friction come from the
-    # scene.
-    "out_of_box": SettingsDrake(preset="out_of_box", timestep_s=1 / 180, drake_material=True),
-}
+PRESETS = {name: SettingsDrake(preset=name, **own) for name, own in read_presets(__file__).items()}
 
 LARGE_STACK = 20
 """Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""

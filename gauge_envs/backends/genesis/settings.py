@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs.backends.settings import SteppedSettings, read_presets
 from gauge_envs.backends.shared.cells import CellSize
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
@@ -88,49 +88,7 @@ class SettingsGenesis(SteppedSettings):
         return self
 
 
-OUT_OF_BOX = SettingsGenesis(
-    preset="out_of_box",
-    timestep_s=1 / 180,
-    precision=32,
-    iterations=25,
-    # Genesis's `tolerance=None` stands for this in single precision; with MuJoCo compatibility it is ten times larger.
-    tolerance=1e-6,
-    friction_cone="pyramidal",
-    contact_resolution="convex",
-    impratio=1.0,
-    pruning_tolerance=0.02,
-    # Twice the step: Genesis raises its default of 0.01 s to it.
-    sustained_timeconst_s=2 / 180,
-    sustained_impedance=(0.9, 0.95, 0.001),
-    impact_steps=None,
-    hinge_armature_kg_m2=0.1,
-)
-
-PRESETS: dict[str, SettingsGenesis] = {
-    "default": SettingsGenesis(preset="default", timestep_s=1 / 9000),
-    # Impacts alone: a rebound depends on the moment within a step at which it starts. Of 0.2, it is within 0.0045 with
-    # 100 steps of contact, which last 3 ms here.
-    "impact": SettingsGenesis(preset="impact", timestep_s=1 / 36000, impact_steps=100),
-    "impact_chain": SettingsGenesis(preset="impact_chain", timestep_s=1 / 9000),
-    "contact_free": SettingsGenesis(preset="contact_free", timestep_s=1 / 1800),
-    # Many resting contacts: a step of a wall of 118 bricks takes 15 ms with the pyramidal cone, and 86 ms with
-    # Signorini contacts. The wall sinks by 0.4 mm then, and by 0.2 mm with them.
-    "stack": SettingsGenesis(
-        preset="stack",
-        timestep_s=1 / 900,
-        iterations=25,
-        tolerance=1e-6,
-        friction_cone="pyramidal",
-        contact_resolution="convex",
-        impratio=1.0,
-        pruning_tolerance=0.02,
-        sustained_timeconst_s=0.005,
-    ),
-    # Genesis's defaults at the rate of the paper's rigid runs; only masses, shapes and friction come from the scene.
-    "out_of_box": OUT_OF_BOX,
-    # The paper states 180 Hz, and that all settings but the physical parameters are defaults.
-    "paper": OUT_OF_BOX.model_copy(update={"preset": "paper"}),
-}
+PRESETS = {name: SettingsGenesis(preset=name, **own) for name, own in read_presets(__file__).items()}
 
 
 SOFT_CELL_M = 0.0125

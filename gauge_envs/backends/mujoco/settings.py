@@ -1,7 +1,7 @@
 """Numerical settings of the MuJoCo backend: its presets and the choice of a preset for a scene.
 
-The content of a scene determines its preset; scores have no influence. A comment at each preset gives the rationale of
-its numbers.
+The content of a scene determines its preset; scores have no influence. The presets are in
+`presets.toml`, each with the reasons for its numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
-from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
@@ -154,124 +154,12 @@ class SettingsMuJoCo(SteppedSettings):
         return softness
 
 
-CLOTH = SettingsMuJoCo(
-    preset="cloth",
-    timestep_s=1 / 900,
-    integrator="discrete",
-    cone="pyramidal",
-    impratio=1.0,
-    solver="CG",
-    iterations=2000,
-    tolerance=1e-7,
-)
-
-PRESETS: dict[str, SettingsMuJoCo] = {
-    # Chosen on closed forms, not on scores: acceleration and hops in a slide, creep on a slope below the friction
-    # angle, and drift on a plate at constant speed. MuJoCo's contact constraints omit the acceleration due to the
-    # rotation of the contact point. A body on a plate that rotates at omega therefore slips outward at about
-    # omega^2 r times half the contact's time constant: 11 mm/s with the default 0.02 s at 4 rad/s and 74 mm, 1 mm/s
-    # with 0.002 s. With such a short time constant, sliding bodies hop unless the time step is short too. The elliptic
-    # cone with impratio 10 keeps creep at 2 um/s.
-    "contact": SettingsMuJoCo(preset="contact", timestep_s=1 / 9000),
-    # Chains of bodies in contact that collide: an impedance close to 1 keeps their contacts hard, so that the impulse
-    # leaves one contact before it builds up in the next.
-    "impact_chain": SettingsMuJoCo(preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)),
-    # No contact: RK4 holds the energy of a pendulum to 1e-6 in 100 s.
-    "contact_free": SettingsMuJoCo(preset="contact_free", timestep_s=1 / 1800, integrator="RK4"),
-    # Many resting contacts: the cheaper pyramidal cone, softer contacts and a longer time step.
-    "stack": SettingsMuJoCo(
-        preset="stack",
-        timestep_s=1 / 900,
-        cone="pyramidal",
-        impratio=1.0,
-        sustained_solref=(0.01, 1.0),
-        sustained_solimp=(0.95, 0.99, 0.001),
-    ),
-    # Deformable bodies: the integrator `discrete` treats elasticity implicitly. At 1/900 s the marker trajectories of a
-    # flung cloth are within 0.5 mm of those at half the step for 2 s, and within 6 mm (rms) for a whole episode. Cells
-    # of 25 mm put a vertex under each marker. Newton's method assembles and factors the stiffness of the whole cloth in
-    # every step, also without any contact; conjugate gradients multiply with it, and are twice as fast at the same
-    # tolerance (studies/cost). `iterations` also limits the inner solve with the stiffness. A tolerance of 1e-7 moves
-    # a flung fabric by 0.005 mm in 1.3 s; with 1e-6 the work of its grip is 1.5 % off.
-    "cloth": CLOTH,
-    # Bodies push into the cloth. Contacts need the smaller tolerance, and a larger one saves nothing here: the time
-    # goes into the assembly of the stiffness.
-    "cloth_probed": CLOTH.model_copy(update={"preset": "cloth_probed", "tolerance": 1e-8}),
-    # Dynamic bodies on cloth. Three requirements decide: a cube rests on a slope of 10 degrees, slides on 30 degrees,
-    # and moves along with the cloth at constant speed. MuJoCo softens the contacts of light bodies: with its default
-    # impedance, a cube of 0.34 kg on vertices of 0.3 g creeps by 15 mm/s on 10 degrees. With much stiffer contacts the
-    # load jumps from vertex to vertex and the cloth slips away. The same happens with the pyramidal cone, which
-    # stiffens the normal direction by 2 / mu^2. Half the time constant keeps the cube from sinking in deeper than the
-    # thickness of the cloth. Cloth without dynamic bodies keeps the preset `cloth`, since a short time constant adds
-    # energy: 2 % of the work of a probe that touches a framed cloth.
-    "cloth_loaded": SettingsMuJoCo(
-        preset="cloth_loaded",
-        timestep_s=1 / 900,
-        integrator="discrete",
-        impratio=1.0,
-        cloth_solref=(0.0025, 1.0),
-        cloth_solimp=None,
-        cloth_softness_m2_per_kg=0.0375,
-    ),
-    # Cloth that folds over and between bodies has thousands of contacts. Conjugate gradients with few iterations are
-    # five times faster than Newton's method here, and larger cells reduce the cost further.
-    "drape": SettingsMuJoCo(
-        preset="drape",
-        timestep_s=1 / 900,
-        integrator="discrete",
-        cone="pyramidal",
-        impratio=1.0,
-        solver="CG",
-        iterations=50,
-        cell_m=1 / 30,
-    ),
-    # The limit on iterations also applies to the inner solve with the stiffness, which needs hundreds of iterations for
-    # foam bonded to rubber.
-    "soft": SettingsMuJoCo(
-        preset="soft", timestep_s=1 / 900, integrator="discrete", cone="pyramidal", impratio=1.0, iterations=2000
-    ),
-    "rod": SettingsMuJoCo(preset="rod", timestep_s=1 / 1800, integrator="discrete"),
-    # MuJoCo's documented defaults; only masses, shapes and friction come from the scene. The time step does not divide
-    # the drive interval of environments, so this preset has its own `drive_interval_s`.
-    "out_of_box": SettingsMuJoCo(
-        preset="out_of_box",
-        timestep_s=0.002,
-        drive_interval_s=0.002,
-        integrator="Euler",
-        cone="pyramidal",
-        impratio=1.0,
-        contact_solref=(0.02, 1.0),
-        contact_solimp=(0.9, 0.95, 0.001, 0.5, 2.0),
-    ),
-}
+PRESETS = {name: SettingsMuJoCo(preset=name, **own) for name, own in read_presets(__file__).items()}
 
 TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""
 
-TRAINING_CHANGES: dict[str, dict[str, Any]] = {
-    # A slide ends within 0.6 mm of the default, at 1/1080 s within 7 mm: two steps then fill the time constant of
-    # contacts, and the cube hops.
-    "contact": {"timestep_s": 1 / 1800},
-    "impact_chain": {"timestep_s": 1 / 4500},
-    "contact_free": {"timestep_s": 1 / 540},
-    "stack": {"timestep_s": 1 / 540},
-    # With a quarter of the nodes and this step a flung satin is within 1 mm (rms) of the default for 2 s; cells alone
-    # make 0.8 mm of it. The collision radius grows with the displacement in a step. The tolerance takes a fifth less
-    # time, and changes what the law's policy of Fling reaches by 0.0004 of the limit; cells and step change it by 0.02.
-    "cloth": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-5, "cloth_fold_radius_m": 0.003},
-    "cloth_probed": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6},
-    "cloth_loaded": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6},
-    "drape": {"timestep_s": 1 / 540, "cell_m": 0.05, "tolerance": 1e-6, "cloth_fold_radius_m": 0.003},
-    # Foam has the error of its cells: this step and this tolerance add a tenth to what they leave. Coarser cells are
-    # one or two across a block.
-    "soft": {"timestep_s": 1 / 180, "tolerance": 1e-6},
-    # Contacts need a shorter step: with one cell across and this step, foam is as near the default as with its default
-    # cells and 1/180 s, or nearer, and 2.5 times as fast.
-    "soft_touched": {"timestep_s": 1 / 360, "tolerance": 1e-6, "cell_m": 0.05},
-    # A longer step needs as many more iterations.
-    "rod": {},
-    "rope": {"timestep_s": 1 / 1800},
-}
+TRAINING_CHANGES = read_presets(__file__, "training")
 """What the preset `training` changes in the preset of a scene; `rope` stands for scenes with a rope, `soft_touched` for
 soft bodies with contacts.
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
@@ -192,118 +192,29 @@ class SettingsMPM(SettingsNewton):
 PAPER = "paper"
 """Preset of the paper's runs; its solver depends on the kind of body."""
 
-PAPER_PRESETS: dict[str, SettingsNewton] = {
-    # The paper states the solvers, 180 Hz for rigid bodies and textiles, 900 Hz for volumes, and defaults elsewhere.
-    # Its scenes are OBJ models, and Newton's MuJoCo solver detects contacts with MuJoCo's collision by default.
-    "rigid": SettingsMuJoCoWarp(
-        preset=PAPER,
-        timestep_s=1 / 180,
-        cone="pyramidal",
-        impratio=1.0,
-        newton_material=True,
-        mujoco_contacts=True,
-        meshes=True,
-    ),
-    # Newton's iterations, initial guess, membrane viscosity and friction speed. Its default particles have a radius of
-    # 0.1 m, so contacts are those of this package.
-    "textile": SettingsVBD(
-        preset=PAPER,
-        timestep_s=1 / 180,
-        iterations=10,
-        starts_from_acceleration=False,
-        stretch_damping_n_s_per_m=10.0,
-        friction_speed_m_per_s=1e-2,
-    ),
-    # Newton's default voxel of 0.1 m is larger than the foams, so voxels are those of this package.
-    "volumetric": SettingsMPM(preset=PAPER, timestep_s=1 / 900),
+KINDS: dict[str, type[SettingsNewton]] = {
+    "mujoco": SettingsMuJoCoWarp,
+    "vbd": SettingsVBD,
+    "lines": SettingsLines,
+    "mpm": SettingsMPM,
+}
+"""Settings of each solver, by the `kind` of a preset."""
+
+PAPER_PRESETS = {
+    body: KINDS[own.pop("kind")](preset=PAPER, **own) for body, own in read_presets(__file__, "paper").items()
 }
 """Settings of preset `paper` for each kind of scene."""
 
-PRESETS: dict[str, SettingsNewton] = {
-    # Chosen on closed forms, not on scores. The angular momentum of a tumbling brick drifts by 0.7 % in half a second,
-    # in proportion to the time step. A body on a rotating plate creeps by omega^2 r times half the contact's time
-    # constant, as in MuJoCo; with a shorter time constant, sliding cubes hop higher.
-    "rigid": SettingsMuJoCoWarp(preset="rigid", timestep_s=1 / 3600),
-    # Newton's documented defaults, at the rate of the paper's rigid runs; only masses, shapes and friction come from
-    # the scene. One is not Newton's: contacts come from its collision pipeline, whose normals are accurate. The default
-    # of `use_mujoco_contacts` is True.
-    "out_of_box": SettingsMuJoCoWarp(
-        preset="out_of_box", timestep_s=1 / 180, cone="pyramidal", impratio=1.0, newton_material=True
-    ),
-    "impact_chain": SettingsMuJoCoWarp(
-        preset="impact_chain", timestep_s=1 / 9000, impact_solimp=(0.9999, 0.9999, 0.001)
-    ),
+PRESETS = {
+    **{name: KINDS[own.pop("kind")](preset=name, **own) for name, own in read_presets(__file__).items()},
     PAPER: PAPER_PRESETS["rigid"],
-    "contact_free": SettingsMuJoCoWarp(preset="contact_free", timestep_s=1 / 1800, integrator="rk4"),
-    # Cloth. Chosen by convergence: over 2 s of a fling, trajectories are within 0.4 mm of those with twice the rate and
-    # three times the iterations. Elastic extensions are within 1 % of theory.
-    "cloth": SettingsVBD(preset="cloth", timestep_s=1 / 1440),
-    # A narrow body pushes into the cloth: several contacts of a face share its load, and friction needs more iterations
-    # to converge.
-    "cloth_probed": SettingsVBD(preset="cloth_probed", timestep_s=1 / 1440, iterations=5, full_surface=True),
-    # Dynamic bodies rest on the cloth: with 3, 5 and 10 iterations their friction is 12, 5 and 0.4 % too low.
-    "cloth_loaded": SettingsVBD(preset="cloth_loaded", timestep_s=1 / 1440, iterations=10, full_surface=True),
-    "cloth_fine": SettingsVBD(preset="cloth_fine", timestep_s=1 / 2880, iterations=10),
-    # The paper's rate with Newton's initial guess of a step.
-    "cloth_180hz": SettingsVBD(preset="cloth_180hz", timestep_s=1 / 180, iterations=10, starts_from_acceleration=False),
-    # Foam. Short steps with few iterations: at the same cost, 900 Hz with 10 iterations has five times the error.
-    "soft": SettingsVBD(
-        preset="soft",
-        timestep_s=1 / 3600,
-        starts_from_acceleration=False,
-        full_surface=True,
-        contact_gap_m=0.005,
-    ),
-    "soft_fine": SettingsVBD(
-        preset="soft_fine",
-        timestep_s=1 / 3600,
-        iterations=6,
-        starts_from_acceleration=False,
-        cell_m=0.0125 / 1.5,
-        full_surface=True,
-        contact_gap_m=0.005,
-    ),
-    # Bonded blocks. Only vertices collide, since blocks of one row may have different collision partners. A soft row of
-    # foam and rubber swings at 2.50 Hz with these settings, and at 2.59 Hz with cells of 12.5 mm. It swings at 2.53 Hz
-    # with half the time step, and at 2.49 Hz with cells of 6.25 mm in addition. Time steps below 0.1 ms do not help,
-    # since single precision then damps the swing.
-    "soft_row": SettingsVBD(
-        preset="soft_row",
-        timestep_s=1 / 3600,
-        starts_from_acceleration=False,
-        cell_m=0.0125 / 1.5,
-        contact_gap_m=0.005,
-    ),
-    # Single precision limits a rod: with joints ten times as stiff, or a quarter of the time step, displacements come
-    # close to the last digit of positions. A rod of 1 GPa needs these iterations; for a rod of 10 MPa, 10 iterations
-    # give the same result within 0.1 %.
-    "rod": SettingsLines(preset="rod", timestep_s=1 / 3600),
-    # A ball of 60 times the rope's weight that swings from horizontal gains 0.4 % of its energy. With half the
-    # iterations it gains 1 %, and with a third of the strain at half the rate 9 %.
-    "rope": SettingsLines(preset="rope", timestep_s=1 / 7200, iterations=20, contact_depth_m=3e-5),
-    # The paper's solver for foam, at a fifth of the paper's rate of 900 Hz and at that rate. A simulated second takes
-    # 20 and 70 s.
-    "mpm": SettingsMPM(preset="mpm", timestep_s=1 / 180),
-    "mpm_full": SettingsMPM(preset="mpm_full", timestep_s=1 / 900),
 }
 
 
 TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""
 
-TRAINING_CHANGES: dict[str, dict[str, Any]] = {
-    "rigid": {"timestep_s": 1 / 1800},
-    "impact_chain": {"timestep_s": 1 / 4500},
-    "contact_free": {"timestep_s": 1 / 540},
-    # The step is halved where a fabric needs it, as for the other presets.
-    "cloth": {"timestep_s": 1 / 360, "cell_m": 0.05},
-    "cloth_probed": {"timestep_s": 1 / 360, "cell_m": 0.05},
-    "cloth_loaded": {"timestep_s": 1 / 720, "cell_m": 0.05},
-    "soft": {"timestep_s": 1 / 900, "cell_m": 0.025},
-    "soft_row": {"timestep_s": 1 / 1800, "cell_m": 0.0125},
-    "rope": {"timestep_s": 1 / 3600, "cell_m": 0.02},
-    "rod": {"timestep_s": 1 / 1800, "iterations": 20},
-}
+TRAINING_CHANGES = read_presets(__file__, "training")
 """What the preset `training` changes in the preset of a scene.
 
 Chosen by distance to the default settings and cost; `scoring/convergence/newton.csv` has both for each id.

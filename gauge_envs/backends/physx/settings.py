@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.scene import Scene
 
 STACK_BODIES = 20
@@ -80,72 +80,7 @@ class SettingsPhysX(SteppedSettings):
         return self
 
 
-ISAAC = SettingsPhysX(
-    preset="isaac",
-    # Isaac Lab's own step is 1/60 s, which does not divide the 1/180 s of environments.
-    timestep_s=1 / 180,
-    # isaaclab/sim/simulation_cfg.py, PhysxCfg: solver_type 1, bounce_threshold_velocity 0.5, enable_ccd and
-    # enable_enhanced_determinism off, friction_offset_threshold 0.04 and friction_correlation_distance 0.025, which
-    # follow from a length scale of 1. An actor's iterations are clamped to 1..255 and 0..255.
-    solver="TGS",
-    bounce_threshold_m_per_s=0.5,
-    continuous_detection=False,
-    enhanced_determinism=False,
-    tolerance_length_m=1.0,
-    tolerance_speed_m_per_s=10.0,
-    # omni/schema/source/physxSchema/schema.usda of NVIDIA-Omniverse/PhysX, which holds for what RigidBodyPropertiesCfg
-    # leaves at None: PhysxRigidBodyAPI and PhysxSceneAPI (collisionSystem PCM).
-    position_iterations=16,
-    velocity_iterations=1,
-    linear_damping_per_s=0.0,
-    angular_damping_per_s=0.05,
-    max_linear_velocity_m_per_s=1e16,
-    max_angular_velocity_rad_per_s=100.0,
-    max_depenetration_velocity_m_per_s=3.0,
-    sleep_threshold_m2_per_s2=5e-5,
-    persistent_manifolds=True,
-    # PhysxCollisionAPI: no rest offset. Isaac Sim derives the contact offset of a shape from its extent, and gives
-    # planes 0.02 m.
-    rest_offset_m=0.0,
-    contact_offset_m=0.02,
-    patch_radius_m=0.0,
-    min_patch_radius_m=0.0,
-    # omni.physx/plugins/PhysXScene.cpp does not set PhysX's flag for it.
-    friction_every_iteration=False,
-    # A hinge of UsdPhysics outside an articulation.
-    hinges="joint",
-    sustained_restitution=True,
-)
-
-PRESETS: dict[str, SettingsPhysX] = {
-    # Chosen on closed forms, not on scores. At 1/1800 s a slide on 30 degrees is within 0.002 % of g (sin - mu cos),
-    # rebounds of 0.577 are within 0.2 %, a pendulum from 90 degrees gains 0.14 % of its energy in 100 s, a tumbling
-    # brick turns wrongly by 2.0 degrees in half a second, and a carried cube creeps by 0.1 micrometres. At 1/180 s
-    # these are 0.001 %, 1 %, 1.6 %, 19 degrees and 2.5 micrometres. At 1/3600 s the brick is at 0.9 degrees, but
-    # single precision lets the carried cube creep by 13 micrometres, and at 1/9000 s by 85. TGS with 10 iterations:
-    # PGS rebounds 8 to 15 % wrong at 1/180 s. The bounce threshold is four times the speed that a resting body gains
-    # in a step, 5 mm/s. PhysX's angular damping and caps on speed are no physics of the scenes, and a body that falls
-    # asleep stops, so all are off. Articulations keep hinges closed to 0.1 micrometres.
-    "default": SettingsPhysX(preset="default", timestep_s=1 / 1800),
-    # Many bodies: half the steps. A pile sinks by 0.2 micrometres, and a rebound of 0.5 is 0.4 % high.
-    "stack": SettingsPhysX(preset="stack", timestep_s=1 / 900),
-    # SAPIEN 3.0.3's values for what the scene does not state, at the rate of the paper's rigid runs.
-    "out_of_box": SettingsPhysX(
-        preset="out_of_box",
-        timestep_s=1 / 180,
-        bounce_threshold_m_per_s=2.0,
-        angular_damping_per_s=0.05,
-        link_linear_damping_per_s=0.05,
-        max_angular_velocity_rad_per_s=100.0,
-        sleep_threshold_m2_per_s2=0.005,
-        hinges="joint",
-        sustained_restitution=True,
-    ),
-    "isaac": ISAAC,
-    # The paper states Isaac Sim 6.0 at 180 Hz, and that all settings but the physical parameters are defaults. The
-    # schema's bounce threshold is 0.
-    "paper": ISAAC.model_copy(update={"preset": "paper", "bounce_threshold_m_per_s": 0.0}),
-}
+PRESETS = {name: SettingsPhysX(preset=name, **own) for name, own in read_presets(__file__).items()}
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPhysX:

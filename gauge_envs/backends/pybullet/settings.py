@@ -1,7 +1,7 @@
 """Numerical settings of the PyBullet backend: its presets and the choice of a preset for a scene.
 
-The content of a scene determines its preset; scores have no influence. A comment at each preset gives the rationale of
-its numbers.
+The content of a scene determines its preset; scores have no influence. The presets are in
+`presets.toml`, each with the reasons for its numbers.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
@@ -114,49 +114,7 @@ class SettingsPyBullet(SteppedSettings):
         return damping
 
 
-PRESETS: dict[str, SettingsPyBullet] = {
-    # Bodies in contact, and free joints. All reasons were measured on closed forms:
-    # - units_per_m: convex solids float by 0.01 mm; by 1 mm at 1 unit per metre.
-    # - late_impacts, split_impulse: e = 0.5 gives 0.5001. With Bullet's speculative contacts and the correction of
-    #   penetrations by velocity it gives 0.58 at 1/1800 s and 0.69 at 1/9000 s.
-    # - planes: a box on a leaning plane slides within 0.01 %; on Bullet's plane 2.5 % too slowly at 1/1800 s.
-    # - timestep_s: a cylinder rolls within 0.5 %; within 1.8 % at 1/1800 s, since its contact points lag behind.
-    #   A tumbling brick keeps its angular momentum within 0.24 % in 0.5 s; 1.2 % at 1/1800 s.
-    # - residual_threshold: Bullet's 1e-7 depends on the unit of length; 0 always takes all iterations.
-    "contact": SettingsPyBullet(preset="contact", timestep_s=1 / 9000),
-    # Bodies on joints that collide. Split impulses do not act on them, so that a correction of penetrations would add
-    # to the rebound: by 0.08 at 1/1800 s. Nothing is corrected instead; such bodies do not rest on each other.
-    "joint_impact": SettingsPyBullet(preset="joint_impact", timestep_s=1 / 9000, contact_erp=0.0),
-    # Ropes. A falling rope gains 2.5 % of its energy in the first swing, 6.5 % at 1/3600 s and 1.3 % at 1/18000 s,
-    # because Bullet integrates the inertia of turning segments explicitly.
-    "rope": SettingsPyBullet(preset="rope", timestep_s=1 / 9000, contact_erp=0.02),
-    # Soft bodies. Elastic forces are explicit, so that the step must be shorter than the time of a sound wave through a
-    # tetrahedron. It is halved until it is at most STABLE_SHARE of that time, unless the user gives it.
-    "soft": SettingsPyBullet(preset="soft", timestep_s=1 / 4500),
-    # 20 dynamic bodies or more. With warm starting from all of the last step's impulses, a wall of 118 bricks creeps by
-    # 0.013 mm in 0.5 s at 20 iterations. With Bullet's share of 0.1 it creeps by 1 mm at 50 iterations. One step
-    # corrects 2 % of a penetration, so that a ball on a string gains at most 0.02 in restitution.
-    "stack": SettingsPyBullet(preset="stack", timestep_s=1 / 1800, solver_iterations=20, contact_erp=0.02),
-    # PyBullet as it starts, with damping and its plane; the step is the paper's. Pairs are evaluated in a fixed order
-    # (deterministicOverlappingPairs), without which two runs differ.
-    "out_of_box": SettingsPyBullet(
-        preset="out_of_box",
-        timestep_s=1 / 180,
-        units_per_m=1.0,
-        residual_threshold=1e-7,
-        contact_erp=0.08,
-        warm_starting=0.1,
-        split_impulse="deep",
-        rebound_threshold=0.2,
-        late_impacts=False,
-        planes="plane",
-        polyhedral_features=False,
-        reduced_coordinates=True,
-        island_size=DEFAULT_ISLAND_SIZE,
-        linear_damping=0.04,
-        angular_damping=0.04,
-    ),
-}
+PRESETS = {name: SettingsPyBullet(preset=name, **own) for name, own in read_presets(__file__).items()}
 
 STACK_BODY_COUNT = 20
 """Number of dynamic bodies from which a scene counts as a stack."""

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from gauge_envs.backends.settings import Native, SteppedSettings, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.scene import Scene
 
 
@@ -67,30 +67,7 @@ class SettingsRapier(SteppedSettings):
     threads: int = Field(default=1, ge=1, le=256)
 
 
-# Each choice follows from a closed form, with the numbers of the conformance checks.
-PRESETS = {
-    "default": SettingsRapier(
-        preset="default",
-        # 3600 substeps a second. A ball that drops by 0.5 m rebounds to 0.998 e at 1/1800 s, and to 0.987 e at 1/180 s.
-        # Positions round in each substep: a thrown ball leaves its line by 0.02 mm in 0.5 s, with twice the substeps by
-        # 0.2 mm.
-        timestep_s=1 / 1800,
-        solver_iterations=2,
-        # A body sinks by 0.004 mm. With Rapier's 30 and 60 Hz it is 0.28 and 0.07 mm, and 4 mm under eight layers of
-        # bricks.
-        contact_frequency_hz=240.0,
-        static_contact_frequency_hz=240.0,
-        # Recycled points stay in place while the bodies move on. A box sinks 33 mm into a convex solid, and a cube
-        # slips by 14 mm on a plate that carries it round.
-        contact_recycling=False,
-        # Rapier's damping of 0.1 N m s has no counterpart in the scene. A pendulum of 0.1 kg creeps to rest.
-        hinge_damping_n_m_s=0.0,
-        # Slow bodies fall asleep in flight: a ball with 0.1 m/s does not rebound.
-        sleep=False,
-    ),
-    # The step is the paper's. Its users make hinges as impulse joints, the first kind in Rapier's guides.
-    "out_of_box": SettingsRapier(preset="out_of_box", timestep_s=1 / 180, hinge_joint="impulse"),
-}
+PRESETS = {name: SettingsRapier(preset=name, **own) for name, own in read_presets(__file__).items()}
 """Presets by name. Both are for every scene."""
 
 
