@@ -1,4 +1,4 @@
-"""Build the band of the pushed cube (`scoring/bands/CubePush-light`) from the facts, and the facts from the source.
+"""Build the band of the pushed cube (`scoring/bands/CubePush-light`) and its trials from the facts.
 
     python scripts/build_pushes.py                  writes the band
     python scripts/build_pushes.py --check          fails if a file differs from what the facts give
@@ -29,6 +29,7 @@ import hashlib
 import io
 import sys
 import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -273,7 +274,8 @@ def read_pushes(scoring: Path = SCORING) -> Pushes:
 
 def generate(scoring: Path) -> dict[Path, str]:
     """Return the text of every generated file."""
-    cubes_mm = read_pushes(scoring).cubes_mm()[:, :, 0]
+    pushes = read_pushes(scoring)
+    cubes_mm = pushes.cubes_mm()[:, :, 0]
     mean, sigma = cubes_mm.mean(axis=0), cubes_mm.std(axis=0, ddof=1)
     error = np.hypot(NOISE_MM, ALIGN_ERROR_S * FRAME_RATE_HZ * np.abs(np.gradient(mean)))
     table = ["frame,mean.cube.x,sigma.cube.x,uncertainty.cube.x", *_rows(np.column_stack([mean, sigma, error]))]
@@ -288,7 +290,21 @@ def generate(scoring: Path) -> dict[Path, str]:
         "projection = [[1, 0, 0]]  # the yaw of the hand, which moves the cube along y, is not known",
         f'source = "{SOURCE}; {len(cubes_mm)} pushes in the common time of the hand"',
     ]
+    own = [
+        "# Own starts and driven motions of the trials. Written by scripts/build_pushes.py; do not edit.",
+        f"times_s = {driver_values(pushes)[0].round(2).tolist()}",
+    ]
+    hands_m = [pushes.hand_path(np.array([START_S]), trial)[0, :3] for trial in range(len(cubes_mm))]
+    places_m = {"cube": [[*(1e-3 * one[0, :2]), HALF_EDGE_M] for one in pushes.cubes_mm()], "hand": hands_m}
+    for name, several in places_m.items():
+        own += [f"start_m.{name} = [", *(f"    {_numbers(place)}," for place in several), "]"]
+    own.append("motions.hand = [")
+    for trial in range(len(cubes_mm)):
+        motions = driver_values(pushes, trial)[1].T[[3, 0, 1, 2]]
+        own += ["    [", *(f"        {_numbers(one)}," for one in motions), "    ],"]
+    own.append("]")
     files = {
+        scoring / "trials" / f"{NAME}.toml": own,
         scoring / "bands" / f"{NAME}.csv": table,
         scoring / "bands" / f"{NAME}.toml": sidecar,
         scoring / "trials" / f"{NAME}.csv": singles,
@@ -299,6 +315,11 @@ def generate(scoring: Path) -> dict[Path, str]:
 def _rows(values: FloatArray) -> list[str]:
     """Return the rows of a table, with the number of the frame before them."""
     return [",".join([str(frame), *(f"{value:.3f}" for value in row)]) for frame, row in enumerate(values)]
+
+
+def _numbers(values: Sequence[float] | FloatArray) -> list[float]:
+    """Return metres or radians with seven decimals: a cube that starts 0.1 mm away travels 1.9 mm farther."""
+    return [round(float(value), 7) + 0.0 for value in values]
 
 
 def driver_values(pushes: Pushes, trial: int | None = None) -> tuple[FloatArray, FloatArray]:

@@ -191,9 +191,11 @@ def jittered_experiment(
     if isinstance(jitter, TrialStart) and shots_of(experiment) is not None:
         moved = with_trial(experiment, jitter.trial)
     elif isinstance(jitter, TrialStart):
-        from gauge_envs.envs.trial_start import trial_scene
+        from gauge_envs.envs.trial_start import driven_trial, trial_scene
 
-        moved = replace(experiment, scene=trial_scene(experiment, jitter.trial))
+        moved = driven_trial(experiment, jitter.trial) or replace(
+            experiment, scene=trial_scene(experiment, jitter.trial)
+        )
     else:
         moved = replace(experiment, scene=jittered(experiment.scene, jitter, seed=seed))
     check_support(moved, backend)

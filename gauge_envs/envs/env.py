@@ -138,8 +138,9 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
             seed: Seed of the engine and of the jitter.
             options: `{"jitter": True}` moves the start at random by the default `Jitter`, as repeats of a real trial
                 scatter; a `Jitter` states other standard deviations. `{"trial": 3}` starts from the positions and
-                velocities of imported trial 3, see `gauge_envs.envs.trial_start.trial_scene`. The scene is then built
-                anew, which takes as long as making the environment. An experiment with single-shot trials starts from
+                velocities of imported trial 3, see `gauge_envs.envs.trial_start.trial_scene`, or replays a bundled
+                one with its own driven path, which then scores it. The scene is built anew, which takes as long as
+                making the environment. An experiment with single-shot trials starts from
                 one of them without an option too: from trial `seed` modulo their number.
 
         Raises:
@@ -154,8 +155,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         if jitter is not None or self.jitter is not None:
             experiment = jittered_experiment(self.experiment, jitter, seed=self.seed_used, backend=self.backend_name)
             self._free()
-            if experiment.trial is not None:
-                self.band = self.arguments.band(experiment)
+            self.band = self.arguments.band(self.experiment if experiment.trial is None else experiment)
             self._build(experiment)
         self.jitter = jitter
         self.simulation.reset(self.seed_used)

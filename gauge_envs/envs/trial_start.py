@@ -1,4 +1,4 @@
-"""Start an episode as an imported trial starts: option `trial` of a reset."""
+"""Start an episode as an imported trial starts, or drive it as a bundled one: option `trial` of a reset."""
 
 from dataclasses import replace
 
@@ -7,12 +7,15 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import AnyExperiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
+from gauge_envs.references.imported import START_FRAMES, DataSource, ImportedVariant, load_imported
+from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
 from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
-from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.scene.geometry import FloatArray, Vector, vector
 from gauge_envs.scene.jitter import swung
+from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
@@ -20,6 +23,31 @@ DIFFERENCE_PER_FRAME = (-1.5, 2.0, -0.5)
 
 SAME_ANGLE_RAD = 1e-12
 """Largest rotation that rounding gives to a body that did not rotate [rad]."""
+
+
+class _DrivenTrials(FileModel):
+    times_s: tuple[float, ...]
+    start_m: dict[str, tuple[Vector, ...]]
+    motions: dict[str, tuple[tuple[tuple[float, ...], ...], ...]]
+
+
+def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
+    """Return an experiment with the start and driven path of a bundled trial, which scores it; None without such."""
+    file, imported = scoring_folder("trials") / f"{experiment.name}.toml", DataSource.IMPORTED
+    if experiment.edited or imported in (experiment.drivers, experiment.reference_source) or not file.is_file():
+        return None
+    known, scene, drivers = read_toml(file, _DrivenTrials), experiment.scene, []
+    count = min(map(len, known.start_m.values()))
+    if not 0 <= trial < count:
+        raise ParameterError(f"{experiment.id}: trial {trial} does not exist: choose 0 to {count - 1}")
+    starts = {name: replace(scene.body(name).pose, position_m=own[trial]) for name, own in known.start_m.items()}
+    for driver in scene.drivers:
+        paths = [SampledProfile(times_s=known.times_s, values=values) for values in known.motions[driver.body][trial]]
+        pairs, point_m = zip(driver.motions, paths, strict=True), starts[driver.body].position_m
+        moved = tuple(replace(motion, point_m=point_m, profiles=(path,)) for motion, path in pairs)
+        drivers.append(replace(driver, motions=moved))
+    bodies = tuple(replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies)
+    return replace(experiment, scene=replace(scene, bodies=bodies, drivers=tuple(drivers)), trial=trial)
 
 
 def trial_scene(experiment: Experiment, trial: int) -> Scene:

@@ -100,8 +100,8 @@ class Deviations:
 
 
 def experiment_sensitivities(experiment: Experiment, backend: str | None) -> Sensitivities | None:
-    """Return the stored sensitivities of an experiment on an engine; None without them, or for an edited scene."""
-    return None if experiment.edited else load_sensitivities(experiment.name, backend)
+    """Return the stored sensitivities of an experiment on an engine; None without, if edited, and for later trials."""
+    return None if experiment.edited or experiment.trial else load_sensitivities(experiment.name, backend)
 
 
 def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:

@@ -35,7 +35,7 @@ def reference_band(experiment: Experiment, *, use_withheld: bool = False) -> Ban
         return shots.band(experiment.trial, experiment.frame_count)
     band = load_band(experiment.name, experiment.reference_source)
     if band is not None and (use_withheld or band.withheld is None):
-        return band
+        return band if experiment.trial is None else band.of_trial(experiment.trial)
     law = law_for(experiment.name)
     if law is None:
         solved = solved_model(experiment.name) if _is_calibrated(experiment) else None

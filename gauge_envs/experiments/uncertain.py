@@ -1,4 +1,4 @@
-"""Uncertain inputs of an experiment as parameters: friction, restitution, mass and start, each with its source."""
+"""Uncertain inputs of an experiment as parameters: constants, masses and starts, each with its source."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ import numpy as np
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.scene_builder import SceneBuilder
 from gauge_envs.experiments.variants import task_path
-from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.references.sensitivities import ConstantUncertainty, input_uncertainties
 from gauge_envs.scene import ContactMode, Motion, RigidBody, Sphere, Vector
 from gauge_envs.scene.geometry import FloatArray
 
@@ -76,9 +76,10 @@ def overrides_at(parameters: Sequence[UncertainParameter], sigmas: Sequence[floa
 def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter, ...]:
     """Return the uncertain inputs of an experiment that overrides can state.
 
-    They are friction, and restitution where bodies collide, from `scoring/uncertainties.toml`; the masses of rigid
-    dynamic bodies, as published to 0.1 g; and the start of recorded bodies without joints, from the same file. A cube
-    moves in the plane of the face that it rests on, a ball in all coordinates.
+    They are friction, restitution where bodies collide, and constants of joints, from `scoring/uncertainties.toml`; the
+    masses of rigid dynamic bodies, as published to 0.1 g; and the start of recorded bodies without joints, unless it is
+    that of a trial, from the same file. A cube moves in the plane of the face that it rests on, a ball in all
+    coordinates.
 
     Args:
         experiment: The experiment; a variant of the package, with the scene of its task file.
@@ -88,9 +89,32 @@ def uncertain_parameters(experiment: TaskExperiment) -> tuple[UncertainParameter
     )
     return (
         *_contacts(builder, experiment.variant.material),
+        *_joints(builder, experiment.variant.material),
         *_masses(builder, experiment),
         *_starts(builder, experiment),
     )
+
+
+def _constant(
+    owner: str, constant: str, value: float, entry: ConstantUncertainty, material: str | None, high: float = math.inf
+) -> UncertainParameter:
+    return UncertainParameter(
+        name=f"{owner}.{constant}",
+        key=f"{owner}.{constant}",
+        value=value,
+        std=entry.std(value, material),
+        unit=entry.unit,
+        source=f"scoring/uncertainties.toml: {entry.source}",
+        high=high,
+    )
+
+
+def _joints(builder: SceneBuilder, material: str | None) -> Iterator[UncertainParameter]:
+    for owner, constants in builder.constants.items():
+        for constant, entry in input_uncertainties().joint.items():
+            if value := constants.get(constant):
+                own = f"{material} {owner}"
+                yield _constant(owner, constant, float(value), entry, own if own in entry.relative else material)
 
 
 def _contacts(builder: SceneBuilder, material: str | None) -> Iterator[UncertainParameter]:
@@ -106,15 +130,8 @@ def _contacts(builder: SceneBuilder, material: str | None) -> Iterator[Uncertain
         for owner in owners:
             value = builder.constants.get(owner, {}).get(constant)
             if value:
-                yield UncertainParameter(
-                    name=f"{owner}.{constant}",
-                    key=f"{owner}.{constant}",
-                    value=float(value),
-                    std=entry.std(float(value), material),
-                    unit="1",
-                    source=f"scoring/uncertainties.toml: {entry.source}",
-                    high=1.0 if constant == "restitution" else math.inf,
-                )
+                high = 1.0 if constant == "restitution" else math.inf
+                yield _constant(owner, constant, float(value), entry, material, high)
 
 
 def _masses(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[UncertainParameter]:
@@ -136,7 +153,8 @@ def _masses(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[Uncer
 
 def _starts(builder: SceneBuilder, experiment: TaskExperiment) -> Iterator[UncertainParameter]:
     entry = input_uncertainties().start
-    if experiment.scene.joints:
+    # A recorded start has a velocity too.
+    if experiment.scene.joints or experiment.trial is not None:
         return
     for name in experiment.recorded:
         body = experiment.scene.body(name)

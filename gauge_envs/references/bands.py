@@ -122,6 +122,20 @@ class Band:
         if (self.sigma < 0).any():
             raise ShapeError("sigma: a standard deviation is never negative")
 
+    def of_trial(self, trial: int) -> Band:
+        """Return the band of one of its trials, with the uncertainty of measuring it."""
+        assert self.trials is not None and self.uncertainty is not None, "a band of trials, each of them measured"
+        return replace(
+            self,
+            mean=self.trials[trial],
+            sigma=np.nan_to_num(self.uncertainty),
+            trial_count=1,
+            source=f"trial {trial} of {self.source}",
+            sigma_source=SigmaSource.MEASUREMENT,
+            trials=None,
+            normalized_by_baseline=False,
+        )
+
     def project(self, g: ArrayLike) -> FloatArray:
         """Map a generalized trajectory to the band's coordinates.
 

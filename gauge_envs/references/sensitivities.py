@@ -37,6 +37,7 @@ class ConstantUncertainty(FileModel):
 
     relative: dict[str, Positive]
     source: str
+    unit: str = "1"
 
     def std(self, value: float, material: str | None) -> float:
         """Return the standard uncertainty of a constant, in its unit.
@@ -60,6 +61,7 @@ class StandardUncertainties(FileModel):
 
     friction: ConstantUncertainty
     restitution: ConstantUncertainty
+    joint: dict[str, ConstantUncertainty]
     start: StandardUncertainty
     tilt: StandardUncertainty
     trials: _TrialCount

@@ -13,7 +13,8 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import EpisodeError, GaugeError
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
-from gauge_envs.experiments.uncertain import free_directions
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.uncertain import free_directions, overrides_at, uncertain_parameters
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.sensitivities import (
     ConstantUncertainty,
@@ -58,9 +59,9 @@ class _Perturbation:
 def measure_sensitivities(request: RunRequest) -> Sensitivities:
     """Run an experiment with each uncertain input one standard uncertainty lower and higher.
 
-    Inputs are the friction and restitution of each contact, the start of the recorded bodies, the tilt of the set-up
-    against gravity, the time step, and the cell of deformable bodies. `scoring/uncertainties.toml` states their
-    uncertainties.
+    Inputs are the friction and restitution of each contact, the constants of joints, the start of the recorded bodies,
+    the tilt of the set-up against gravity, the time step, and the cell of deformable bodies.
+    `scoring/uncertainties.toml` states their uncertainties.
 
     Args:
         request: The run; `seed`, `repeats` and `jitter` do not apply.
@@ -168,6 +169,9 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
                 low=_with_contacts(scene, group, constant, low),
                 high=_with_contacts(scene, group, constant, high),
             )
+    # A file states constants of its own.
+    if isinstance(experiment, TaskExperiment) and experiment.asset is None:
+        yield from _joint_perturbations(experiment)
     for name, direction in _start_directions(experiment):
         shift = known.start.std * direction
         yield _Perturbation(
@@ -188,6 +192,15 @@ def _perturbations(experiment: Experiment) -> Iterator[_Perturbation]:
             high=tilted(scene, axis, np.zeros(3)),
             tilt=Rotation.from_rotvec(axis),
         )
+
+
+def _joint_perturbations(experiment: TaskExperiment) -> Iterator[_Perturbation]:
+    for one in uncertain_parameters(experiment):
+        if one.key.rpartition(".")[2] in input_uncertainties().joint:
+            at = [{**experiment.overrides, **overrides_at([one], [sign])} for sign in (-1.0, 1.0)]
+            low, high = (load_experiment(experiment.variant, overrides).scene for overrides in at)
+            known = StandardUncertainty(std=one.std, unit=one.unit, source=one.source)
+            yield _Perturbation(name=one.name, kind="constant", known=known, low=low, high=high)
 
 
 def _with_contacts(scene: Scene, group: list[Contact], constant: str, value: float) -> Scene:

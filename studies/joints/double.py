@@ -89,11 +89,13 @@ def main() -> None:
     rng = np.random.default_rng(0)
     pieces = trials("DoublePendulum-bars")
     constants, errors, residual = identify(pieces[::2], AUTHORS)
-    rows = [(name, *map(float, row)) for name, *row in zip(NAMES, constants, errors, AUTHORS, strict=True)]
+    odd, _, odd_residual = identify(pieces[1::2], AUTHORS)
+    columns = (constants, errors, AUTHORS, odd)
+    rows = [(name, *map(float, row)) for name, *row in zip(NAMES, *columns, strict=True)]
     write(
         "double_constants.csv",
-        ("constant", "value", "error", "authors"),
-        [*rows, ("residual_mrad", residual, 0.0, 0.0)],
+        ("constant", "value", "error", "authors", "odd_pieces"),
+        [*rows, ("residual_mrad", residual, 0.0, 0.0, odd_residual)],
     )
     judged = []
     spreads = np.median([start_spread(piece) for piece in pieces], axis=0)

@@ -4,13 +4,14 @@
 
 MuJoCo simulates the whole arm. Writes so101_constants.csv, so101_inertia.csv, so101_errors.csv (each motion),
 so101_judged.csv (over the judged motions, also with one constant left out or changed), so101_load.csv,
-so101_held.csv and so101.png.
+so101_held.csv, so101_steps.csv and so101.png.
 """
 
 from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from itertools import product
 
 import matplotlib.pyplot as plt
 import mujoco
@@ -298,6 +299,30 @@ def held_rows(found: Servos, motions: list[Trial]) -> list[tuple[object, ...]]:
     return [(joint, *map(float, values)) for joint, values, loaded in numbers if loaded]
 
 
+def step_rows(motions: list[Trial]) -> list[tuple[object, ...]]:
+    """Return, per motion and joint, the times in which the recorded joint covers half of a step [ms].
+
+    A step is a change of the command by 0.15 rad or more in a frame, after twelve frames in which it stays; it ends
+    with the next change.
+    """
+    rows: list[tuple[object, ...]] = []
+    for trial, (j, joint) in product(motions, enumerate(JOINTS)):
+        assert trial.commands is not None
+        command, angle, times_ms = trial.commands[:, j], trial.angles_rad[:, j], []
+        for k in np.flatnonzero(np.abs(np.diff(command)) > 0.15) + 1:
+            if k < 12 or np.ptp(command[k - 12 : k]) > 0.02:
+                continue
+            still = np.abs(command[k : k + 40] - command[k]) < 0.02
+            size = command[k] - command[k - 1]
+            left = 0.5 * abs(size) - np.sign(size) * (angle[k : k + int(still.argmin() or 40)] - angle[k - 1])
+            if (left < 0.0).any() and left[0] > 0.0:
+                over = int((left < 0.0).argmax())
+                times_ms.append(1e3 * trial.interval_s * (over + left[over] / (left[over - 1] - left[over])))
+        if times_ms:
+            rows.append((trial.name, joint, len(times_ms), *map(float, np.percentile(times_ms, [0, 50, 100]))))
+    return rows
+
+
 def picture(judged: dict[str, FloatArray], trial: Trial, sets: dict[str, Servos]) -> None:
     """Draw errors per joint, and steps of three joints."""
     figure, axes = plt.subplots(1, 4, figsize=(14, 3.6), layout="constrained", width_ratios=(1.5, 1, 1, 1))
@@ -360,6 +385,7 @@ def main() -> None:
         ("joint", "median", "percentile_90", "largest", "sag_percentile_90_mrad"),
         held_rows(found, motions),
     )
+    write("so101_steps.csv", ("motion", "joint", "steps", "least_ms", "median_ms", "most_ms"), step_rows(motions))
     picture(judged, motions[4], sets)
 
 

@@ -26,8 +26,6 @@ from build_pushes import (
     NAME,
     START_S,
     Push,
-    Pushes,
-    driver_values,
     pieces_m,
     read_pushes,
 )
@@ -38,11 +36,13 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends import backend_for
 from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.envs.trial_start import driven_trial
+from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Box, Contact, ContactMode, ConvexUnion, Motion, Plane, Pose, RigidBody, Scene, Sphere
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.profiles import SampledProfile, TrapezoidProfile
+from gauge_envs.scene.profiles import TrapezoidProfile
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
@@ -50,6 +50,9 @@ HERE = Path(__file__).parent
 EVEN, ODD = range(0, 20, 2), range(1, 20, 2)
 PUSH_S = (-0.1, 0.33)
 """Common times between which the hand pushes."""
+
+COPIES = 10
+"""Simulations of each trial: 0.1 um at the start moves the end of MuJoCo's cube by 1.5 mm."""
 
 FloatArray = NDArray[np.float64]
 
@@ -92,31 +95,11 @@ def recorded(push: Push, times_s: FloatArray) -> Track:
     return Track(1e3 * push.at(push.cube_m, times_s), turn_deg, 1e3 * push.at(push.hand_path, times_s)[:, :3])
 
 
-def trial_scene(scene: Scene, pushes: Pushes, trial: int, front_m: FloatArray | None = None) -> Scene:
-    """Return the scene with the start and the path of a trial, and optionally with another front of the hand."""
-    times_s, values = driver_values(pushes, trial)
-    start_m = vector(pushes.hand_path(np.array([START_S]), trial)[0, :3])
-    cube = scene.body("cube")
-    place_m = (*(1e-3 * pushes.cubes_mm()[trial, 0, :2]).tolist(), cube.pose.position_m[2])
-    (driver,) = scene.drivers
-    motions = tuple(
-        replace(
-            motion,
-            point_m=start_m,
-            profiles=(SampledProfile(times_s=tuple(times_s.tolist()), values=tuple(values[:, column].tolist())),),
-        )
-        for motion, column in zip(driver.motions, (3, 0, 1, 2), strict=True)
-    )
-    hand = scene.body("hand")
-    bodies = {
-        "cube": replace(cube, pose=replace(cube.pose, position_m=place_m)),
-        "hand": replace(hand, pose=replace(hand.pose, position_m=start_m)),
-    }
-    return replace(
-        scene,
-        bodies=tuple(bodies.get(body.name, body) for body in scene.bodies),
-        drivers=(replace(driver, motions=motions),),
-    )
+def own_path(experiment: TaskExperiment, trial: int) -> Scene:
+    """Return the scene with the start and the path of a trial, as a reset to it builds it."""
+    own = driven_trial(experiment, trial)
+    assert own is not None
+    return own.scene
 
 
 def simulated(engine: str, scene: Scene, settings: Mapping[str, Any] | None = None) -> Track:
@@ -141,6 +124,7 @@ def scored(
     constants: Mapping[str, float] | None = None,
     *,
     mode: ContactMode = ContactMode.SUSTAINED,
+    copies: int = 1,
     **changes: Any,
 ) -> list[dict[str, float]]:
     """Return measures and errors of simulated trials, and the measures of the recorded ones as `real_*`.
@@ -150,31 +134,39 @@ def scored(
         trials: Numbers of the trials.
         constants: Constants that replace those of the task.
         mode: Behaviour of the contact of hand and cube.
+        copies: Number of simulations of each trial, whose mean counts: all but one start 0.1 um away.
         changes: Replaced fields of a body, by name of the body.
     """
     pushes = read_pushes()
-    scene = load_experiment(NAME, dict(constants or {})).scene
+    experiment = load_experiment(NAME, dict(constants or {}))
+    scene = experiment.scene
     bodies = tuple(replace(body, **changes.get(body.name, {})) for body in scene.bodies)
     contacts = tuple(replace(one, mode=mode) if "hand" in one.first + one.second else one for one in scene.contacts)
-    scene = replace(scene, bodies=bodies, contacts=contacts)
+    experiment = replace(experiment, scene=replace(scene, bodies=bodies, contacts=contacts))
     times_s = sample_times_s(scene)
     pushing = (times_s > PUSH_S[0]) & (times_s < PUSH_S[1])
     rows = []
     for trial in trials:
         real = recorded(pushes.trials[trial], times_s)
-        found = simulated(engine, trial_scene(scene, pushes, trial))
-        error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
-        measures, expected = found.measures(times_s), real.measures(times_s)
-        rows.append(
-            {
-                "trial": float(trial),
-                "rmse_mm": float(np.sqrt(np.mean(error_mm**2))),
-                "push_rmse_mm": float(np.sqrt(np.mean(error_mm[pushing] ** 2))),
-                **measures,
-                **{f"real_{name}": value for name, value in expected.items()},
-            }
-        )
+        own, several = own_path(experiment, trial), []
+        for copy in range(copies):
+            found = simulated(engine, shifted(own, copy, 1e-7 * (copy > 0)))
+            error_mm = found.cube_mm[:, 0] - real.cube_mm[:, 0]
+            errors = {"rmse_mm": error_mm, "push_rmse_mm": error_mm[pushing]}
+            means = {name: float(np.sqrt(np.mean(one**2))) for name, one in errors.items()}
+            several.append(means | found.measures(times_s))
+        expected = {f"real_{name}": value for name, value in real.measures(times_s).items()}
+        measures = {name: float(np.mean([one[name] for one in several])) for name in several[0]}
+        spread = float(np.std([one["travel_mm"] for one in several]) * np.sqrt(copies / max(copies - 1, 1)))
+        rows.append({"trial": float(trial), **measures, "copies_mm": spread, **expected})
     return rows
+
+
+def shifted(scene: Scene, seed: int, size_m: float) -> Scene:
+    """Return the scene with a cube that starts elsewhere on the table, by a normal number in each direction."""
+    cube, shift_m = scene.body("cube"), np.append(np.random.default_rng(seed).normal(0.0, size_m, 2), 0.0)
+    moved = replace(cube, pose=replace(cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))))
+    return replace(scene, bodies=tuple(moved if body.name == "cube" else body for body in scene.bodies))
 
 
 def column(rows: Sequence[Mapping[str, float]], name: str) -> FloatArray:
@@ -197,7 +189,7 @@ def summary(rows: Sequence[Mapping[str, float]]) -> dict[str, float]:
     both = {
         f"{name}_{end}": value for name, pair in ends.items() for end, value in zip(("low", "high"), pair, strict=True)
     }
-    names = ("push_rmse_mm", "travel_mm", "aside_mm", "slip_mm", "pitch_deg", "yaw_deg")
+    names = ("push_rmse_mm", "travel_mm", "aside_mm", "slip_mm", "pitch_deg", "yaw_deg", "copies_mm")
     means = {name: float(column(rows, name).mean()) for name in names}
     stds = {f"{name}_std": float(column(rows, name).std(ddof=1)) for name in ("travel_mm", "yaw_deg")}
     return found | both | {"travel_error_std_mm": float(error_mm.std(ddof=1))} | means | stds
@@ -259,7 +251,7 @@ def fit(options: argparse.Namespace) -> None:
     rows, tips_deg = [], []
     for mode, friction, restitution in cases:
         constants = {"hand.friction": friction, "hand.restitution": restitution}
-        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode))
+        found = scored("mujoco", EVEN, constants, mode=ContactMode(mode), copies=COPIES)
         tips_deg.append(column(found, "pitch_deg") - column(found, "real_pitch_deg"))
         rows.append({"mode": mode, "friction": friction, "restitution": restitution, **summary(found)})
         print(rows[-1])
@@ -285,11 +277,11 @@ def run(options: argparse.Namespace) -> None:
     if file.is_file():
         with file.open(encoding="utf-8", newline="") as stream:
             rows = [row for row in csv.DictReader(stream) if row["engine"] not in (options.engine, "recorded")]
-    found = scored(options.engine, ODD)
+    found = scored(options.engine, ODD, copies=COPIES)
     rows.append({"engine": options.engine, **summary(found)})
     names = [name for name in found[0] if name.startswith("real_")]
     real = [row | {name.removeprefix("real_"): row[name] for name in names} for row in found]
-    nothing = {"rmse_mm": 0.0, "push_rmse_mm": 0.0}
+    nothing = {"rmse_mm": 0.0, "push_rmse_mm": 0.0, "copies_mm": 0.0}
     rows.append({"engine": "recorded", **summary([row | nothing for row in real])})
     write("engines.csv", sorted(rows, key=lambda row: row["engine"]))
     travel = np.corrcoef(column(found, "travel_mm"), column(found, "real_travel_mm"))[0, 1]
@@ -326,7 +318,7 @@ def bounds(options: argparse.Namespace) -> None:
     }
     rows = []
     for name, (constants, changes) in cases.items():
-        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, **changes))})
+        rows.append({"case": name, **summary(scored("mujoco", ODD, constants, copies=COPIES, **changes))})
         print(rows[-1])
     write("bounds.csv", rows)
 
@@ -334,13 +326,8 @@ def bounds(options: argparse.Namespace) -> None:
 def start(options: argparse.Namespace) -> None:
     """Write the travel of cubes on the mean path that start within 0.1 mm of each other."""
     scene = load_experiment(NAME).scene
-    times_s, cube = sample_times_s(scene), scene.body("cube")
-    rows = []
-    for seed in range(20):
-        shift_m = np.append(np.random.default_rng(seed).normal(0.0, 1e-4, 2), 0.0)
-        moved = replace(cube, pose=replace(cube.pose, position_m=vector(np.add(cube.pose.position_m, shift_m))))
-        bodies = tuple(moved if body.name == "cube" else body for body in scene.bodies)
-        rows.append({"seed": seed, **simulated("mujoco", replace(scene, bodies=bodies)).measures(times_s)})
+    times_s = sample_times_s(scene)
+    rows = [{"seed": one, **simulated("mujoco", shifted(scene, one, 1e-4)).measures(times_s)} for one in range(20)]
     write("starts.csv", rows)
     travels_mm = column(rows, "travel_mm")
     print("travel", travels_mm.mean(), "std", travels_mm.std(ddof=1))
@@ -414,8 +401,8 @@ def picture(options: argparse.Namespace) -> None:
         front.plot(1e3 * pushes.front_m(first), 1e3 * HEIGHTS_M, color=color, label=("even", "odd")[first])
     front.set(xlabel="forward [mm]", ylabel="up [mm]", title="Front of the hand, from 20 pushes")
     front.legend()
-    task = load_experiment(NAME).scene
-    found = [simulated("mujoco", trial_scene(task, pushes, trial)) for trial in range(len(pushes.trials))]
+    task = load_experiment(NAME)
+    found = [simulated("mujoco", own_path(task, trial)) for trial in range(len(pushes.trials))]
     real = [recorded(push, times_s) for push in pushes.trials]
     for tracks, color, label in ((real, "tab:red", "real"), (found, "tab:blue", "MuJoCo")):
         speeds = np.gradient([track.cube_mm[:, 0] for track in tracks], SAMPLE_INTERVAL_S, axis=1)

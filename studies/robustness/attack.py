@@ -4,8 +4,8 @@ File number n of a parser follows from the seed alone. Files are read in workers
 is none of gauge-envs, the death of a worker, more than 10 s of processor time or 120 s, and a growth of memory above
 1 GB are failures, whose files are kept. A run goes on where the last one with the same folder ended. Examples:
 
-    python studies/robustness/attack.py --state /tmp/attack --minutes 20
-    python studies/robustness/attack.py --state /tmp/attack --count 100000 --only usda --seed 3
+    python studies/robustness/attack.py --state attack --minutes 20
+    python studies/robustness/attack.py --state attack --count 100000 --only usda --seed 3
 """
 
 from __future__ import annotations

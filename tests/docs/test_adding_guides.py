@@ -124,7 +124,7 @@ def test_the_phenomenon_is_right_in_the_presets_and_wrong_where_a_fault_is_plant
 ) -> None:
     module, others = parts
     text = (ROOT / "docs" / "adding_a_phenomenon.md").read_text(encoding="utf-8")
-    ((name, file, function),) = re.findall(r'`"([\w-]+)": \("(\w+)", "(\w+)"\)`', text)
+    ((name, file, function),) = re.findall(r'`([\w-]+) = \["(\w+)", "(\w+)"\]`', text)
     assert module.__name__.endswith(f".{file}")
     monkeypatch.setitem(phenomena.RIGID, name, (file, function))
     (listed,) = outputs("adding_a_phenomenon.md", "gauge list")

@@ -229,6 +229,38 @@ def test_stored_sensitivities_are_those_that_are_measured(name):
         np.testing.assert_allclose(one.change, other.change, rtol=1e-3, atol=1e-3 * np.abs(one.change).max() + 1e-9)
 
 
+def test_a_dry_joint_moves_the_swing_by_what_the_closed_form_says():
+    experiment, table = load_experiment("JointPendulum-dry"), measure_sensitivities(RunRequest("JointPendulum-dry"))
+    (entry,) = [one for one in table.inputs if one.name == "pendulum.dry_friction_n_m"]
+    body, (joint,) = experiment.scene.body("pendulum"), experiment.scene.joints
+    arm = np.subtract(body.pose.position_m, joint.anchor_m)
+    length_m, dry = float(np.linalg.norm(arm)), joint.dynamics.dry_friction_n_m
+    weight = body.mass_kg * GRAVITY * length_m
+    rate = np.sqrt(weight / (body.mass_kg * length_m**2 + body.inertia_kg_m2))
+    start_rad, start_rate = np.arctan2(arm[0], -arm[2]), -body.angular_velocity_rad_per_s[1]
+    times_s = np.arange(experiment.frame_count) / 30.0
+
+    def swing(dry_n_m):
+        """Half swings about points that dry friction puts to either side; each loses 2 dry / (m g l)."""
+        angle, speed, begin_s, shift, angles = start_rad, start_rate, 0.0, dry_n_m / weight, np.zeros_like(times_s)
+        while begin_s < times_s[-1] and (speed or abs(angle) > shift):
+            centre = -shift * np.sign(speed or -angle)
+            size, phase = np.hypot(angle - centre, speed / rate), np.arctan2(-speed / rate, angle - centre)
+            late = times_s >= begin_s
+            angles[late] = centre + size * np.cos(rate * (times_s[late] - begin_s) + phase)
+            begin_s += (np.ceil(phase / np.pi + 1e-9) * np.pi - phase) / rate
+            angle, speed = centre + size * np.cos(np.ceil(phase / np.pi + 1e-9) * np.pi), 0.0
+        angles[times_s >= begin_s] = angle
+        return 1e3 * np.sin(angles) * length_m
+
+    expected_mm = swing(dry + entry.std) - swing(dry)
+    assert entry.std == pytest.approx(0.041 * dry)
+    assert np.abs(entry.change[:, 0] - expected_mm).max() < 0.05 * np.abs(expected_mm).max()
+    # A cycle later the amplitude has lost 4 dry / (m g l) more.
+    loss_mm = 1e3 * length_m * 4.0 * entry.std / weight
+    assert np.abs(expected_mm[times_s < 2.0]).max() == pytest.approx(2.0 * rate / (2.0 * np.pi) * loss_mm, rel=0.2)
+
+
 def test_another_engine_takes_the_sensitivities_of_mujoco_and_says_so(tmp_path, monkeypatch):
     monkeypatch.setenv("GAUGE_DATA_DIR", str(tmp_path))
     assert load_sensitivities(SLIDES[0], "unheard-of").backend == "mujoco"

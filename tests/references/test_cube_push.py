@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import build_pushes
+import gymnasium
 import numpy as np
 import pytest
 from build_pushes import FRAMES, HALF_EDGE_M, HEIGHTS_M, NAME, Push, Pushes, read_pushes
 from limit_surface import ellipsoid_turn_rate, turn_of_push, turn_rate
 from numpy.typing import NDArray
-from pushes import point_push_scene, recorded, sample_times_s, scored, simulated, slide_friction, trial_scene, union
+from pushes import own_path, point_push_scene, recorded, sample_times_s, scored, simulated, slide_friction, union
 
 from gauge_envs import beyond_variants, load_experiment, variants
+from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.episodes import run_episode
@@ -136,6 +139,44 @@ def test_an_odd_trial_on_its_own_path() -> None:
     assert row["travel_mm"] == pytest.approx(row["real_travel_mm"], abs=6.0)
 
 
+def played(env: gymnasium.Env, **options: Any) -> tuple[FloatArray, Any, dict[str, Any]]:
+    """Return the path of the cube of an episode [mm], its score, and what the reset said."""
+    observation, info = env.reset(seed=0, options=options)
+    path, over, last = [observation["observable"]], False, info
+    while not over:
+        observation, _, terminated, truncated, last = env.step(np.zeros(env.action_space.shape, np.float32))
+        path.append(observation["observable"])
+        over = terminated or truncated
+    return np.array(path), last["score"], info
+
+
+def test_a_reset_replays_a_trial_with_its_own_start_and_path_and_scores_it() -> None:
+    env = gymnasium.make(f"GAUGE/{NAME}")
+    cubes_mm, times_s = pushes().cubes_mm(), sample_times_s(load_experiment(NAME).scene)
+    mean, mean_score, _ = played(env)
+    for trial in (3, 16):
+        path, score, info = played(env, trial=trial)
+        np.testing.assert_allclose(path[0, :2], cubes_mm[trial, 0, :2], atol=1e-3)
+        assert info["trial"] == trial and score.trial_count is None
+        assert score.rmse == pytest.approx(np.sqrt(np.mean(np.square(path - cubes_mm[trial])[:, 0])), abs=2e-3)
+        # The study's loop, without an environment, sees the same push.
+        track = simulated("mujoco", own_path(load_experiment(NAME), trial))
+        np.testing.assert_allclose(track.cube_mm[::6][: len(path)], path, atol=1e-6)
+        hand_mm = 1e3 * pushes().hand_path(times_s, trial)[:, :3]
+        # The path is stated every 20 ms, and ends before the last sample.
+        assert np.abs(track.hand_mm - hand_mm)[:-1].max() < 0.3
+        np.testing.assert_array_equal(played(env, trial=trial)[0], path)
+    # The next reset without a trial has the mean path and all trials again.
+    again, score, info = played(env)
+    np.testing.assert_array_equal(again, mean)
+    assert "trial" not in info and (score.rmse, score.trial_count) == (mean_score.rmse, 20)
+    worlds = gymnasium.make_vec(f"GAUGE/{NAME}", num_envs=2, vectorization_mode="vector_entry_point")
+    observations, _ = worlds.reset(seed=0, options={"trial": 3})
+    np.testing.assert_allclose(observations["observable"][:, :2], cubes_mm[[3, 3], 0, :2], atol=1e-3)
+    with pytest.raises(ParameterError, match="choose 0 to 19"):
+        env.reset(options={"trial": 20})
+
+
 @pytest.mark.parametrize(
     ("constants", "has_fingers", "travel_mm"),
     [({}, False, (-30.0, -8.0)), ({"cube.friction": 0.13}, True, (4.0, 30.0))],
@@ -144,15 +185,15 @@ def test_an_odd_trial_on_its_own_path() -> None:
 def test_a_planted_fault_leaves_the_scatter(
     constants: dict[str, float], has_fingers: bool, travel_mm: tuple[float, float]
 ) -> None:
-    scene = load_experiment(NAME, constants).scene
+    experiment = load_experiment(NAME, constants)
     if not has_fingers:
         shape = union(build_pushes.pieces_m(pushes().front_m())[:1])
-        bodies = tuple(replace(body, shape=shape) if body.name == "hand" else body for body in scene.bodies)
-        scene = replace(scene, bodies=bodies)
-    times_s = sample_times_s(scene)
+        bodies = tuple(replace(body, shape=shape) if body.name == "hand" else body for body in experiment.scene.bodies)
+        experiment = replace(experiment, scene=replace(experiment.scene, bodies=bodies))
+    times_s = sample_times_s(experiment.scene)
     errors = []
     for trial in (1, 5, 9):
-        found = simulated("mujoco", trial_scene(scene, pushes(), trial)).measures(times_s)
+        found = simulated("mujoco", own_path(experiment, trial)).measures(times_s)
         errors.append(found["travel_mm"] - recorded(pushes().trials[trial], times_s).measures(times_s)["travel_mm"])
     assert travel_mm[0] < np.mean(errors) < travel_mm[1]
 

@@ -18,55 +18,10 @@ from gauge_envs.errors import GaugeError, ParameterError, ResultFileError, Unkno
 from gauge_envs.files import MEGABYTE, json_document, json_ready, os_errors, read_regular, versions, write_whole
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.tools.conformance.lab import RefusedSettingsError
-from gauge_envs.tools.conformance.model import Check, CheckResult, Outcome, Status, checks
+from gauge_envs.tools.conformance.model import Check, CheckResult, Outcome, Status, checks, texts_of_checks
 from gauge_envs.tools.conformance.run import run_checks
 
-CANONICAL = (
-    "determinism",
-    "free-fall",
-    "pendulum-period",
-    "pendulum-energy",
-    "hinge-radius",
-    "tether-length",
-    "spin-momentum",
-    "spin-orientation",
-    "wrench-force",
-    "rest-box",
-    "hold",
-    "slide",
-    "slide-plane",
-    "roll-ball",
-    "roll-cylinder",
-    "rebound-0.5",
-    "rebound-0.95",
-    "rebound-slow",
-    "drop-energy",
-    "pile-sinks",
-    "collision-momentum",
-    "collision-rebound",
-    "hold-steep",
-    "oblique-grip-speed",
-    "oblique-grip-spin",
-    "oblique-slip-friction",
-    "oblique-slip-rebound",
-    "slide-between",
-    "stated-inertia",
-    "driven-velocity",
-    "carry-line",
-    "carry-turn",
-    "carry-slip",
-    "start-velocity",
-    "hinged-momentum",
-    "cloth-stretch",
-    "cloth-shear",
-    "cloth-bending",
-    "cloth-slide",
-    "air-terminal",
-    "foam-tension",
-    "foam-poisson",
-    "rope-length",
-    "rod-bending",
-)
+CANONICAL: tuple[str, ...] = tuple(texts_of_checks()["canonical"])
 """One check per phenomenon, or one per quantity where a phenomenon has several that fail apart."""
 
 

@@ -142,7 +142,7 @@ class Check:
         """
         if self.id in _CHECKS:
             raise ParameterError(f"check {self.id!r} exists already; choose another id")
-        _CHECKS[self.id] = replace(self, measure=measure, **_words().get(self.id, {}))
+        _CHECKS[self.id] = replace(self, measure=measure, **texts_of_checks().get(self.id, {}))
         return measure
 
     @property
@@ -218,8 +218,8 @@ class CheckResult(Outcome):
 
 
 @cache
-def _words() -> dict[str, dict[str, Any]]:
-    """Return the texts of the checks of this package, by id."""
+def texts_of_checks() -> dict[str, Any]:
+    """Return the texts of the checks of this package by id, and `canonical`: one id for each phenomenon."""
     return tomllib.loads((Path(__file__).parent / "checks.toml").read_text(encoding="utf-8"))
 
 

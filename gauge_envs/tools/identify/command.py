@@ -29,8 +29,9 @@ def recipe_joint(
     Logs have columns time_s, position_rad, and command_rad of a servo or torque_n_m of a motor.
 
     Details: mass_kg= and length_m= of the load, from the axis to its centre, angle 0 hanging; inertia_kg_m2= about the
-    centre; or scene=ID, whose hinges are the joints. fit=NAME,NAME: what is identified. test=LOG,LOG: logs to
-    predict. part_s=: longest part that is simulated at once. timestep_s= of the engine.
+    centre; or scene=, an id, experiment file or USD layer whose hinges are the joints. fit=NAME,NAME: what is
+    identified. test=LOG,LOG: logs to predict. part_s=: longest part that is simulated at once. timestep_s= of the
+    engine.
 
     Exit code 1 when the logs leave a setting open.
     """
@@ -66,15 +67,28 @@ def recipe_joint(
 
 
 def _scene(scene: str | None = None, **load: float) -> Scene:
-    """Return the scene of an id, or one joint with a load."""
+    """Return the scene of an id or a file, or one joint with a load."""
     from gauge_envs.experiments.scene_builder import SceneBuilder
+    from gauge_envs.experiments.scene_source import USD_SUFFIXES
     from gauge_envs.experiments.task_files import task_spec
-    from gauge_envs.experiments.variants import find_variant, task_path
+    from gauge_envs.experiments.user_file import load_experiment_file
+    from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
+    from gauge_envs.scene.usd.reader import read_usd
     from gauge_envs.tools.identify import one_joint
 
     if scene is not None:
         if load:
             raise ParameterError(f"scene= states the load: leave {' and '.join(load)} out")
+        path = Path(scene)
+        if is_experiment_file(path):
+            return load_experiment_file(path).scene
+        if path.suffix in USD_SUFFIXES:
+            return read_usd(path, duration_s=1.0).scene
+        if path.suffix:
+            raise ParameterError(
+                f"scene={scene}: a model file alone states no scene. Name an id, an experiment file (.toml), or a USD "
+                "layer, to which importers of other tools convert URDF and MJCF"
+            )
         variant = find_variant(scene)
         # An experiment of recorded motions starts at the angles of one.
         return SceneBuilder(task_path(variant.family), task_spec(variant.family), variant, {}).build()

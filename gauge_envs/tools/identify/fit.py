@@ -3,18 +3,22 @@
 Stage 1 fits short parts of the logs, each from its own start, so that a wrong period cannot slip by a whole swing.
 Stage 2 goes on with long parts; the starts of joints without servos are then unknowns too.
 
-The residuals are not white: what a model leaves out lasts. N samples count as N / (1 + 2 sum of the autocorrelation),
-in the variance and in the quantile, which is Student's (Bayley and Hammersley, J. R. Stat. Soc. Suppl. 8, 1946).
+The residuals are not white: what a model leaves out lasts. Their noise is a white part and one that decays by the same
+share in each sample. Residual maximum likelihood (Patterson and Thompson, Biometrika 58, 1971) finds both: it counts
+out what the unknowns take up of the noise. In Student's quantile N samples count as N / (1 + 2 sum of the correlation).
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
+from scipy.linalg import matmul_toeplitz
+from scipy.optimize import least_squares, minimize
+from scipy.signal import lfilter
+from scipy.special import expit
 from scipy.stats import t as student
 
 from gauge_envs.backends.base import Backend, scene_support
@@ -24,14 +28,16 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.tools.identify.logs import Log
-from gauge_envs.tools.identify.rig import DYNAMICS, SERVO, Terms, check_joints, simulated, with_terms
+from gauge_envs.tools.identify.rig import DYNAMICS, SERVO, Terms, check_joints, numbers, simulated, with_terms
 
 FREE_PARTS_S, SERVO_PARTS_S = (0.6, np.inf), (5.0, 20.0)
 """Longest part of a log in both stages [s]; a servo forgets its start."""
 LOST_RAD = 10.0
 """Error of a simulation that diverges [rad], so that the search turns back."""
-LASTING = 0.05
-"""Autocorrelation of residuals below which they count as independent."""
+LASTING = (0.0, 2.0, 4.0)
+"""Logits of the decay from which the search for the noise starts."""
+FEWEST = 10.0
+"""Samples that at least count in the quantile: noise that lasts longer is known from its shocks."""
 STEP, DELAY_STEP = 1e-3, 0.1
 """Step of the differences, over the size of a parameter; engines follow commands in intervals of 5.6 ms."""
 ALIKE = 0.98
@@ -67,6 +73,7 @@ class Identified:
     Attributes:
         engine: Name of the engine.
         settings: The identified numbers, by joint.
+        joints: All numbers of each joint by name, also those that the scene states; 0 is none.
         error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
         held_out_rad: The same of logs that were not.
         simulations: Number of simulated parts of logs.
@@ -74,14 +81,10 @@ class Identified:
 
     engine: str
     settings: tuple[Setting, ...]
+    joints: Sequence[Mapping[str, float]]
     error_rad: Mapping[str, FloatArray]
     held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     simulations: int = 0
-
-    def terms(self) -> list[dict[str, float]]:
-        """Return the numbers of each joint, by name."""
-        count = 1 + max(one.joint for one in self.settings)
-        return [{one.name: one.value for one in self.settings if one.joint == joint} for joint in range(count)]
 
 
 @dataclass
@@ -166,7 +169,7 @@ class _Problem:
         moved[columns] += step
         return (self.residuals(moved) - before) / step
 
-    def _rows(self) -> FloatArray:
+    def _rows(self) -> NDArray[np.intp]:
         """Return number of the part and of the joint of each residual, shape [residual_count, 2]."""
         return np.concatenate(
             [
@@ -197,35 +200,68 @@ class _Problem:
             xtol=tolerance,
             ftol=tolerance,
         )
-        if np.abs(found.jac).max(initial=0.0) > 0.1 * LOST_RAD / STEP:
-            raise DivergedError(f"{self.engine.name} diverges close to the best settings: give a shorter timestep_s")
+        self._check_margin(found.x)
         return found.x, self._covariance(found.jac, found.fun)
+
+    def _check_margin(self, scaled: FloatArray) -> None:
+        """Raise `DivergedError` if the engine diverges with numbers that are a tenth larger, and say a shorter step."""
+        larger, count = scaled.copy(), len(self.names) * self.joints
+        larger[:count] *= 1.1
+        if max(np.abs(one).max() for one in self.errors(larger, may_diverge=True)) < LOST_RAD:
+            return
+        step_s = float(self.engine.build(self.scene, self.settings).settings["timestep_s"])
+        advice = f"also with a step of {step_s / 64:.6g} s: choose another engine or preset"
+        for shorter_s in step_s / 2.0 ** np.arange(1, 7):
+            other = replace(self, settings={**(self.settings or {}), "timestep_s": shorter_s})
+            if max(np.abs(one).max() for one in other.errors(larger, may_diverge=True)) < LOST_RAD:
+                advice = f"give timestep_s={shorter_s:.6g} or less; it is {step_s:.6g}"
+                break
+        raise DivergedError(f"{self.engine.name} diverges close to the best settings: {advice}")
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
         rows, inverse = self._rows(), np.linalg.pinv(jacobian.T @ jacobian)
-        total, freedom = np.zeros_like(inverse), np.inf
+        total = np.zeros_like(inverse)
         for joint in range(self.joints):
-            inside = rows[:, 1] == joint
-            series = [residuals[inside & (rows[:, 0] == number)] for number in range(len(self.parts))]
-            count = np.count_nonzero(inside) / _repeats(series)
-            free = max(count - jacobian.shape[1] / self.joints, 1.0)
-            own = jacobian[inside]
-            total += own.T @ own * (residuals[inside] ** 2).mean() * np.count_nonzero(inside) / free
-            freedom = min(freedom, free)
-        scale = (student.ppf(0.975, freedom) / 1.96) ** 2
-        return np.asarray(inverse @ total @ inverse * scale)
+            parts = [np.flatnonzero((rows == (number, joint)).all(axis=1)) for number in range(len(self.parts))]
+            inside = np.concatenate(parts)
+            left, sizes, _ = np.linalg.svd(jacobian[inside], full_matrices=False)
+            explained = left[:, sizes > 1e-12 * sizes[0]]
+            table = np.column_stack([explained, residuals[inside]])
+            edges = np.cumsum([len(part) for part in parts])[:-1]
+            variance, neighbours, decay = _noise(np.split(table, edges))
+            count = len(inside) / (1.0 + 2.0 * neighbours / max(variance * (1.0 - decay), 1e-300))
+            quantile = (student.ppf(0.975, max(count, FEWEST)) / 1.96) ** 2
+            for part in parts:
+                covariance = np.concatenate([[variance], neighbours * decay ** np.arange(len(part) - 1)])
+                total += jacobian[part].T @ matmul_toeplitz(covariance, jacobian[part]) * quantile
+        return np.asarray(inverse @ total @ inverse)
 
 
-def _repeats(series: Sequence[FloatArray]) -> float:
-    """Return how many samples of residuals count as one: 1 + 2 times the sum of the autocorrelation, where it lasts."""
-    power = sum(float(one @ one) for one in series)
-    repeats = 1.0
-    for lag in range(1, max(map(len, series)) // 5):
-        share = sum(float(one[:-lag] @ one[lag:]) for one in series if len(one) > lag) / max(power, 1e-300)
-        if share < LASTING:
-            break
-        repeats += 2.0 * share
-    return repeats
+def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:
+    """Return the noise of residuals by residual maximum likelihood.
+
+    Args:
+        parts: Of each part of a log columns that span what the unknowns can change, and the residuals.
+
+    Returns:
+        Its variance, the covariance of neighbouring samples, and the share of it that each further sample keeps.
+    """
+
+    def whitened(logits: FloatArray) -> tuple[float, float, float, float]:
+        """Return the two numbers of the process, the sum of its squared shocks, and what is to be minimized."""
+        decay = min(float(expit(logits[0])), 1.0 - 1e-6)
+        forgotten = decay * float(expit(logits[1]))
+        table = np.concatenate([lfilter([1.0, -decay], [1.0, -forgotten], part, axis=0) for part in parts])
+        turned, corner = np.linalg.qr(table[:, :-1])
+        power = max(float(table[:, -1] @ table[:, -1] - ((turned.T @ table[:, -1]) ** 2).sum()), 1e-300)
+        freedom = len(table) - len(corner)
+        shock = power / freedom
+        return decay, forgotten, shock, freedom * np.log(shock) + 2.0 * np.log(np.abs(np.diag(corner))).sum()
+
+    found = [minimize(lambda logits: whitened(logits)[3], [first, 0.0], method="Nelder-Mead") for first in LASTING]
+    decay, forgotten, shock, _ = whitened(min(found, key=lambda one: float(one.fun)).x)
+    apart = shock * (decay - forgotten) / (1.0 - decay**2)
+    return shock + apart * (decay - forgotten), apart * (1.0 - decay * forgotten), decay
 
 
 def identify(
@@ -276,7 +312,8 @@ def identify(
     )
     stages = []
     first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
-    for longest_s, free in ((first_s, False), (part_s or long_s, not servo)):
+    part_s = part_s or long_s
+    for longest_s, free in ((first_s, False), (part_s, not servo)):
         parts = [part for log in logs for part in log.pieces(longest_s) if len(part.times_s) >= 10]
         stages.append(problem(parts, [part.start() for part in parts], free_starts=free))
     short, long = stages
@@ -291,17 +328,21 @@ def identify(
     return Identified(
         engine=engine.name,
         settings=found,
+        joints=numbers(with_terms(scene, long.unknowns(unknowns)[0], logs[0], np.zeros(long.joints))),
         error_rad=_errors(long, unknowns),
-        held_out_rad=_held_out(problem, held_out, long, unknowns) if held_out else {},
+        held_out_rad=_held_out(problem, held_out, part_s, long, unknowns) if held_out else {},
         simulations=short.simulations + long.simulations,
     )
 
 
 def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
-    """Return first guesses of each joint: what the scene states, or from the load's inertia and weight."""
-    arms_m = [np.linalg.norm(np.subtract(body.pose.position_m, scene.hinges[0].anchor_m)) for body in scene.bodies]
-    load = list(zip(scene.bodies, arms_m, strict=True))
-    own = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in scene.dynamic_bodies)
+    """Return first guesses and sizes of numbers: what the scene states, or from all moving bodies at its first hinge.
+
+    One size does for all joints of an arm: the search starts from seven stiffnesses, and its steps are relative.
+    """
+    bodies, anchor_m = scene.dynamic_bodies, scene.hinges[0].anchor_m
+    load = [(body, np.linalg.norm(np.subtract(body.pose.position_m, anchor_m))) for body in bodies]
+    own = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies)
     inertia = own + sum(body.mass_kg * float(arm_m) ** 2 for body, arm_m in load)
     weight = max(scene.gravity_m_per_s2 * sum(body.mass_kg * float(arm_m) for body, arm_m in load), 40.0 * inertia)
     rate = float(np.sqrt(weight / inertia))
@@ -313,8 +354,7 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
     }
-    stated = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
-    return [{name: own.get(name) or guesses[name] for name in names} for own in stated]
+    return [{name: own[name] or guesses[name] for name in names} for own in numbers(scene)]
 
 
 def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -> tuple[Setting, ...]:
@@ -325,10 +365,14 @@ def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -
         block = covariance[np.ix_(own, own)]
         sizes = np.sqrt(np.diag(block))
         alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
+        torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
+        is_scale = len(torques) > 2 and bool((alike[np.ix_(torques, torques)] > ALIKE).all())
         for kind, name in enumerate(problem.names):
             value, half = unknowns[own[kind]], 1.96 * std[own[kind]]
             twins = [other for k, other in enumerate(problem.names) if k != kind and abs(alike[kind, k]) > ALIKE]
             unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
+            if is_scale and unknown and kind in torques:
+                unknown = "only ratios of torques are told: a weight or a known armature would tell their scale"
             if not unknown and half >= value:
                 unknown = "0 is in the interval"
             size = problem.sizes[kind, joint]
@@ -346,10 +390,12 @@ def _errors(problem: _Problem, unknowns: FloatArray) -> dict[str, FloatArray]:
 
 
 def _held_out(
-    problem: Callable[..., _Problem], logs: Sequence[Log], fitted: _Problem, unknowns: FloatArray
+    problem: Callable[..., _Problem], logs: Sequence[Log], longest_s: float, fitted: _Problem, unknowns: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return the errors of other logs [rad], each from its own start, which is fitted where the joint has no servo."""
-    longest_s = max(part.duration_s for part in fitted.parts) + 1e-6
+    """Return the errors of other logs [rad], in parts of at most a length, as those that are fitted.
+
+    Each part has a start of its own, which is fitted where the joint has no servo.
+    """
     own = unknowns[: fitted.kinds * fitted.joints]
     errors: dict[str, FloatArray] = {}
     for log in logs:

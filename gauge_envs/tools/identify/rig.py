@@ -21,6 +21,7 @@ from gauge_envs.tools.identify.logs import Log
 
 DYNAMICS = tuple(one.name for one in fields(JointDynamics))
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+LIMIT = "torque_limit_n_m"
 
 AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
 
@@ -173,6 +174,12 @@ def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
         )
     frames = hinge_frames(hinge, scene.body(hinge.first).pose, scene.body(name).pose)
     return np.unwrap(hinge_angle_rad(frames, rollout.rotation(hinge.first), rollout.rotation(name)))
+
+
+def numbers(scene: Scene) -> list[dict[str, float]]:
+    """Return the numbers of each hinge by name, in the order of `Scene.hinges`; 0 is none."""
+    stated = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
+    return [{name: float(own.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)} for own in stated]
 
 
 def check_joints(scene: Scene, log: Log) -> None:

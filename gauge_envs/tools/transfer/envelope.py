@@ -115,8 +115,9 @@ def experiment_envelope(
 ) -> Envelope:
     """Run an experiment at points of its uncertainty, in a vector environment whose worlds have the constants.
 
-    The quantity is the normalized RMSE where the experiment has a band of reality or a law, and otherwise the root mean
-    square distance of g(t) from that of the calibrated values.
+    The quantity is the normalized RMSE where the experiment has a band of reality or a law, the RMSE from its first
+    trial where each trial has a start of its own, and otherwise the root mean square distance of g(t) from that of the
+    calibrated values.
 
     Args:
         variant: Variant or id.
@@ -151,8 +152,8 @@ def experiment_envelope(
     return Envelope(
         id=experiment.id,
         backend=backend,
-        quantity="normalized RMSE" if is_scored else "deviation",
-        unit="1" if is_scored else experiment.score.observable.unit,
+        quantity="deviation" if not is_scored else "normalized RMSE" if experiment.trial is None else "RMSE",
+        unit="1" if is_scored and experiment.trial is None else experiment.score.observable.unit,
         policy="none",
         scene=experiment.scene,
         parameters=parameters,
@@ -170,7 +171,7 @@ def _batch(
     """Run an experiment with some parameters; return the score and the frames of each, None for what it lacks."""
     envs = GaugeVectorEnv(experiment.variant, num_envs=len(parameters), world_parameters=parameters, **arguments)
     try:
-        envs.reset(seed=0)
+        envs.reset(seed=0, options=None if experiment.trial is None else {"trial": experiment.trial})
         actions = np.zeros(envs.action_space.shape or 0, dtype=envs.action_space.dtype)
         over = np.zeros(len(parameters), dtype=np.bool_)
         while not over.all():
@@ -178,7 +179,7 @@ def _batch(
             over |= terminations | truncations
         return [
             (
-                None if score is None else score.rmse_normalized,
+                None if score is None else score.rmse_normalized if experiment.trial is None else score.rmse,
                 None if episode.fault is not None else episode.trajectory().frames,
             )
             for score, episode in zip(envs.scores(), envs.episodes, strict=True)

@@ -16,6 +16,7 @@ from typing import Any
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import UncertainParameter
 from gauge_envs.pages.text import with_unit
+from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Box, RigidBody, Scene, Sphere
 
 ALONG_AXIS = 0.99999
@@ -101,6 +102,8 @@ def _heading(task: str, ranges: Sequence[ParameterRange], width: float) -> Itera
         unit, std = one.parameter.unit, f"{one.parameter.std:.3g}"
         yield with_unit(f"{one.parameter.name}: {limits}", unit)
         yield f"    sigma {with_unit(std, unit)}; {one.parameter.source}"
+    if any(one.parameter.key.rpartition(".")[2] in input_uncertainties().joint for one in ranges):
+        yield "Constants of joints are drawn in the file for Gymnasium alone."
     yield '"""'
     yield ""
 

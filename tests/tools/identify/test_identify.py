@@ -2,19 +2,26 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
+from scipy.signal import lfilter
 from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
+from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import BodyHinge, Box, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.motors import Servo
+from gauge_envs.scene.profiles import SampledProfile
+from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
+from gauge_envs.tools.identify.fit import _noise
 from gauge_envs.tools.identify.rig import posed
 from gauge_envs.tools.identify.words import snippet
 
@@ -25,6 +32,7 @@ NOISE_RAD = 1e-3
 VISCOUS = "viscous_friction_n_m_s_per_rad"
 DRY = "dry_friction_n_m"
 ARMATURE = "armature_kg_m2"
+MODULES = {"drake": "pydrake", "physx": "sapien", "rapier": "rapier3d"}
 
 
 def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0) -> Log:
@@ -43,9 +51,9 @@ def swing(*, dry: float, viscous: float, armature: float, zero_rad: float = 0.0)
     return Log("swing", times_s, (angles + zero_rad + noise)[:, None])
 
 
-def found_in(log: Log, *names: str) -> Identified:
+def found_in(log: Log, *names: str, engine: str = "mujoco") -> Identified:
     scene = one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2)
-    return identify(backend("mujoco"), scene, [log], names, settings=STEP)
+    return identify(backend(engine), scene, [log], names, settings=STEP)
 
 
 @pytest.mark.parametrize(
@@ -62,6 +70,19 @@ def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> N
         assert bool(one.unknown) == (truth[one.name] == 0.0), one
     (error,) = found.error_rad["swing"]
     assert error == pytest.approx(NOISE_RAD, rel=0.2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["pybullet", "physx", "rapier", "drake"])
+def test_friction_is_found_on_each_engine(engine: str) -> None:
+    """One interval in twenty misses the truth, so each may be off by one and a half of its half width."""
+    pytest.importorskip(MODULES.get(engine, engine))
+    truth = {DRY: 0.01, VISCOUS: 0.005} | ({} if engine == "pybullet" else {ARMATURE: 0.004})
+    log = swing(dry=0.01, viscous=0.005, armature=truth.get(ARMATURE, 0.0), zero_rad=0.1)
+    for one in found_in(log, *truth, engine=engine).settings:
+        middle, half = 0.5 * (one.low + one.high), 0.5 * (one.high - one.low)
+        assert abs(truth[one.name] - middle) < 1.5 * half, one
+        assert half < 0.15 * truth[one.name], one
 
 
 @pytest.mark.slow
@@ -104,12 +125,93 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
     assert f'kp="{kp:.5g}"' in snippet(found)
 
 
+@pytest.mark.parametrize(
+    "engine",
+    ["rapier", *(pytest.param(name, marks=pytest.mark.slow) for name in ("physx", "pybullet", "drake", "newton"))],
+)
+def test_a_servo_is_found_on_each_engine_but_for_its_step(engine: str) -> None:
+    """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less."""
+    pytest.importorskip(MODULES.get(engine, engine))
+    kp, kv = 0.8, 0.02
+    log, scene = servo_log(kp=kp, kv=kv, delay_s=0.05), one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
+    found = identify(backend(engine), scene, [log], names, settings=STEP)
+    found_kp, found_kv, delay_s = (one.value for one in found.settings)
+    assert found_kp == pytest.approx(kp, rel=0.025)
+    assert -0.02 * kv - kp * STEP["timestep_s"] < found_kv - kv < 0.02 * kv
+    assert delay_s == pytest.approx(0.0525, abs=0.0015)
+    assert float(found.error_rad["servo"][0]) == pytest.approx(NOISE_RAD, rel=0.1)
+
+
+def test_noise_is_found_although_the_unknowns_take_up_some_of_it() -> None:
+    """White and lasting noise of which six slow waves were taken away: its variance, and that of its mean."""
+    random, count, share, planted = np.random.default_rng(3), 400, 0.9, []
+    times = np.arange(count) / count
+    waves = np.stack([wave(np.pi * k * times) for k in (1, 2, 3) for wave in (np.cos, np.sin)], axis=1)
+    spanned = np.linalg.qr(waves)[0]
+    for _ in range(12):
+        shocks = random.standard_normal(count + 100) * np.sqrt(1.0 - share**2)
+        noise = lfilter([1.0], [1.0, -share], shocks)[100:] + random.standard_normal(count)
+        left = noise - spanned @ (spanned.T @ noise)
+        variance, neighbours, decay = _noise([np.column_stack([spanned, left])])
+        planted.append((variance, variance + 2.0 * neighbours / (1.0 - decay)))
+    variance, lasting = np.median(planted, axis=0)
+    assert variance == pytest.approx(2.0, rel=0.1)
+    assert lasting == pytest.approx(2.0 + 2.0 * share / (1.0 - share), rel=0.25)
+
+
 def test_what_the_log_does_not_tell_apart_is_said() -> None:
     scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
     names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", VISCOUS)
     found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
     assert [bool(one.unknown) for one in found.settings] == [False, True, True]
     assert "kv_n_m_s_per_rad" in found.settings[2].unknown
+
+
+def test_a_log_that_tells_only_ratios_of_torques_is_said() -> None:
+    """Without weight, an armature that is fitted scales with all torques."""
+    names = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", ARMATURE)
+    scene = one_joint(MASS_KG, 0.0, INERTIA_KG_M2)
+    found = identify(backend("mujoco"), scene, [servo_log(kp=0.8, kv=0.02, delay_s=0.0)], names, settings=STEP)
+    assert all("only ratios of torques" in one.unknown for one in found.settings)
+
+
+def test_an_engine_that_diverges_says_which_step_to_use() -> None:
+    """RK4 needs kv times the step over the inertia below 2.78: at 1/540 s kv would have to be below 0.0150."""
+    scene, times_s = one_joint(0.01, 0.0, 1e-5), np.arange(0.0, 0.5, 0.005)
+    (hinge,) = scene.joints
+    assert isinstance(hinge, Hinge)
+    still = SampledProfile(times_s=(0.0, 1.0), values=(0.0, 0.0))
+    stated = Servo(command=still, kp_n_m_per_rad=1.0, kv_n_m_s_per_rad=0.01)
+    scene, command = replace(scene, joints=(replace(hinge, motor=stated),)), 0.4 * np.sin(9.0 * times_s)[:, None]
+    # A servo of first order, 0.02 s behind; the inertia is far too small to be seen.
+    lag = np.arctan(9.0 * 0.02)
+    start = 0.4 * np.cos(lag) * np.sin(lag) * np.exp(-times_s / 0.02)[:, None]
+    measured = 0.4 * np.cos(lag) * np.sin(9.0 * times_s - lag)[:, None] + start
+    log, engine = Log("stiff", times_s, measured, command), backend("mujoco")
+    settings = {"timestep_s": 1 / 540, "preset": "contact_free"}
+    with pytest.raises(DivergedError, match=r"give timestep_s=0\.000925926 or less; it is 0\.00185185"):
+        identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings)
+    (kv,) = identify(engine, scene, [log], ["kv_n_m_s_per_rad"], settings=settings | {"timestep_s": 1 / 1080}).settings
+    assert kv.value == pytest.approx(0.02, rel=0.02)
+
+
+def test_an_arm_is_read_from_a_layer_and_a_model_file_is_refused(tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("time_s,position_rad\n" + "".join(f"{0.01 * n},{0.1 * np.cos(0.07 * n)}\n" for n in range(60)))
+    to_usd(one_joint(MASS_KG, LENGTH_M, INERTIA_KG_M2), tmp_path / "arm.usda")
+    words = ["recipe", "joint", str(log), f"fit={VISCOUS}"]
+    answers = [
+        CliRunner().invoke(app, [*words, *load]).stdout
+        for load in (
+            (f"scene={tmp_path / 'arm.usda'}",),
+            (f"mass_kg={MASS_KG}", f"length_m={LENGTH_M}", f"inertia_kg_m2={INERTIA_KG_M2}"),
+        )
+    ]
+    assert VISCOUS in answers[0] and answers[0] == answers[1]
+    refused = CliRunner().invoke(app, [*words, "scene=arm.urdf"])
+    assert refused.exit_code == 2
+    assert "a model file alone states no scene" in " ".join(refused.stderr.split())
 
 
 def test_a_chain_is_posed_by_the_angles_of_its_hinges() -> None:

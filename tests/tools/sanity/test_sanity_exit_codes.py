@@ -59,7 +59,7 @@ def test_a_row_that_was_asked_for_by_name_must_be_measured(monkeypatch) -> None:
 
 
 def test_a_check_without_time_is_not_green() -> None:
-    outcome = RUNNER.invoke(app, ["sanity", "HalfCheetah-v5", "--limits", "0s"])
+    outcome = RUNNER.invoke(app, ["sanity", "HalfCheetah-v5", "--limits", "0s", "--only", "foot-*,creep-*,robot-servo"])
     assert outcome.exit_code == 3
     assert outcome.stdout.startswith("Incomplete: ") and "rows were not measured: foot-creep, " in outcome.stdout
 

@@ -185,6 +185,75 @@ def test_the_friction_of_a_foot_is_what_a_slide_shows() -> None:
     assert np.tan(tilt) - slides / (G * np.cos(tilt)) == pytest.approx(0.5, rel=0.04)
 
 
+# --- joint by joint --------------------------------------------------------------------------------------------------
+
+KP, ARM_KG, ARM_M = 40.0, 2.0, 0.3
+
+
+def arm_xml(joint: str = "", servo: str = "") -> str:
+    """Return a horizontal arm, a point mass on a rod without mass, with a servo."""
+    return f"""<mujoco><option timestep="0.0005"/><worldbody><body><joint name="j" axis="0 1 0" {joint}/>
+      <geom type="sphere" size=".01" mass="{ARM_KG}" pos="{ARM_M} 0 0"/></body></worldbody>
+      <actuator><position name="a" joint="j" kp="{KP}" {servo}/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("dry", "viscous"), [(0.2, 0.3), (0.02, 1.0), (0.5, 0.0), (0.0, 0.3), (0.0, 0.0)])
+def test_the_dry_part_is_that_of_the_torque_that_keeps_a_joint_turning(dry: float, viscous: float) -> None:
+    xml = arm_xml(f'frictionloss="{dry}" damping="{viscous}"')
+    assert row("robot-dry", xml).configured == pytest.approx(dry / (dry + viscous) if dry else 0.0, abs=1e-9)
+    model = mujoco.MjModel.from_xml_string(xml.replace("<option", '<option gravity="0 0 0"'))
+    model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ACTUATION)
+    data = mujoco.MjData(model)
+    data.qvel[0], data.qfrc_applied[0] = 1.0, dry + viscous
+    mujoco.mj_step(model, data, 1000)
+    assert data.qvel[0] == pytest.approx(1.0, rel=1e-6)
+
+
+def test_friction_that_the_engine_switches_off_is_none() -> None:
+    off = arm_xml('frictionloss="0.2" damping="0.1"').replace(
+        "/><worldbody>", '><flag frictionloss="disable"/></option><worldbody>'
+    )
+    assert row("robot-dry", off).configured == 0.0
+
+
+def test_the_half_of_a_step_takes_a_sixth_of_a_period_or_what_the_limit_allows() -> None:
+    inertia = ARM_KG * (ARM_M**2 + 0.4 * 0.01**2)
+    free_s = np.pi / 3.0 * np.sqrt(inertia / KP)
+    assert row("robot-lag", arm_xml()).configured == pytest.approx(1e3 * free_s, rel=5e-3)
+    assert row("robot-lag", arm_xml(servo='ctrlrange="-.1 .4"')).configured == pytest.approx(1e3 * free_s, rel=5e-3)
+    slow = row("robot-lag", arm_xml(servo='forcerange="-4 4"'))
+    assert slow.configured == pytest.approx(1e3 * np.sqrt(0.3 * inertia / 4.0), rel=5e-3)
+    # With a gear of 2 a step of the joint is twice as long for the actuator, and four times as stiff.
+    assert row("robot-lag", arm_xml(servo='gear="2"')).configured == pytest.approx(0.5e3 * free_s, rel=1e-2)
+    assert row("robot-lag", arm_xml(servo='ctrlrange="-.1 .2"')).verdict is Verdict.DECLINED
+
+
+def test_a_servo_sags_by_its_weight_over_its_stiffness() -> None:
+    sag = 1e3 * ARM_KG * G * ARM_M / KP
+    assert row("robot-sag", arm_xml()).configured == pytest.approx(sag, rel=2e-3)
+    assert row("robot-sag", arm_xml(servo='gear="2"')).configured == pytest.approx(sag / 4.0, rel=2e-3)
+    stiff = row("robot-sag", arm_xml().replace('kp="40.0"', 'kp="40000"'))
+    assert stiff.configured == pytest.approx(1e-3 * sag, rel=2e-3)
+    assert stiff.verdict is Verdict.WRONG and stiff.advisory
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new"),
+    [
+        ("robot-dry", 'frictionloss="0.2"', ""),
+        ("robot-lag", 'kp="80" kv="2" forcerange="-40 40"', 'kp="8000" kv="4"'),
+    ],
+)
+def test_joints_that_no_robot_has_are_found_and_their_cure_clears_the_flag(name: str, old: str, new: str) -> None:
+    text = good_xml()
+    assert old in text
+    before = read(text.replace(old, new))
+    report = check(before, only=[name])
+    assert report.rows[0].is_flag and report.rows[0].consequence and report.cure is not None
+    after = check(applied(before, report.cure.changes)[0], only=["robot-*"])
+    assert [one.phenomenon for one in after.rows if one.is_flag] == []
+
+
 # --- what a robot can do ---------------------------------------------------------------------------------------------
 
 

@@ -16,6 +16,9 @@ from gauge_envs import load_experiment, variants
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.uncertain import overrides_at, uncertain_parameters
+from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.runs.episodes import run_episode
+from gauge_envs.runs.request import RunRequest
 from gauge_envs.tools.transfer.envelope import (
     Envelope,
     LawPolicy,
@@ -49,6 +52,40 @@ def test_parameters_have_the_uncertainties_of_their_files() -> None:
     assert all(one.source for one in found.values())
     # The face of a board at 30 degrees.
     assert abs(found["cube.position_m along its x axis"].direction[2]) == pytest.approx(0.5)
+
+
+JOINTED = ("JointPendulum-dry", "JointPendulum-viscous", "DoublePendulum-bars", "TorquePendulum-ak80", "ServoArm-so101")
+
+
+@pytest.mark.parametrize("name", JOINTED)
+def test_constants_of_joints_are_parameters(name: str) -> None:
+    experiment = load_experiment(name)
+    found = {one.name: one for one in uncertain_parameters(experiment)}
+    hinges = (*experiment.scene.joints, *experiment.scene.body_hinges)
+    stated = [
+        value
+        for hinge in hinges
+        for part in (hinge.dynamics, hinge.motor)
+        for key, value in vars(part or hinge.dynamics).items()
+        if value and key in input_uncertainties().joint and part is not None
+    ]
+    assert sorted(one.value for key, one in found.items() if not key.endswith("mass_kg")) == sorted(stated)
+    assert all(one.std > 0.0 and one.unit != "1" for one in found.values())
+    moved = load_experiment(name, overrides_at(list(found.values()), [1.0] * len(found))).scene
+    assert [body.pose for body in moved.bodies] == [body.pose for body in experiment.scene.bodies]
+    assert moved.body(experiment.recorded[0]).angular_velocity_rad_per_s == (
+        experiment.scene.body(experiment.recorded[0]).angular_velocity_rad_per_s
+    )
+
+
+def test_an_envelope_of_trials_with_own_starts_is_that_of_the_first_trial() -> None:
+    found = experiment_envelope("DoublePendulum-bars", samples=4)
+    first = run_episode(RunRequest("DoublePendulum-bars")).score
+    assert (found.quantity, found.unit, found.calibrated) == ("RMSE", "mm", pytest.approx(first.rmse))
+    # Friction that is two and more times uncertain moves the score, and no world starts as another trial.
+    changes = overrides_at(found.parameters, found.sigmas[2].tolist())
+    again = run_episode(RunRequest("DoublePendulum-bars", parameters=changes)).score
+    assert found.values[2] == pytest.approx(again.rmse)
 
 
 def test_every_experiment_can_be_moved_along_its_parameters() -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from functools import cache
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from gauge_envs.errors import UnknownNameError
@@ -23,54 +25,15 @@ GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 RELEASE_ID = "release"
 """Row on a body that touches the ground at the start."""
 
-ROBOT_IDS = (
-    *("robot-holds", "robot-stands", "robot-loads", "robot-saturation", "robot-slip", "robot-overlap", "robot-energy"),
-    *("robot-feet", "robot-friction", "robot-floor-friction", "floor-tilt"),
-    *("robot-density", "robot-bound", "robot-gravcomp", "robot-inertia"),
-    *("robot-servo", "robot-torque", "robot-damping", "robot-frictionloss", "robot-armature"),
-    *("robot-action", "robot-delay"),
-)
+_TABLES = tomllib.loads((Path(__file__).parent / "phenomena.toml").read_text(encoding="utf-8"))
+
+ROBOT_IDS = tuple(_TABLES["robot"])
 """Rows on the target's own model: its rollout, and what it states."""
 
-MATERIALS = ("wood", "plastic", "metal")
-"""Materials of the cubes."""
-
-RIGID: Mapping[str, tuple[str, ...]] = {
-    "foot-creep": ("foot", "creep"),
-    "foot-push": ("foot", "push"),
-    "foot-slide": ("foot", "slide"),
-    "foot-landing-depth": ("foot", "depth"),
-    "foot-rebound": ("foot", "rebound"),
-    "foot-rest": ("foot", "rest"),
-    **{f"creep-{material}": ("friction", "creep", material) for material in MATERIALS},
-    "rest-height": ("friction", "rest_height", "wood"),
-    RELEASE_ID: ("friction", "thrown", "wood"),
-    **{f"slide-{material}": ("friction", "slide", material) for material in MATERIALS},
-    "slide-turned": ("friction", "turned_slide", "wood"),
-    "rebound": ("impact", "rebound"),
-    "rebound-slow": ("impact", "slow_rebound"),
-    "momentum": ("impact", "momentum"),
-    "period": ("rigid", "period"),
-    "energy": ("rigid", "energy"),
-    **{f"carry-{material}": ("friction", "carry", material) for material in MATERIALS},
-    "slip": ("friction", "slip"),
-    "seam": ("rigid", "seam"),
-    "point": ("rigid", "point"),
-    "wall-sag": ("rigid", "wall_sag"),
-    "wall-drift": ("rigid", "wall_drift"),
-}
+RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
 """Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
 
-DEFORMABLE: Mapping[str, tuple[str, ...]] = {
-    "cloth-carry": ("deformable", "cloth_carry"),
-    "cloth-sag": ("deformable", "cloth_sag"),
-    "fling-lag": ("deformable", "fling_lag"),
-    "foam-stretch": ("deformable", "foam", "stretch", "FoamStretching-soft", "foam_stretching", "pulled"),
-    "foam-compress": ("deformable", "foam", "compress", "FoamCompressing-soft", "foam_compressing", "compressed"),
-    "beam": ("deformable", "beam"),
-    "rope-length": ("deformable", "rope_length"),
-    "foot-lag": ("deformable", "foot_lag"),
-}
+DEFORMABLE: Mapping[str, Sequence[str]] = _TABLES["deformable"]
 """The same for deformable bodies."""
 
 

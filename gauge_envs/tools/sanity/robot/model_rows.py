@@ -111,7 +111,8 @@ def body_name(robot: Robot, body: int) -> str:
     return robot.model.body(body).name or f"body {body}"
 
 
-def _joint_name(robot: Robot, dof: int) -> str:
+def joint_name(robot: Robot, dof: int) -> str:
+    """Return the name of a degree of freedom's joint, or its number."""
     joint = int(robot.model.dof_jntid[dof])
     return robot.model.joint(joint).name or f"joint {joint}"
 
@@ -411,8 +412,8 @@ def torque_limits(model: mujoco.MjModel) -> NDArray[np.float64]:
     return limits
 
 
-def _driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
-    """Yield hinges of a standing robot that an actuator drives, and its limit [Nm]."""
+def driven_dofs(robot: Robot) -> Iterator[tuple[int, float]]:
+    """Yield hinges of a robot that an actuator drives, and its limit [Nm]."""
     for dof, limit in enumerate(torque_limits(robot.model)):
         joint = int(robot.model.dof_jntid[dof])
         is_hinge = int(robot.model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
@@ -481,10 +482,10 @@ def _torque(robot: Robot) -> Finding:
     load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(standing.feet)
     fair = 2.0 * load_n * standing.height_m
     actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
-    for dof, limit in _driven_dofs(robot):
+    for dof, limit in driven_dofs(robot):
         weight = abs(float(data.qfrc_bias[dof]))
         if np.isfinite(limit) and (found.declined or limit / max(weight, 1e-3) < found.value):
-            joint = _joint_name(robot, dof)
+            joint = joint_name(robot, dof)
             found = Finding(
                 value=min(limit / max(weight, 1e-3), 1e6),
                 remark=f"{joint}: {limit:.3g} Nm against {weight:.3g} Nm",
@@ -494,10 +495,10 @@ def _torque(robot: Robot) -> Finding:
     return found
 
 
-def _stiffness(model: mujoco.MjModel, dof: int) -> float:
+def stiffness(model: mujoco.MjModel, dof: int) -> float:
     """Return the stiffness of the servos on a degree of freedom [Nm/rad]."""
     actuators = servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])
-    return float(-model.actuator_biasprm[actuators, 1].sum())
+    return float(-model.actuator_biasprm[actuators, 1] @ model.actuator_gear[actuators, 0] ** 2)
 
 
 @row("robot-action")
@@ -505,14 +506,14 @@ def _action(robot: Robot) -> Finding:
     scale, model = robot.action_rad, robot.model
     if scale is None:
         return Finding(declined="the task states no scale of its actions")
-    shares = {dof: scale * _stiffness(model, dof) / limit for dof, limit in _driven_dofs(robot) if np.isfinite(limit)}
+    shares = {dof: scale * stiffness(model, dof) / limit for dof, limit in driven_dofs(robot) if np.isfinite(limit)}
     if not any(shares.values()):
         return Finding(declined="no servo of a robot that stands states the limit of its torque")
     # A scale in other units moves all joints; single ones, such as necks, have weak motors.
     dof = sorted(shares, key=lambda one: shares[one])[len(shares) // 2]
     return Finding(
         value=shares[dof],
-        remark=f"{_joint_name(robot, dof)}: {scale:g} rad with {_stiffness(model, dof):.3g} Nm/rad",
+        remark=f"{joint_name(robot, dof)}: {scale:g} rad with {stiffness(model, dof):.3g} Nm/rad",
         advice=f"an action scale of about {0.5 * scale / shares[dof]:.2g} rad, which asks for half of the torque",
     )
 
@@ -529,10 +530,10 @@ def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: 
     standing_of(robot)
     model, values = robot.model, getattr(robot.model, f"dof_{name}")
     limits = {}
-    for dof, limit in _driven_dofs(robot):
+    for dof, limit in driven_dofs(robot):
         if not np.isfinite(limit):
             # A servo without a limit: what an error of half a radian asks of it.
-            limit = 0.5 * _stiffness(model, dof)
+            limit = 0.5 * stiffness(model, dof)
         if limit > 0.0:
             limits[dof] = limit
     if not limits:
@@ -541,8 +542,8 @@ def _drag(robot: Robot, name: str, share: Callable[[int, float], float], spare: 
     worst = max(limits, key=lambda dof: share(dof, limits[dof]))
     return Finding(
         value=share(worst, limits[worst]),
-        remark=f"{_joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
-        advice=f'{name}="{fair[worst]:.2g}" for {_joint_name(robot, worst)} and joints like it',
+        remark=f"{joint_name(robot, worst)}: {name} {values[worst]:.3g} with {limits[worst]:.3g} Nm",
+        advice=f'{name}="{fair[worst]:.2g}" for {joint_name(robot, worst)} and joints like it',
         changes={f"dof_{name}[{dof}]": value for dof, value in fair.items() if value < values[dof]},
     )
 
@@ -565,7 +566,7 @@ def _armature(robot: Robot) -> Finding:
     model, data, found, changes = robot.model, start(robot), Finding(), {}
     full = np.zeros((model.nv, model.nv))
     mujoco.mj_fullM(model, data, full)
-    for dof, _ in _driven_dofs(robot):
+    for dof, _ in driven_dofs(robot):
         armature = float(model.dof_armature[dof])
         limb = max(float(full[dof, dof]) - armature, 1e-9)
         if armature / limb > 20.0:
@@ -573,7 +574,7 @@ def _armature(robot: Robot) -> Finding:
         if armature / limb > found.value:
             found = Finding(
                 value=armature / limb,
-                remark=f"{_joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
-                advice=f'armature="{limb:.2g}" for {_joint_name(robot, dof)} and joints like it',
+                remark=f"{joint_name(robot, dof)}: {armature:.3g} with a limb of {limb:.3g} kg m^2",
+                advice=f'armature="{limb:.2g}" for {joint_name(robot, dof)} and joints like it',
             )
     return replace(found, changes=changes)

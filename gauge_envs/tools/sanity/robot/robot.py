@@ -2,7 +2,7 @@
 
 import copy
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -192,17 +192,19 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:
     """Return whether no two geoms of a robot that is fixed to the world touch in random poses within joint limits."""
-    model, data, generator = robot.model, mujoco.MjData(robot.model), np.random.default_rng(0)
-    hinges = [j for j in range(model.njnt) if int(model.jnt_type[j]) >= int(mujoco.mjtJoint.mjJNT_SLIDE)]
-    if robot.standing is not None or len(hinges) < model.njnt:
+    if robot.standing is not None or (robot.model.jnt_type < int(mujoco.mjtJoint.mjJNT_SLIDE)).any():
         return False
+    return not any(data.ncon for data in random_poses(robot.model, poses))
+
+
+def random_poses(model: mujoco.MjModel, poses: int) -> Iterator[mujoco.MjData]:
+    """Yield a model in random poses within its joint limits, at rest; free and ball joints stay."""
+    data, generator = mujoco.MjData(model), np.random.default_rng(0)
     for _ in range(poses):
-        for joint in hinges:
+        for joint in np.flatnonzero(model.jnt_type >= int(mujoco.mjtJoint.mjJNT_SLIDE)):
             is_hinge = int(model.jnt_type[joint]) == int(mujoco.mjtJoint.mjJNT_HINGE)
             free = (-np.pi, np.pi) if is_hinge else (-1.0, 1.0)
             low, high = model.jnt_range[joint] if model.jnt_limited[joint] else free
             data.qpos[model.jnt_qposadr[joint]] = generator.uniform(low, high)
-        mujoco.mj_fwdPosition(model, data)
-        if data.ncon:
-            return False
-    return True
+        mujoco.mj_forward(model, data)
+        yield data

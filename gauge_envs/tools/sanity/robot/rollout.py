@@ -1,26 +1,30 @@
-"""Run the target's own robot in its own settings: held at the pose in which it stands, and moving freely."""
+"""Run the target's own robot in its own settings: held where it stands, moving freely, and joint by joint."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from gauge_envs.tools.sanity.robot.model_rows import (
     NOT_STANDING,
     Finding,
     NotApplicableError,
     body_name,
+    driven_dofs,
+    joint_name,
     row,
     servos,
     standing_of,
     start,
+    stiffness,
     torque_limits,
     without,
 )
 from gauge_envs.tools.sanity.robot.mujoco_feet import first_moving_body
-from gauge_envs.tools.sanity.robot.robot import Robot
+from gauge_envs.tools.sanity.robot.robot import Robot, random_poses
 
 HOLD_S, LATE_S = 2.0, 0.5
 """Time for which the robot is held [s], and its end, in which loads and torques are read."""
@@ -201,3 +205,92 @@ def _energy(robot: Robot) -> Finding:
     largest = float(energies[:, 1].max())
     gained = float((energies.sum(axis=1) - energies[0].sum()).max())
     return Finding(value=gained / max(largest, 1e-9) if np.isfinite(energies).all() else np.inf)
+
+
+# --- joint by joint --------------------------------------------------------------------------------------------------
+
+STEP_RAD, STEP_S, FAIR_S = 0.3, 0.2, 0.0075
+"""Step of a servo's command, the time for which it is watched, and the time of its half with changed gains."""
+
+
+@cache
+def _weights(robot: Robot) -> NDArray[np.float64]:
+    """Return the largest torque of gravity on each degree of freedom in random poses [Nm], shape [nv]."""
+    poses = random_poses(robot.model, 64)
+    return np.asarray(np.max([np.abs(data.qfrc_bias - data.qfrc_gravcomp) for data in poses], axis=0))
+
+
+@row("robot-dry")
+def _dry(robot: Robot) -> Finding:
+    bare = without(robot.model, "contact", "gravity", "limit", "equality", "actuation", "spring")
+    bare.opt.density = bare.opt.viscosity = 0.0
+    data, loads, shares, losses = start(robot, bare), _weights(robot), {}, {}
+    data.qacc[:] = 0.0
+    for dof, _ in driven_dofs(robot):
+        torques = []
+        for rate in (3.0, 6.0):
+            data.qvel[:] = rate * (np.arange(bare.nv) == dof)
+            mujoco.mj_inverse(bare, data)
+            torques.append(float(data.qfrc_inverse[dof]))
+        dry, viscous = max(2.0 * torques[0] - torques[1], 0.0), max((torques[1] - torques[0]) / 3.0, 0.0)
+        shares[dof] = dry / max(dry + viscous, 1e-12)
+        # The least of measured joints: 5 % beside viscous friction, and 0.26 % of the weight of a bare bearing.
+        losses[dof] = viscous / 19.0 + 0.0026 * max(loads[dof], 0.1 * loads.max(), 0.01)
+    if not shares:
+        return Finding(declined="no hinge of the robot is driven")
+    worst, few = min(shares, key=lambda dof: shares[dof]), [dof for dof in shares if shares[dof] < 0.01]
+    name = joint_name(robot, worst)
+    return Finding(
+        value=shares[worst],
+        remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
+        advice=f'frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`',
+        changes={f"dof_frictionloss[{dof}]": losses[dof] for dof in few},
+    )
+
+
+@row("robot-lag")
+def _lag(robot: Robot) -> Finding:
+    model, found, changes = robot.model, Finding(declined=f"{NO_SERVO}, or have no room for a step"), {}
+    for dof, _ in driven_dofs(robot):
+        for actuator in np.flatnonzero(servos(model) & (model.actuator_trnid[:, 0] == model.dof_jntid[dof])):
+            half_s = _half_step_s(robot, int(actuator), dof)
+            scale = half_s / FAIR_S
+            if scale < 1.0:
+                changes[f"actuator_gainprm[{actuator}]"] = model.actuator_gainprm[actuator] * scale**2
+                powers = np.array([0, 2, 1] + [0] * 7)
+                changes[f"actuator_biasprm[{actuator}]"] = model.actuator_biasprm[actuator] * scale**powers
+            if 1e3 * half_s < (np.inf if found.declined else found.value):
+                gains, name = f"kp times {scale**2:.2g} and kv times {scale:.2g}", joint_name(robot, dof)
+                advice = f"{gains} for {name} and servos like it, or their forcerange"
+                found = Finding(value=1e3 * half_s, remark=name, advice=advice)
+    return replace(found, changes=changes)
+
+
+def _half_step_s(robot: Robot, actuator: int, dof: int) -> float:
+    """Return the time in which a servo covers half of a step while all else stays [s]; infinite without room for it."""
+    alone = without(robot.model, "contact", "gravity", "limit")
+    alone.dof_armature[np.arange(alone.nv) != dof] = 1e6
+    data, place = start(robot, alone), int(alone.jnt_qposadr[alone.dof_jntid[dof]])
+    ratio = float(alone.actuator_biasprm[actuator, 1]) / float(alone.actuator_gainprm[actuator, 0] or np.nan)
+    size, before = abs(STEP_RAD * float(alone.actuator_gear[actuator, 0]) * ratio), float(data.ctrl[actuator])
+    low, high = alone.actuator_ctrlrange[actuator] if alone.actuator_ctrllimited[actuator] else (-np.inf, np.inf)
+    if not size <= max(high - before, before - low):
+        return np.inf
+    data.ctrl[actuator] += size if high - before >= size else -size
+    begin, moved, last = float(data.qpos[place]), 0.0, 0.0
+    while moved < 0.5 * STEP_RAD and data.time < STEP_S:
+        mujoco.mj_step(alone, data)
+        last, moved = moved, abs(float(data.qpos[place]) - begin)
+    over = max(moved - 0.5 * STEP_RAD, 0.0) / max(moved - last, 1e-12)
+    return float(data.time - over * alone.opt.timestep)
+
+
+@row("robot-sag")
+def _sag(robot: Robot) -> Finding:
+    weights, gains = _weights(robot), {dof: stiffness(robot.model, dof) for dof, _ in driven_dofs(robot)}
+    sags = {dof: 1e3 * float(weights[dof]) / gain for dof, gain in gains.items() if gain > 0.0 and weights[dof] > 0.0}
+    if not sags:
+        return Finding(declined=f"{NO_SERVO}, or carry no weight")
+    dof = max(sags, key=lambda one: sags[one])
+    remark = f"{joint_name(robot, dof)}: {weights[dof]:.3g} Nm with {gains[dof]:.3g} Nm/rad"
+    return Finding(value=sags[dof], remark=remark, advisory="a controller that knows its load does not sag")
