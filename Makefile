@@ -17,7 +17,7 @@ CHECK_TESTS := tests/test_dependencies.py tests/test_layers.py tests/evaluation 
 MATRIX := 3.12:lowest 3.13:newest
 MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/test_env.py tests/evaluation \
 	tests/experiments/test_scene_source.py tests/experiments/test_task_files.py tests/experiments/test_task_rigid.py \
-	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene
+	tests/experiments/test_user_file.py tests/observables tests/references tests/runs tests/scene tests/test_notebooks.py
 
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
@@ -78,7 +78,7 @@ bench: $(VENV)/.installed
 gallery: $(VENV)/.installed
 	$(BIN)/python scripts/build_gallery.py
 
-docs: $(VENV)/.installed
+docs: $(VENV)/.runs
 	$(BIN)/pip install --quiet -e ".[docs]"
 	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build
 

@@ -64,7 +64,9 @@ def copy_studies(app: Sphinx) -> None:
     for note in STUDIES.rglob("README.md"):
         name = "index" if note.parent == STUDIES else note.parent.name
         text = re.sub(r"\]\((?:\.\./)?(\w+)/README\.md", r"](\1.md", note.read_text(encoding="utf-8"))
-        text = re.sub(r"\]\(([\w-]+\.png)", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../"))
+        text = re.sub(
+            r"\]\(([\w-]+\.(?:png|gif))", rf"](../../studies/{name}/\1", text.replace("](../../docs/", "](../")
+        )
         (pages / f"{name}.md").write_text(text, encoding="utf-8")
 
 
@@ -75,6 +77,11 @@ def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
     for file, target in PAGES_OF_FILES.items():
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
+
+
+def link_included(app: Sphinx, file: Path, page: str, content: list[str]) -> None:
+    """Point the links of an included file, whose own folder is the checkout, to the pages of studies."""
+    content[0] = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", content[0])
 
 
 def list_table(rows: list[str], indent: str) -> list[str]:
@@ -129,6 +136,7 @@ def setup(app: Sphinx) -> None:
     """Connect the hooks; docstrings are rewritten before napoleon reads their sections."""
     app.connect("builder-inited", copy_studies)
     app.connect("source-read", link_pages)
+    app.connect("include-read", link_included)
     app.connect("autodoc-process-docstring", read_markdown, priority=100)
     app.connect("autodoc-process-docstring", escape_patterns, priority=900)
     app.connect("autodoc-process-signature", leave_out_signature)

@@ -19,6 +19,7 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import planned_results, run_many
@@ -40,12 +41,15 @@ BEGIN, END = "<!-- gallery, written by scripts/build_gallery.py -->", "<!-- end 
 """Lines of the page that enclose the list."""
 
 STRIP_SIZE = {"width": 320, "height": 240}
+DRAWN_LARGER, MOVES_BY, MARGIN = 2, 24, 1.3
+"""Size of the pictures from which strips are cut, over theirs; change of a colour that is a motion, of 255; and size of
+the part that is shown over the part that moves."""
 FILM_SIZE = {"width": 300, "height": 225}
 FILM_FPS = 20.0
 CONTROL_FRACTION = 0.98
 """Share of its limit that the law's policy uses in the pictures of control tasks."""
 
-MOST_FILM_BYTES = 600_000
+MOST_FILM_BYTES = 640_000
 MOST_BYTES = 4_000_000
 """Largest size of a film, and of all pictures of the gallery."""
 
@@ -100,7 +104,8 @@ def result_of(name: str, backend: str, folder: Path) -> tuple[Path, Result]:
 
 def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
     """Return the first, middle and last picture of a control task, their times, and what was reached."""
-    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", **STRIP_SIZE)
+    large = {key: DRAWN_LARGER * value for key, value in STRIP_SIZE.items()}
+    env = gymnasium.make(f"GAUGE/{name}", render_mode="rgb_array", **large)
     env.reset(seed=0)
     task = env.unwrapped
     pictures, over = [env.render()], False
@@ -113,7 +118,23 @@ def controlled(name: str) -> tuple[list[NDArray[np.uint8]], list[float], str]:
     chosen = (0, len(pictures) // 2, len(pictures) - 1)
     unit = "" if limit.unit == "1" else f" {limit.unit}"
     note = f"{limit.quantity} {report.reached:.3f}, limit {limit.value:.3f} +- {limit.sigma:.3f}{unit}"
-    return [pictures[index] for index in chosen], [index / FRAME_RATE_HZ for index in chosen], note
+    cropped = around_motion(pictures)
+    return [cropped[index] for index in chosen], [index / FRAME_RATE_HZ for index in chosen], note
+
+
+def around_motion(pictures: Sequence[NDArray[np.uint8]]) -> list[NDArray[np.uint8]]:
+    """Return the part of pictures in which something moves; the camera of a task shows all its goals."""
+    frames = np.stack(pictures).astype(np.int16)
+    moving = np.ptp(frames, axis=0).max(axis=2) > MOVES_BY
+    rows, columns = (np.flatnonzero(moving.any(axis=axis)) for axis in (1, 0))
+    height, width = moving.shape
+    share = MARGIN * max(np.ptp(rows) / height, np.ptp(columns) / width)
+    size = np.array([height, width]) * float(np.clip(share, 1.0 / DRAWN_LARGER, 1.0))
+    middle = np.array([rows[0] + rows[-1], columns[0] + columns[-1]]) / 2.0
+    top, left = np.clip(middle - size / 2.0, 0.0, np.array([height, width]) - size)
+    box = (left, top, left + size[1], top + size[0])
+    shown = (STRIP_SIZE["width"], STRIP_SIZE["height"])
+    return [np.asarray(Image.fromarray(one).resize(shown, Image.Resampling.LANCZOS, box=box)) for one in pictures]
 
 
 # --- page ------------------------------------------------------------------------------------------------------------

@@ -75,6 +75,7 @@ class Experiment:
         drivers: `imported` if any driven motion is that of imported trials.
         reference_source: `imported` if scores refer to the imported trials.
         file_sha256: Hash of the task file, or of an experiment file and the files that it names.
+        revision: Revision of the task file; 1 for an experiment file.
         asset: File that states the scene; None if the task file states it.
         reference: Reference of an experiment file; None for a variant of the package.
         trial: Single-shot trial whose measured start the scene has, and which scores it; None without such trials.
@@ -92,6 +93,7 @@ class Experiment:
     drivers: DataSource = DataSource.BUNDLED
     reference_source: DataSource = DataSource.BUNDLED
     file_sha256: str
+    revision: int = 1
     asset: Asset | None = None
     reference: Reference | None = None
     trial: int | None = None

@@ -140,6 +140,7 @@ def load_experiment(
         driver_provenance=driver_provenance(scene),
         reference_source=_data_source(variant, "reference", reference),
         file_sha256=task_sha256(variant.family),
+        revision=spec.revision,
     )
     if single_shots(variant.name) is not None and not {key.rpartition(".")[2] for key in overrides} & START_KEYS:
         experiment = with_trial(experiment, 0)

@@ -185,7 +185,7 @@ def _check_provenance(path: Path, spec: TaskSpec, raw: dict[str, Any]) -> None:
             raise TaskFileError(
                 path, f"provenance.{key}", f"{provenance!r} must start with one of {', '.join(PROVENANCES)}"
             )
-    for key in _number_keys({k: v for k, v in raw.items() if k != "provenance"}):
+    for key in _number_keys({k: v for k, v in raw.items() if k not in ("provenance", "revision")}):
         try:
             spec.provenance_of(key)
         except UnknownNameError as error:

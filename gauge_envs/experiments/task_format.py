@@ -270,10 +270,12 @@ class TaskSpec(FileModel):
     Attributes:
         collection: `gauge` for an experiment of the benchmark, `beyond` for one of other sources, which lists, counts
             and averages of the benchmark leave out.
+        revision: Raised by one when a change of this file or its references changes scores.
     """
 
     family: str
     collection: Collection = Collection.GAUGE
+    revision: int = Field(1, ge=1)
     title: str
     group: Group
     summary: str

@@ -148,6 +148,7 @@ def planned_result(
         parameters=(parameters if isinstance(parameters, str) else json_ready(parameters)) or "calibrated",
         score=Score(grade=grade.value, unit=experiment.score.observable.unit, edited=experiment.edited),
         task_sha256=experiment.file_sha256,
+        revision=experiment.revision,
         backend=arguments.backend,
         settings_given=json_ready(arguments.settings or {}),
         seed=seed,

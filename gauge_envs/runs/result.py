@@ -106,6 +106,7 @@ class Result:
         score: Distance to reality; a metric that does not apply is None.
         deformation: Statistics of deformation beside real ones, grade `statistics`; None without them.
         task_sha256: Hash of the task file; for an experiment file, hash of it and of all files that it names.
+        revision: Revision of the experiment; results of different ones are not compared.
         frames: Number of recorded frames, the first included.
         diverged: Whether the simulation left the physical bounds of the scene.
         diverged_reason: Bound that it left; None without divergence.
@@ -137,6 +138,7 @@ class Result:
     parameters: str | dict[str, Any]
     score: Score
     task_sha256: str
+    revision: int = 1
     deformation: DeformationScore | None = None
     backend: str | None = None
     frames: int = 0

@@ -19,6 +19,7 @@ from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, fir
 from gauge_envs.evaluation.trajectory_file import LARGEST
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
@@ -76,6 +77,7 @@ def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
         # Files of older versions lack these keys; they have the defaults of that time.
+        content.setdefault("revision", 1)
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", MarkerProxy.NODE.value)
         stated = content.get("dataset") or {}
@@ -183,6 +185,10 @@ def recorded_experiment(result: Result) -> Experiment:
     If an engine's model file stated the scene, the scene is that of the variant.
     """
     record = result.asset
+    installed = 1 if result.has_experiment_file else task_spec(find_variant(result.id).family).revision
+    if result.revision != installed:
+        reason = f"has revision {result.revision}, and the installed package revision {installed}"
+        raise ResultFileError(f"{result.id}: it {reason}: use gauge-envs {result.versions.get('gauge-envs')} for it")
     if not record or "scene" not in record:
         return load_experiment(
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]

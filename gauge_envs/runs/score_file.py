@@ -53,6 +53,7 @@ def score_file(
         score=score,
         deformation=None if trajectory.markers_m is None else score_deformation(experiment, trajectory.markers_m),
         task_sha256=experiment.file_sha256,
+        revision=experiment.revision,
         frames=experiment.frame_count,
         sim_s=(experiment.frame_count - 1) / FRAME_RATE_HZ,
         driver_provenance=experiment.driver_provenance,

@@ -274,11 +274,15 @@ def _has_one_reference(one: ExperimentComparison) -> bool:
 def compare(results: Iterable[Result]) -> Comparison:
     """Return a comparison of results of any experiments, engines, parameters, settings and seeds.
 
-    Of several results of one experiment, configuration and seed the latest counts; a note reports that.
+    Of several results of one experiment the newest revision counts, and of one configuration and seed the latest; notes
+    report both.
     """
-    every = list(results)
+    given = sorted(results, key=lambda result: result.revision)
+    newest = {one.id: one.revision for one in given}
+    every = [one for one in given if one.revision == newest[one.id]]
+    older = dict.fromkeys(short_id(one.id) for one in given if one.revision < newest[one.id])
+    notes = [f"{name}: results of an older revision are left out; compare them apart" for name in older]
     groups = group_by_configuration(every)
-    notes: list[str] = []
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
     names = sorted({result.id for result in every}, key=lambda name: (places.get(name, len(places)), name))

@@ -1,6 +1,7 @@
 """Check submissions: their files, what they state, their trajectories, their scores, and a sample run again."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from importlib.metadata import version as installed_version
@@ -9,8 +10,8 @@ from pathlib import Path
 from gauge_envs.backends import backend
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
-from gauge_envs.experiments.task_files import task_sha256
-from gauge_envs.experiments.variants import find_variant, variants
+from gauge_envs.experiments.task_files import task_sha256, task_spec
+from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import counted
@@ -24,6 +25,7 @@ from gauge_envs.tools.leaderboard.submission import (
     Fault,
     Statement,
     SubmissionFiles,
+    board_experiments,
     find_submissions,
     installed_package,
     read_statement,
@@ -44,6 +46,7 @@ class SubmissionCheck:
         statement: Its `submission.toml`; None if that is faulty.
         results: Results without faults, in the order of the experiments: those of episodes that were run again, else of
             the files, with scores that were computed anew.
+        asked: Number of experiments of the leaderboard.
         unverified: Ids that are left out although the engine builds them, or without an engine here that could tell.
         faults: What is wrong.
         notes: What a reader should know, a sentence each.
@@ -58,6 +61,7 @@ class SubmissionCheck:
     notes: tuple[str, ...] = ()
     reruns: tuple[Rerun, ...] = ()
     content_sha256: str = ""
+    asked: int = 0
     unverified: tuple[str, ...] = ()
 
     @property
@@ -142,9 +146,10 @@ def _check_submission(
     if isinstance(stated, Fault):
         return SubmissionCheck(folder=name, faults=(*faults, stated))
     faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, stated)]
-    results, seen, found = _checked_results(files, stated, root, advance)
+    names = board_experiments(root)
+    results, seen, found = _checked_results(files, stated, root, names, advance)
     faults += found
-    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen)]
+    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen, names)]
     content = files.sha256(folder)
     reruns: list[Rerun] = []
     by_id = {result.id: file for file, result in results.items()}
@@ -158,28 +163,29 @@ def _check_submission(
     faults += [
         Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
     ]
-    order = {variant.id: place for place, variant in enumerate(variants())}
     return SubmissionCheck(
         folder=name,
         statement=stated,
-        results=tuple(sorted(results.values(), key=lambda result: order[result.id])),
+        results=tuple(sorted(results.values(), key=lambda result: names.index(result.id.removeprefix("GAUGE/")))),
         faults=tuple(faults),
         notes=(*_notes(results.values()), *_package_notes(stated)),
         reruns=tuple(reruns),
         content_sha256=content,
-        unverified=tuple(_unverified(stated, {result.id for result in results.values()})),
+        asked=len(names),
+        unverified=tuple(
+            _unverified(stated, set(names) - {result.id.removeprefix("GAUGE/") for result in results.values()})
+        ),
     )
 
 
-def _unverified(stated: Statement, present: Collection[str]) -> Iterator[str]:
-    """Yield the ids without a result that the engine does not decline here."""
-    try:
+def _unverified(stated: Statement, absent: Collection[str]) -> Iterator[str]:
+    """Yield the ids of those without a result that the engine does not decline here."""
+    engine = None
+    with suppress(GaugeError):
         engine = backend(stated.engine)
-    except GaugeError:
-        engine = None
-    for variant in variants():
-        if variant.id not in present and (engine is None or engine.supports(load_experiment(variant).scene)):
-            yield variant.id
+    for name in sorted(absent):
+        if engine is None or engine.supports(load_experiment(name).scene):
+            yield f"GAUGE/{name}"
 
 
 def _path_faults(folder: Path, stated: Statement) -> Found:
@@ -190,7 +196,7 @@ def _path_faults(folder: Path, stated: Statement) -> Found:
 
 
 def _checked_results(
-    files: SubmissionFiles, stated: Statement, root: Path, advance: Callable[[str], None]
+    files: SubmissionFiles, stated: Statement, root: Path, names: Collection[str], advance: Callable[[str], None]
 ) -> tuple[dict[str, Result], set[str], list[Fault]]:
     """Return the rescored results without faults by file, the ids of all that can be read, and the faults."""
     results: dict[str, Result] = {}
@@ -205,7 +211,7 @@ def _checked_results(
         except ResultFileError as error:
             faults.append(Fault(file=name, reason=str(error).removeprefix(f"{file}: ")))
             continue
-        found = list(_result_faults(file, result, stated))
+        found = list(_result_faults(file, result, stated, names))
         first = earlier.setdefault(result.id, name)
         if first != name:
             found.append(("id", f"is {result.id}, which {first} has too; one result for each experiment is expected"))
@@ -225,17 +231,16 @@ def _checked_results(
     return results, set(earlier), faults
 
 
-def _result_faults(file: Path, result: Result, stated: Statement) -> Found:
+def _result_faults(file: Path, result: Result, stated: Statement, names: Collection[str]) -> Found:
     """Yield what a result states that the submission or the rules of the leaderboard do not allow."""
-    known = {variant.id for variant in variants()}
-    if result.id not in known:
-        yield "id", f"is {result.id!r}, which is not one of the {len(known)} experiments of the benchmark"
+    if result.id.removeprefix("GAUGE/") not in names:
+        yield "id", f"is {result.id!r}, which is not one of the {len(names)} experiments of the leaderboard"
         return
     expected = {
         "backend": stated.engine,
         "parameters": stated.parameters,
         "settings_given": stated.settings,
-        "task_sha256": task_sha256(find_variant(result.id).family),
+        "revision": task_spec(find_variant(result.id).family).revision,
         "seed": 0,
         "jitter": {},
         "marker_proxy": MarkerProxy.MATERIAL.value,
@@ -266,20 +271,19 @@ def _hints(stated: Statement) -> dict[str, str]:
         "backend": f", the engine of {STATEMENT_FILE}",
         "parameters": f", as {STATEMENT_FILE} states",
         "settings_given": f", as {STATEMENT_FILE} states; settings are the same for all experiments",
-        "task_sha256": ", the hash of the installed task file: run it again with this version of gauge-envs",
+        "revision": ", that of the installed task file: run it again with this version of gauge-envs",
         "seed": ": the calibrated start is run once",
     }
 
 
-def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
-    """Yield each experiment that has neither a result nor a reason, and each reason for none."""
-    names = [variant.name for variant in variants()]
+def _coverage_faults(stated: Statement, seen: set[str], names: Sequence[str]) -> Found:
+    """Yield each experiment of the leaderboard that has neither a result nor a reason, and each reason for none."""
     present, left_out = {identifier.removeprefix("GAUGE/") for identifier in seen}, set[str]()
     for pattern in stated.left_out:
         stem = pattern.removeprefix("GAUGE/")
         matched = [name for name in names if fnmatchcase(name, stem)]
         if not matched:
-            yield f"left_out.{pattern!r}", "matches no experiment of the benchmark"
+            yield f"left_out.{pattern!r}", "matches no experiment of the leaderboard"
         elif both := [name for name in matched if name in present]:
             yield f"left_out.{pattern!r}", f"also has a result: {', '.join(both)}"
         left_out.update(matched)
@@ -289,8 +293,11 @@ def _coverage_faults(stated: Statement, seen: set[str]) -> Found:
         yield "left_out", f"no result and no reason for {some}: add the files, or the reason in left_out"
 
 
-def _notes(results: Iterable[Result]) -> Iterator[str]:
+def _notes(results: Collection[Result]) -> Iterator[str]:
     made_with = {result.versions["gauge-envs"] for result in results}
+    families = {find_variant(result.id).family: result.task_sha256 for result in results}
+    if other := [family for family, stated in families.items() if stated != task_sha256(family)]:
+        yield f"task files of the same revision, but with another text than those installed: {', '.join(other)}"
     installed = versions()["gauge-envs"]
     for version in sorted(made_with - {installed}):
         yield (

@@ -15,8 +15,6 @@ from gauge_envs.errors import ParameterError
 if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard import LeaderboardCheck
 
-FolderArgument = Annotated[Path, typer.Argument(metavar="[DIR]", help="The leaderboard, or one submission.")]
-
 
 def leaderboard_check(
     words: Annotated[
@@ -44,7 +42,7 @@ def leaderboard_check(
 
 
 def leaderboard_table(
-    folder: FolderArgument = Path("leaderboard"),
+    folder: Annotated[Path, typer.Argument(metavar="[DIR]", help="The leaderboard.")] = Path("leaderboard"),
     out: Annotated[Path | None, typer.Option(help="Folder for leaderboard.json and leaderboard.md.")] = None,
     form: arguments.Form = Format.TEXT,
 ) -> bool:

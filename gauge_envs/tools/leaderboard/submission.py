@@ -16,7 +16,8 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from gauge_envs.errors import ResultFileError, first_fault
+from gauge_envs.errors import GaugeError, ResultFileError, first_fault
+from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, printable, read_regular, toml_document
 from gauge_envs.runs.result_file import MOST_RESULT_BYTES
 
@@ -30,6 +31,9 @@ README = "README.md"
 
 GENERATED = ("leaderboard.json", "leaderboard.md")
 """Files at the top that `gauge leaderboard table --out` writes."""
+
+BOARD_FILE = "board.toml"
+"""File at the top whose `experiments` lists the ids or patterns that each submission needs; all 75 without it."""
 
 MOST_ENTRIES = 10_000
 """Largest number of files and folders in one folder."""
@@ -187,6 +191,17 @@ def relative_name(path: Path, root: Path) -> str:
     return printable(path.relative_to(root).as_posix())
 
 
+def board_experiments(root: Path) -> tuple[str, ...]:
+    """Return the names of the experiments of the leaderboard that a folder is, or that a submission is in."""
+    above = root.resolve().parents[: len(LEVELS)] if (root / STATEMENT_FILE).exists() else ()
+    file = next((folder / BOARD_FILE for folder in (root, *above) if (folder / BOARD_FILE).is_file()), None)
+    try:
+        patterns = ["*"] if file is None else toml_document(read_regular(file, MOST_TOML_BYTES))["experiments"]
+        return tuple(dict.fromkeys(variant.name for pattern in patterns for variant in matching_variants(pattern)))
+    except (OSError, ValueError, LookupError, TypeError, GaugeError) as error:
+        raise ResultFileError(f"{file}: expected `experiments`, a list of ids or patterns: {error}") from error
+
+
 def find_submissions(root: Path) -> tuple[list[Path], list[Fault]]:
     """Return the folders of all submissions of a leaderboard, and what does not belong there.
 
@@ -201,7 +216,7 @@ def find_submissions(root: Path) -> tuple[list[Path], list[Fault]]:
         for folder in folders:
             for path, status in _entries(folder):
                 name = relative_name(path, root)
-                allowed = (README, *GENERATED) if depth == 0 else ()
+                allowed = (README, BOARD_FILE, *GENERATED) if depth == 0 else ()
                 if S_ISLNK(status.st_mode):
                     faults.append(Fault(file=name, reason="is a link: add the folder itself"))
                 elif S_ISDIR(status.st_mode):

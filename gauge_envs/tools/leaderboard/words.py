@@ -3,7 +3,6 @@
 from dataclasses import asdict
 from typing import Any
 
-from gauge_envs.experiments.variants import variants
 from gauge_envs.pages.document import Document, Heading, as_rows
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.runs.configuration import RunConfiguration
@@ -66,7 +65,7 @@ def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
         "folder": one.folder,
         **{key: getattr(said, key, None) for key in stated},
         "results": len(one.results),
-        "of": len(variants()),
+        "of": one.asked,
         "diverged": sum(result.outcome is Outcome.DIVERGED for result in one.results),
         "left_out": dict(said.left_out) if said else {},
         "ok": one.ok,
@@ -79,16 +78,11 @@ def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
 def leaderboard_document(check: LeaderboardCheck) -> Document:
     """Return all submissions without faults, and their comparison; `record` of a row states what it is of."""
     comparison = compare(result for one in _ranked(check) for result in one.results)
-    columns = {"engine": "engine", "version": "version", "configuration": "configuration", "submitter": "submitter"}
+    left_out = Column("left_out", "left out", _left_out_text, place=Place.BELOW)
+    columns = (*(Column(key, key) for key in ("engine", "version", "configuration", "submitter")), RESULTS, left_out)
     standing = Table(
         title="Submissions",
-        columns=(
-            Column("label", "column"),
-            *(Column(key, title) for key, title in columns.items()),
-            RESULTS,
-            Column("diverged", "diverged", is_number=True),
-            Column("left_out", "left out", _left_out_text, place=Place.BELOW),
-        ),
+        columns=(Column("label", "column"), *columns, Column("diverged", "diverged", is_number=True)),
         rows=[
             {"label": comparison.labels[comparison.configurations.index(RunConfiguration.of(one.results[0]))]}
             | _submission_row(one)
@@ -101,11 +95,7 @@ def leaderboard_document(check: LeaderboardCheck) -> Document:
     )
     apart = Table(
         title="Partial submissions",
-        columns=(
-            *(Column(key, title) for key, title in columns.items()),
-            RESULTS,
-            Column("left_out", "left out", _left_out_text, place=Place.BELOW),
-        ),
+        columns=columns,
         rows=[_submission_row(one) for one in check.submissions if one.ok and one.is_partial],
         notes=(
             "They lack results of experiments that their engine builds, or an engine that is installed here. They are "

@@ -75,9 +75,9 @@ def overview_page(site: Site) -> str:
     parts: list[Part] = [
         element("p", lead, class_="lead"),
         element("div", *(element("p", answer) for answer in answers), class_="answer"),
+        *_matrix(site),
         *(part for grade in graded if len(grade.scores) > 1 for part in _ranking(site, grade)),
         Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
-        *_matrix(site),
         *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
         *section("Events", _scores_table(site, "event", _events(site)), EVENTS_NOTE),
         *section("Without a reference: how far engines are apart", _unscored_table(site), UNSCORED_NOTE),
@@ -123,9 +123,9 @@ def _answer(site: Site, grade: GradeComparison) -> Html:
     further = [index for index in apart if index not in closer]
     for indices, text in ((further, "Distinguishably further"), (closer, "Distinguishably closer")):
         if indices:
-            sentences.append(f" {text}: {', '.join(site.labels[index] for index in indices)}.")
+            sentences.append(f" {text}: {'; '.join(site.labels[index] for index in indices)}.")
     if same:
-        sentences.append(f" Not distinguishable from it: {', '.join(same)}.")
+        sentences.append(f" Not distinguishable from it: {'; '.join(same)}.")
     return join(sentences)
 
 
@@ -197,8 +197,8 @@ def _matrix(site: Site) -> list[Part]:
             for member in one.members
         )
         metric = ", ".join(dict.fromkeys(SCORE_METRICS[member.primary].title for member in one.members))
-        about = below(f"{metric}, {_grade_title(one.grades[0])}: ", join(links, " \u00b7 "))
-        return join([element("b", one.title), below(one.tests), about])
+        about = below(f"{metric}: ", join(links, " \u00b7 "))
+        return join([element("b", f"{one.title}, {_grade_title(one.grades[0])}"), below(one.tests), about])
 
     def standing(index: int, one: _Phenomenon) -> str:
         found = one.of(index)

@@ -10,7 +10,7 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.errors import UnknownNameError
+from gauge_envs.errors import ResultFileError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.task_files import task_sha256
@@ -197,6 +197,17 @@ def test_results_that_do_not_belong_together_are_reported():
     assert "another task file than the installed one: SlopeSlider-2-wood" in notes
     assert "different versions of gauge-envs: 0.0.1, " in notes
     assert compare([made(), made(PLASTIC)]).notes == ()
+
+
+def test_an_older_revision_is_compared_only_with_its_own():
+    old = [made(rmse=5.0, revision=1), made(rmse=6.0, revision=1, backend="newton")]
+    new = made(rmse=1.0, revision=2, parameters="effective")
+    both = compare([*old, new])
+    assert [one.parameters for one in both.configurations] == ["effective"]
+    assert "SlopeSlider-2-wood: results of an older revision are left out; compare them apart" in both.notes
+    assert cells(old) == ["5.00", "6.00"]
+    with pytest.raises(ResultFileError, match="has revision 2, and the installed package revision 1: use gauge-envs"):
+        recorded_experiment(new)
 
 
 # --- scores ---

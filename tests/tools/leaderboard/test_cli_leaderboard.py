@@ -12,7 +12,6 @@ import pytest
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.experiments.variants import variants
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
@@ -44,6 +43,7 @@ def write_submission(root: Path, configuration: str, results: Sequence[Result], 
 def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A leaderboard of two configurations of MuJoCo."""
     root = tmp_path_factory.mktemp("board")
+    (root / "board.toml").write_text(f"experiments = {json.dumps(NAMES)}\n", encoding="utf-8")
     write_submission(root, "default", [run_episode(RunRequest(name)) for name in NAMES], "{}")
     coarse = {"timestep_s": 1 / 900}
     write_submission(
@@ -53,13 +53,6 @@ def board(tmp_path_factory: pytest.TempPathFactory) -> Path:
         f"{{timestep_s = {1 / 900}}}",
     )
     return root
-
-
-@pytest.fixture(autouse=True)
-def small_benchmark(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the benchmark have two experiments, so that two results are a whole submission."""
-    small = [variant for variant in variants() if variant.name in NAMES]
-    monkeypatch.setattr("gauge_envs.tools.leaderboard.check.variants", lambda: small)
 
 
 @pytest.fixture
@@ -171,3 +164,30 @@ def test_a_leaderboard_without_a_valid_submission_has_an_empty_table(
     result = CliRunner().invoke(app, ["leaderboard", "table", "board", *options])
     assert result.exit_code == 1 and isinstance(result.exception, SystemExit)
     assert "left out:" in result.stderr
+
+
+def test_a_leaderboard_asks_for_the_experiments_of_its_file(
+    gauge: Callable[..., Any], board: Path, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(board, tmp_path / "board"))
+    file = copy / "board.toml"
+    assert "2 of 2" in gauge("leaderboard", "check", copy).output
+    # A submission alone is checked against the file of its leaderboard.
+    assert gauge("leaderboard", "check", next(copy.glob("*/*/default"))).exit_code == 0
+    file.write_text('experiments = ["SlopeSlider-1-*"]\n', encoding="utf-8")
+    done = gauge("leaderboard", "check", copy, "--json")
+    faults = [one["reason"] for one in records(done.stdout) if one["record"] == "fault"]
+    assert done.exit_code == 1
+    assert "is 'GAUGE/SlopeSlider-2-wood', which is not one of the 3 experiments of the leaderboard" in faults
+    assert any("no result and no reason for SlopeSlider-1-plastic, SlopeSlider-1-metal" in one for one in faults)
+
+
+@pytest.mark.parametrize("text", ['experiments = ["SlopSlider-*"]', "experiments = 3", "format = 1", "["])
+def test_a_file_that_states_no_experiments_is_refused(
+    gauge: Callable[..., Any], board: Path, tmp_path: Path, text: str
+) -> None:
+    copy = Path(shutil.copytree(board, tmp_path / "board"))
+    (copy / "board.toml").write_text(text, encoding="utf-8")
+    done = gauge("leaderboard", "check", copy)
+    assert done.exit_code == 2
+    assert "expected `experiments`, a list of ids or patterns" in " ".join(done.output.split())

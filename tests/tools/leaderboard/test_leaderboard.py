@@ -172,7 +172,7 @@ EDITS = [
     (set_value("score.percentile", 1.0), "score.percentile: the file states 1, its trajectory gives 30"),
     (set_value("score.grade", "law"), "score.grade: the file states 'law', its trajectory gives 'trials'"),
     (set_value("score.withheld", "low quality"), "score.withheld: the reference is withheld"),
-    (set_value("task_sha256", "0" * 64), "task_sha256: is '000"),
+    (set_value("revision", 2), "revision: is 2, expected 1, that of the installed task file"),
     (set_value("versions.mujoco", "9.9.9"), "versions.mujoco: is '9.9.9', expected '"),
     (set_value("versions", {}), "versions.mujoco: is None, expected"),
     (set_value("backend", "newton"), "backend: is 'newton', expected 'mujoco'"),

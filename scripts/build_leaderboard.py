@@ -1,0 +1,95 @@
+"""Run this suite's own submissions of `leaderboard/`: each engine by its default preset and out of the box.
+
+    python scripts/build_leaderboard.py                   runs what has no result of the installed versions, states it
+    python scripts/build_leaderboard.py --engine genesis  one engine, in an environment that has it
+
+A result that exists is kept if it is of the same episode and versions. Afterwards `gauge leaderboard check leaderboard`
+checks everything, and `gauge leaderboard table leaderboard --out leaderboard` writes the tables.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from generated import ROOT
+
+from gauge_envs.backends.registry import uninstalled_backend
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.request import RunRequest
+from gauge_envs.tools.leaderboard.submission import STATEMENT_FILE, board_experiments, installed_package
+
+BOARD = ROOT / "leaderboard"
+PACKAGES = {
+    "mujoco": "mujoco",
+    "newton": "newton",
+    "physx": "sapien",
+    "pybullet": "pybullet",
+    "rapier": "rapier3d",
+    "drake": "drake",
+    "genesis": "genesis-world",
+}
+"""Package of each engine whose version names its folder."""
+
+OUT_OF_BOX = "out_of_box"
+
+
+def configurations(engine: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield the configurations of an engine with their settings."""
+    yield "default", {}
+    declared = uninstalled_backend(engine).configurations
+    yield OUT_OF_BOX, declared.get(OUT_OF_BOX, {"preset": OUT_OF_BOX})
+
+
+def statement(engine: str, configuration: str, settings: Mapping[str, Any], left_out: Sequence[str]) -> str:
+    """Return the text of a `submission.toml`."""
+    package = PACKAGES[engine]
+    values = {
+        "engine": engine,
+        "package": package,
+        "version": version(package),
+        "package_sha256": installed_package(package)[0],
+        "configuration": configuration,
+        "submitter": "gauge-envs",
+    }
+    lines = ["format = 1", *(f"{key} = {json.dumps(text)}" for key, text in values.items()), "", "[settings]"]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in settings.items()]
+    lines += ["", "[left_out]", *(f'"{name}" = "not supported"' for name in left_out)]
+    return "\n".join(lines) + "\n"
+
+
+def submit(engine: str, folder: Path, configuration: str, settings: Mapping[str, Any]) -> None:
+    """Run the experiments of the leaderboard in one configuration, and write the submission."""
+    requests = [
+        RunRequest(name, backend=engine, settings=dict(settings) or None)
+        for name in board_experiments(folder.parents[2])
+    ]
+    declined = []
+    for result in run_many(requests, out=folder / "results", resume=True):
+        if result.error is not None:
+            print(f"{result.id} on {engine}: {result.error}", file=sys.stderr)
+            declined.append(result.id.removeprefix("GAUGE/"))
+    (folder / STATEMENT_FILE).write_text(statement(engine, configuration, settings, declined), encoding="utf-8")
+    print(f"{folder}: {len(requests) - len(declined)} of {len(requests)}", file=sys.stderr)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the submissions; return the exit status."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--engine", choices=PACKAGES, action="append", help="only this engine; repeatable")
+    parser.add_argument("--board", type=Path, default=BOARD, help="folder of the leaderboard")
+    options = parser.parse_args(arguments)
+    for engine in options.engine or PACKAGES:
+        for configuration, settings in configurations(engine):
+            folder = options.board / engine / version(PACKAGES[engine]) / configuration
+            submit(engine, folder, configuration, settings)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
