@@ -16,6 +16,7 @@ from mutations import FAILS_ITSELF
 from gauge_envs.tools.conformance import Status, checks, run_checks
 
 DEFORMABLE = ("cloth", "air", "foam", "rope", "rod", "restore-benchmark-soft")
+TURNING = ("torsion", "rolling")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +63,8 @@ LONG = (
 
 ENGINES = (
     Engine(name="mujoco", module="mujoco"),
-    Engine(name="rapier", module="rapier3d", lacks=DEFORMABLE, long=LONG),
-    Engine(name="physx", module="sapien", lacks=DEFORMABLE, long=LONG),
+    Engine(name="rapier", module="rapier3d", lacks=(*DEFORMABLE, *TURNING), long=LONG),
+    Engine(name="physx", module="sapien", lacks=(*DEFORMABLE, *TURNING), long=LONG),
     Engine(
         name="pybullet",
         module="pybullet",
@@ -80,9 +81,12 @@ ENGINES = (
         lacks=("air", "tether"),
         quick=(*CORE, "cloth-stretch", "cloth-slide"),
     ),
-    Engine(name="drake", module="pydrake", lacks=DEFORMABLE, quick=CORE),
+    Engine(name="drake", module="pydrake", lacks=(*DEFORMABLE, *TURNING), quick=CORE),
     Engine(
-        name="genesis", module="genesis.version", lacks=("air", "hinged", "rope", "rod"), quick=("free-fall", "slide")
+        name="genesis",
+        module="genesis.version",
+        lacks=("air", "hinged", "rope", "rod", *TURNING),
+        quick=("free-fall", "slide"),
     ),
 )
 RUNS = [

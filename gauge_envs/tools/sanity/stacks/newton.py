@@ -178,6 +178,8 @@ def _options(solver: Any, read: Mapping[str, Any], step_s: float | None) -> dict
     known = (one for one in NEWTON.settings if one.place == "solver" and one.key in read)
     settings = {one.name: rounded(read[one.key]) for one in known}
     settings["integrator"] = settings["integrator"].lower()
+    # MuJoCo Warp raises smaller ones.
+    settings["tolerance"] = max(settings["tolerance"], 1e-6)
     settings["mujoco_contacts"] = bool(getattr(solver, "_use_mujoco_contacts", True))
     if step_s is not None:
         settings["timestep_s"] = step_s
