@@ -44,9 +44,6 @@ MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
 JUMP = 0.15
 """Change of the step from frame to frame that no law needs, in sizes of the object."""
 
-MOST_STRAYED = 0.4
-"""Distance from the first place at which a motion may begin, in sizes: a body at rest does not move by itself."""
-
 MOST_M_S2 = 2.0 * laws.GRAVITY_M_PER_S2
 """Largest acceleration of a swing, slide or fall [m/s^2]; friction bounds that on a turntable."""
 
@@ -97,11 +94,6 @@ def grade_of(
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
     if form > MOST_FORM.get(task.motion, math.inf):
         doubts.append(f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion")
-    strayed_px = (
-        float(np.linalg.norm(track.points_px[found[0]] - track.points_px[track.is_found][0])) if len(found) else 0.0
-    )
-    if task.motion is not Motion.CRADLE and strayed_px > MOST_STRAYED * task.size_px:
-        doubts.append(f"the motion begins {strayed_px:.0f} px from the first place, though the object was at rest")
     jumps = _jumps(track, task, found)
     if len(jumps):
         doubts.append(f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}")
