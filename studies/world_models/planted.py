@@ -277,8 +277,8 @@ def planted(scenes: dict[str, Scene], seed: int) -> Clip:  # noqa: C901
     return Clip(task, nuisance, frames, fps, truth, np.array(places), first)
 
 
-def judged(clip: Clip, seed: int) -> dict[str, object]:
-    """Return a row of the table: what was planted and what was measured."""
+def judged(clip: Clip, seed: int) -> tuple[dict[str, str], float]:
+    """Return a row of the table, with what was planted and what was measured, and the processor time [s]."""
     started = time.process_time()
     source = ArrayFrames(clip.frames, fps=clip.fps)
     with tempfile.TemporaryDirectory() as folder:
@@ -306,11 +306,11 @@ def judged(clip: Clip, seed: int) -> dict[str, object]:
     holds = interval is not None and interval[0] - 1e-9 <= truth <= interval[1] + 1e-9
     ends = [""] * 2 if interval is None else [f"{end:.4g}" for end in interval]
     return {
-        "seed": seed, "task": clip.task.id, "nuisance": clip.nuisance, "metric": name, "truth": f"{truth:.4g}",
+        "seed": str(seed), "task": clip.task.id, "nuisance": clip.nuisance, "metric": name, "truth": f"{truth:.4g}",
         "value": "" if value is None else f"{value:.4g}", "low": ends[0], "high": ends[1], "grade": result.grade.value,
-        "off_px": f"{off_px:.2f}", "is_wrong": int(is_wrong), "holds": int(holds), "cpu_s": f"{cpu_s:.1f}",
+        "off_px": f"{off_px:.2f}", "is_wrong": str(int(is_wrong)), "holds": str(int(holds)),
         "reasons": "; ".join(result.reasons)[:160],
-    }  # fmt: skip
+    }, cpu_s  # fmt: skip
 
 
 def main() -> None:
@@ -321,23 +321,34 @@ def main() -> None:
     arguments = parser.parse_args()
     cv2.setNumThreads(1)
     scenes = {task: Scene(arguments.inputs, video_task(task)) for task in set(TASKS)}
-    rows = []
+    rows, seconds = [], []
     with arguments.out.open("w", newline="", encoding="utf-8") as file:
         writer = None
         for seed in range(*map(int, arguments.seeds.split(":"))):
-            rows.append(judged(planted(scenes, seed), seed))
-            writer = writer or csv.DictWriter(file, rows[0], lineterminator="\n")
-            if len(rows) == 1:
+            row, cpu_s = judged(planted(scenes, seed), seed)
+            if writer is None:
+                writer = csv.DictWriter(file, row, lineterminator="\n")
                 writer.writeheader()
-            writer.writerow(rows[-1])
+            writer.writerow(row)
             file.flush()
-    valid = [row for row in rows if row["grade"] == "valid"]
-    fair = [row for row in valid if row["nuisance"] not in NEVER_VALID]
-    print(f"{len(rows)} clips, {len(valid)} valid, {sum(int(str(row['is_wrong'])) for row in valid)} wrong among them")
-    print(f"intervals hold the truth in {sum(int(str(row['holds'])) for row in fair)} of {len(fair)} valid clips")
-    seconds = [float(str(row["cpu_s"])) for row in rows]
+            rows.append(row)
+            seconds.append(cpu_s)
+    for name in ("task", "nuisance"):
+        for value in sorted({row[name] for row in rows}):
+            print(f"{value}: {counted([row for row in rows if row[name] == value])}")
+    print(counted(rows))
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
     print(f"{np.mean(seconds):.1f} s of processor time a clip, {max(seconds):.1f} at most; {memory:.0f} MB at most")
+
+
+def counted(rows: list[dict[str, str]]) -> str:
+    """Return how many clips are valid, wrong and within their intervals."""
+    valid = [row for row in rows if row["grade"] == "valid"]
+    fair = [row for row in valid if row["nuisance"] not in NEVER_VALID]
+    doubtful = sum(row["grade"] == "doubtful" for row in rows)
+    wrong, held = (sum(int(row[name]) for row in part) for name, part in (("is_wrong", valid), ("holds", fair)))
+    grades = f"{len(rows)} clips, {len(valid)} valid, {doubtful} doubtful"
+    return f"{grades}; {wrong} wrong among the valid; intervals hold in {held} of {len(fair)}"
 
 
 if __name__ == "__main__":

@@ -77,7 +77,7 @@ def background(first: Picture, sampled: Sequence[Picture], occupied: Region) -> 
 
 # --- candidates -------------------------------------------------------------------------------------------------------
 
-COARSE, REACH = 0.25, 6
+COARSE, REACH = 0.25, 8
 """Scale at which the whole picture is searched, and distance from a found place within which it is refined [px]."""
 
 MOST_CANDIDATES = 6
@@ -141,10 +141,12 @@ class _Outline:
         cv2.fillPoly(filled, [np.round((corners + self.half) * 16.0).astype(np.int32)], 1.0, cv2.LINE_8, 4)
         return np.asarray(cv2.GaussianBlur(filled, (0, 0), 1.0), dtype=np.float32)
 
-    def response(
-        self, covered: NDArray[np.float32], known: NDArray[np.float32]
-    ) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Return the covered share in the outline less that around it, at each pixel, and both covered areas."""
+    def response(self, covered: NDArray[np.float32], known: NDArray[np.float32]) -> tuple[NDArray[np.float32], ...]:
+        """Return the covered share in the outline less that around it, at each pixel, both shares, and the fit.
+
+        The shares are those of the pixels that say something. Before a background of the object's colour they stay as
+        large where the outline moves to the pixels that say nothing; the fit does not, as it counts areas.
+        """
         values = []
         for mask in (self.inside, self.around):
             share = cv2.filter2D(covered * known, -1, mask, borderType=cv2.BORDER_CONSTANT)
@@ -153,7 +155,8 @@ class _Outline:
         (inside, seen), (around, beside) = values
         result = inside / np.maximum(seen, 1.0) - around / np.maximum(beside, 1.0)
         result[seen < LEAST_KNOWN_SHARE * self.area] = -1.0
-        return result, inside / np.maximum(seen, 1.0), around / np.maximum(beside, 1.0)
+        fit = (inside - 0.5 * seen) / self.area - around / max(float(self.around.sum()), 1.0)
+        return result, inside / np.maximum(seen, 1.0), around / np.maximum(beside, 1.0), fit
 
 
 class ShapeFollower:
@@ -236,13 +239,13 @@ class ShapeFollower:
         half = self._full.half + REACH
         window, corner = _cut(picture, x, y, half)
         bare, _ = _cut(self._scene.picture, x, y, half)
-        response, inside, around = self._full.response(*self._covered(window, bare))
+        response, inside, around, fit = self._full.response(*self._covered(window, bare))
         middle = np.s_[half - REACH : half + REACH + 1, half - REACH : half + REACH + 1]
-        row, column = (half - REACH + n for n in divmod(int(response[middle].argmax()), 2 * REACH + 1))
+        row, column = (half - REACH + n for n in divmod(int(fit[middle].argmax()), 2 * REACH + 1))
         value = float(response[row, column])
         if value < LEAST_RESPONSE:
             return Sight()
-        place = np.array([column, row], dtype=float) + _vertex(response[row - 2 : row + 3, column - 2 : column + 3])
+        place = np.array([column, row], dtype=float) + _vertex(fit[row - 2 : row + 3, column - 2 : column + 3])
         place += corner
         # What covers the ring beside the outline is as if the object had grown.
         grown = float(self._full.around.sum()) * float(around[row, column]) / self._full.area

@@ -408,7 +408,8 @@ def _rhythm(differences: FloatArray) -> NDArray[np.bool_] | None:
     """Return which frames of one period repeat the one before, shape [period]; None without a rhythm."""
     values = np.array(differences)
     values[0] = 0.0
-    moves = values > LEAST_MOTION
+    # The grain of a body at rest is far below its motion.
+    moves = values > max(LEAST_MOTION, REPEAT_SHARE * float(values.max()))
     count = len(values)
     near = [values[max(0, row - 2) : row + 3].max() for row in range(count)]
     repeats = values < REPEAT_SHARE * np.array(near)
