@@ -52,6 +52,9 @@ PAGES_OF_FILES = {
 """Files outside `docs/` that the site shows as pages of its own, with the page that includes each."""
 
 
+NOTES = re.compile(r"\[([^\]]+)\]\((?:\.\./)*(?:examples|leaderboard)/(?:\w+/)?README\.md\)")
+"""Links to notes beside code, which have no page in the site: their text stays."""
+
 STUDIES = Path(__file__).parents[1] / "studies"
 """Notes that the site shows as pages: copied to `docs/studies/` before each build, as they link to each other."""
 
@@ -77,11 +80,13 @@ def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
     for file, target in PAGES_OF_FILES.items():
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
+    source[0] = NOTES.sub(r"\1", source[0])
 
 
 def link_included(app: Sphinx, file: Path, page: str, content: list[str]) -> None:
     """Point the links of an included file, whose own folder is the checkout, to the pages of studies."""
-    content[0] = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", content[0])
+    text = re.sub(r"\]\(studies/(\w+)/README\.md", r"](docs/studies/\1.md", content[0])
+    content[0] = NOTES.sub(r"\1", text)
 
 
 def list_table(rows: list[str], indent: str) -> list[str]:

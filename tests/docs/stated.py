@@ -488,6 +488,7 @@ def scores() -> dict[str, list[str]]:
         ],
         "docs/getting_started.md": [
             f"A single real trial is {real_mm('SlopeSlider-2-wood'):.0f} mm from that mean",
+            f"`score.rmse_aligned_normalized` is {cube.rmse_aligned_normalized:.2f}: the motion itself",
             jitter("standard deviations of {position} and {angle}"),
             f"positions of the markers instead, over {of('references.models.POINT_SIGMA_MM'):g} mm or",
         ],
