@@ -57,7 +57,7 @@ CORE = (
 LONG = (
     *("restore-benchmark-*", "restore-impact", "restore-rest", "determinism", "driven-*", "pushed-ball"),
     *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
-    *("carry-line", "carry-turn", "reset-start", "finite"),
+    *("carry-line", "carry-turn", "reset-start", "finite", "grasp-*"),
 )
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 

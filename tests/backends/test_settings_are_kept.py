@@ -52,7 +52,10 @@ def test_rounding_to_single_precision_is_none() -> None:
 
 @pytest.mark.parametrize(
     ("engine", "module", "settings"),
-    [("rapier", "rapier3d", {"max_linear_velocity_m_per_s": 1e39}), ("newton", "newton", {"impratio": 1e-20})],
+    [
+        ("rapier", "rapier3d", {"max_linear_velocity_m_per_s": 1e39}),
+        pytest.param("newton", "newton", {"impratio": 1e-20}, marks=pytest.mark.slow),
+    ],
 )
 def test_values_that_engines_clamp_are_refused(engine: str, module: str, settings: dict[str, Any]) -> None:
     pytest.importorskip(module)

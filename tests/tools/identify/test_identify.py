@@ -127,7 +127,7 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
 
 @pytest.mark.parametrize(
     "engine",
-    ["rapier", *(pytest.param(name, marks=pytest.mark.slow) for name in ("physx", "pybullet", "drake", "newton"))],
+    [pytest.param(name, marks=pytest.mark.slow) for name in ("rapier", "physx", "pybullet", "drake", "newton")],
 )
 def test_a_servo_is_found_on_each_engine_but_for_its_step(engine: str) -> None:
     """An engine that takes the angle at the end of its step has a damping of kp times the step more, and kv is less."""

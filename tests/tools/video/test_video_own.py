@@ -58,6 +58,7 @@ def test_a_board_of_another_kind_is_refused(tmp_path: Path) -> None:
     assert outcome.exit_code == 2 and "give a .png or .pdf" in " ".join(outcome.output.split())
 
 
+@pytest.mark.slow
 def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("handheld.EXPOSURES", 3)
     one = shot("slide", 5, tmp_path)

@@ -43,6 +43,7 @@ def pendulum_period_s(length_m: float, radius_m: float, amplitude_rad: float) ->
     return 4.0 * math.sqrt(inertia_ratio / GRAVITY) * integral
 
 
+@pytest.mark.slow
 def test_a_filmed_fall_has_gravity() -> None:
     one = film("BouncingBall-rubber", release_s=0.3 + 1 / 60)
     result = score(list(one.pictures), one.fps, "BouncingBall-rubber")
