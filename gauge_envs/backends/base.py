@@ -455,6 +455,8 @@ class Feature(StrEnum):
     """`JointDynamics.viscous_friction_n_m_s_per_rad`."""
     ARMATURE = "armature"
     """`JointDynamics.armature_kg_m2`."""
+    BACKLASH = "backlash"
+    """`JointDynamics.backlash_rad`."""
     SERVO = "servo"
     """`Servo` on a joint."""
     TORQUE_MOTOR = "torque motor"
@@ -644,6 +646,7 @@ def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
             (Feature.DRY_FRICTION, moved.dynamics.dry_friction_n_m, "dry friction"),
             (Feature.VISCOUS_FRICTION, moved.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
             (Feature.ARMATURE, moved.dynamics.armature_kg_m2, "armature"),
+            (Feature.BACKLASH, moved.dynamics.backlash_rad, "backlash"),
             (Feature.SERVO, isinstance(moved.motor, Servo), "a position servo"),
             (Feature.TORQUE_MOTOR, isinstance(moved.motor, TorqueMotor), "a torque motor"),
         ):

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Literal
 
+from gauge_envs.errors import ParameterError
 from gauge_envs.scene.geometry import Box, NonNegative, Pose, Shape, Vector
 from gauge_envs.scene.motors import Motor
 
@@ -134,11 +135,22 @@ class JointDynamics:
         dry_friction_n_m: Coulomb torque [N m]: opposes the rotation, and holds the joint against less than it.
         viscous_friction_n_m_s_per_rad: Torque per rate that opposes the rotation [N m s/rad].
         armature_kg_m2: Inertia of a rotor, times its gear ratio squared, which turns with the joint [kg m^2].
+        backlash_rad: Play between the rotor and what it turns, which starts in its middle [rad]. Friction and motor act
+            on the rotor, whose angle a servo measures. It ends in two stops without a stated restitution.
+
+    Raises:
+        ParameterError: There is play and no armature: a rotor without inertia has no motion of its own.
     """
 
     dry_friction_n_m: NonNegative = 0.0
     viscous_friction_n_m_s_per_rad: NonNegative = 0.0
     armature_kg_m2: NonNegative = 0.0
+    # Hashes and prints of joints without play stay.
+    backlash_rad: NonNegative = field(default=0.0, repr=False)
+
+    def __post_init__(self) -> None:
+        if self.backlash_rad and not self.armature_kg_m2:
+            raise ParameterError("a joint with backlash_rad needs armature_kg_m2: state the inertia of its rotor")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend
-from gauge_envs.backends.base import Simulation, Worlds, scene_support
+from gauge_envs.backends.base import Feature, Simulation, Worlds, scene_support
 from gauge_envs.runs.rollout import record
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
 from gauge_envs.scene.driver_path import motor_commands
@@ -59,14 +60,19 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
         assert turned == pytest.approx(sign * 0.5 * 0.01 * 0.1**2 / box_inertia_kg_m2(one)[1], rel=0.02)
 
 
-def _arm() -> Scene:
-    """Return two bars on the world, the upper one with a servo, the lower one with friction and a torque motor."""
+def _arm(name: str = "mujoco") -> Scene:
+    """Return two bars on the world, the upper one with a servo, the lower one with friction and a torque motor.
+
+    On an engine that builds it, the lower one has play too.
+    """
     upper, lower = (
         body(name, Box(size_m=(0.02, 0.02, 0.2)), Pose(position_m=(0.0, 0.0, z)), mass_kg=0.2)
         for name, z in (("upper", 0.9), ("lower", 0.7))
     )
     servo = Servo(command=ramp(0.5, start_s=0.0, duration_s=0.1, ramp_s=0.0), kp_n_m_per_rad=2.0, kv_n_m_s_per_rad=0.1)
     friction = JointDynamics(dry_friction_n_m=0.005, viscous_friction_n_m_s_per_rad=0.001)
+    if Feature.BACKLASH in backend(name).features:
+        friction = replace(friction, armature_kg_m2=0.002, backlash_rad=0.02)
     axis = (0.0, 1.0, 0.0)
     inner = BodyHinge(
         first="upper",
@@ -92,7 +98,7 @@ def _played(world: Simulation | Worlds, first: int, last: int) -> list[NDArray[n
 @on_every_engine
 def test_several_worlds_and_a_restored_one_move_as_one_does(name: str) -> None:
     pytest.importorskip(ENGINES[name])
-    engine, scene = backend(name), _arm()
+    engine, scene = backend(name), _arm(name)
     simulation = engine.build(scene)
     simulation.reset(0)
     early = _played(simulation, 0, 18)

@@ -45,7 +45,7 @@ motion = "dynamic"
 recorded = true
 
 [constants.upper]
-brass = { mass_kg = 0.5, dry_friction_n_m = 0.01, armature_kg_m2 = 0.002 }
+brass = { mass_kg = 0.5, dry_friction_n_m = 0.01, armature_kg_m2 = 0.002, backlash_rad = 0.02 }
 steel = { mass_kg = 0.6, viscous_friction_n_m_s_per_rad = 0.03 }
 
 [constants.lower]
@@ -99,7 +99,7 @@ def built(folder: Path, old: str = "", new: str = "", material: str = "brass", *
 def test_joint_terms_of_a_task_file_depend_on_the_material(tmp_path: Path) -> None:
     brass, steel = (built(tmp_path, material=material).hinges for material in ("brass", "steel"))
     assert brass[0].anchor_m == (0.0, 0.0, 1.0)
-    assert brass[0].dynamics == JointDynamics(dry_friction_n_m=0.01, armature_kg_m2=0.002)
+    assert brass[0].dynamics == JointDynamics(dry_friction_n_m=0.01, armature_kg_m2=0.002, backlash_rad=0.02)
     assert steel[0].dynamics == JointDynamics(viscous_friction_n_m_s_per_rad=0.03)
     assert brass[0].motor is None
     assert brass[1].motor == Servo(
@@ -130,7 +130,7 @@ def test_a_torque_motor_has_a_sampled_command(tmp_path: Path) -> None:
 
 def test_overrides_state_terms(tmp_path: Path) -> None:
     upper, lower = built(tmp_path, upper__dry_friction_n_m=0.5, lower__delay_s=0.0).hinges
-    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.5, armature_kg_m2=0.002)
+    assert upper.dynamics == JointDynamics(dry_friction_n_m=0.5, armature_kg_m2=0.002, backlash_rad=0.02)
     assert lower.motor is not None
     assert lower.motor.delay_s == 0.0
     with pytest.raises(ParameterError, match=r"dry_friction_n_m'.*greater than or equal to 0"):

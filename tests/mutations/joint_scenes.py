@@ -73,6 +73,17 @@ class _SoftFriction(Passed):
         self.inner.model.dof_solref[:] = (0.02, 1.0)
 
 
+class _DraggedPlay(Passed):
+    """Plays of joints have the viscous friction of a joint."""
+
+    def __init__(self, inner: Simulation, scene: Scene) -> None:
+        super().__init__(inner, scene)
+        model = self.inner.model
+        for joint in map(model.joint, range(model.njnt)):
+            if joint.name.endswith("/play"):
+                model.dof_damping[joint.dofadr] = 0.05
+
+
 def _grasps(change: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
     """Return a fault that changes scenes in which bodies with motors touch others."""
     return lambda scene: change(scene) if scene.motors and scene.contacts else scene
@@ -167,6 +178,21 @@ FAULTS: dict[str, Fault] = dict(
             "joint-armature",
             "the armature adds to the inertia",
             scene=_terms(lambda one: replace(one, armature_kg_m2=0.0)),
+        ),
+        fault(
+            "joint-backlash-twice",
+            "the whole play is to either side",
+            "joint-backlash",
+            "half of the play",
+            scene=_terms(lambda one: replace(one, backlash_rad=2.0 * one.backlash_rad)),
+        ),
+        fault(
+            "joint-backlash-drag",
+            "there is friction in the play",
+            "joint-backlash-cycle",
+            "a torque acts within the play",
+            simulation=_DraggedPlay,
+            engine="mujoco",
         ),
         fault("motor-reversed", "motors turn the other way", "joint-torque", "sign of the axis", simulation=_Reversed),
         fault("command-late", "commands one interval late", "joint-delay", "the next advance()", simulation=_Late),

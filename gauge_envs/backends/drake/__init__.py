@@ -9,6 +9,7 @@ from typing import Any
 from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.drake.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
+from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendDrake"]
@@ -37,7 +38,7 @@ class BackendDrake(BundledBackend):
         "a string is a spring that this package computes",
         "dry friction of a joint is an actuator that brakes with a largest torque",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
         """Yield one sentence for each kind of feature of a scene that this backend does not build."""
@@ -53,7 +54,7 @@ class BackendDrake(BundledBackend):
         from gauge_envs.backends.drake.simulation import SimulationDrake
 
         _start_quietly()
-        return SimulationDrake(scene, settings_for(scene, settings))
+        return SimulationDrake(with_rotors(scene), settings_for(scene, settings))
 
 
 @cache

@@ -31,7 +31,7 @@ from scipy.spatial import ConvexHull
 from gauge_envs.backends.drake.contacts import ContactConstants, contact_constants
 from gauge_envs.backends.drake.settings import SettingsDrake
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import BRAKE_RATE_RAD_PER_S, joint_motors, joint_rate_rad_per_s
+from gauge_envs.backends.shared.joints import BRAKE_RATE_RAD_PER_S, PlayHinge, joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -176,9 +176,8 @@ def _add_hinge(plant: Any, scene: Scene, bodies: dict[str, Any], name: str, hing
         holder = plant.world_body() if one is None else bodies[one]
         frames.append(plant.AddFrame(FixedOffsetFrame(f"{name}/{one or ''}", holder.body_frame(), place)))
     damping = hinge.dynamics.viscous_friction_n_m_s_per_rad
-    joint = plant.AddJoint(
-        RevoluteJoint(name=name, frame_on_parent=frames[0], frame_on_child=frames[1], axis=[0, 0, 1], damping=damping)
-    )
+    stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else np.inf
+    joint = plant.AddJoint(RevoluteJoint(name, *frames, [0, 0, 1], -stop, stop, damping))
     dry, armature, motor = hinge.dynamics.dry_friction_n_m, hinge.dynamics.armature_kg_m2, hinge.motor
     if dry:
         brake = plant.AddJointActuator(f"{name}/brake", joint, dry)

@@ -11,6 +11,7 @@ from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
+from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendGenesis"]
@@ -31,7 +32,7 @@ class BackendGenesis(BundledBackend):
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
@@ -47,7 +48,7 @@ class BackendGenesis(BundledBackend):
         chosen = _checked(scene, settings)
         from gauge_envs.backends.genesis.simulation import SimulationGenesis
 
-        return SimulationGenesis(scene, chosen)
+        return SimulationGenesis(with_rotors(scene), chosen)
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
         """Build scenes as environments of one Genesis scene, which advance in the same step.
@@ -55,6 +56,7 @@ class BackendGenesis(BundledBackend):
         Scenes with deformable bodies, and scenes that differ in more than start poses, advance one after another.
         """
         chosen = _checked(scenes[0], settings)
+        scenes = [*map(with_rotors, scenes)]
         from gauge_envs.backends.genesis.model import model_key
         from gauge_envs.backends.genesis.simulation import WorldsGenesis
 

@@ -16,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from gauge_envs.backends.genesis.settings import SettingsGenesis
+from gauge_envs.backends.shared.joints import PlayHinge
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.spring_damper import SLOWEST_IMPACT_M_PER_S
 from gauge_envs.scene import (
@@ -298,10 +299,12 @@ def _add_body(
         terms: dict[str, Any] = {"armature": settings.hinge_armature_kg_m2 + hinge.dynamics.armature_kg_m2}
         if hinge.dynamics.viscous_friction_n_m_s_per_rad:
             terms["damping"] = hinge.dynamics.viscous_friction_n_m_s_per_rad
+        # Genesis solves dry friction with the impedance of the joint's limits.
+        stiff = {"solreflimit": (2.0 * settings.timestep_s, 1.0), "solimplimit": (0.9999, 0.9999, 0.001)}
         if hinge.dynamics.dry_friction_n_m:
-            # Genesis solves dry friction with the impedance of the joint's limits.
-            stiff = {"solreflimit": (2.0 * settings.timestep_s, 1.0), "solimplimit": (0.9999, 0.9999, 0.001)}
             terms |= {"frictionloss": hinge.dynamics.dry_friction_n_m, **stiff}
+        if isinstance(hinge, PlayHinge):
+            terms |= {"limited": "true", "range": (-hinge.stop_rad, hinge.stop_rad), **stiff}
         _add(element, "joint", name=label, type="hinge", pos=anchor, axis=axis, **terms)
     if body.motion is Motion.KINEMATIC:
         mass_kg, centre_m = settings.kinematic_mass_kg, np.zeros(3)

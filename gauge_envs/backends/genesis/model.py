@@ -13,7 +13,7 @@ from gauge_envs.backends.genesis.engine import EngineLease, engine, patient
 from gauge_envs.backends.genesis.parts import DeformablePart
 from gauge_envs.backends.genesis.settings import SettingsFEM, SettingsGenesis, SettingsMPM, SettingsPBD
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import joint_rate_rad_per_s
+from gauge_envs.backends.shared.joints import PlayHinge, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.scene import Motion, Scene
 
@@ -174,7 +174,8 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
         enable_collision=collides,
-        disable_constraint=not collides and not any(hinge.dynamics.dry_friction_n_m for hinge in scene.hinges),
+        disable_constraint=not collides
+        and not any(hinge.dynamics.dry_friction_n_m or isinstance(hinge, PlayHinge) for hinge in scene.hinges),
         integrator=getattr(gs.integrator, settings.integrator),
         constraint_solver=getattr(gs.constraint_solver, settings.constraint_solver),
         iterations=settings.iterations,

@@ -224,6 +224,9 @@ def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
             wanted = "hinge" if body.name in hinged else "free"
             raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
         hinge = hinged.get(body.name)
+        play = hinge and hinge.dynamics.backlash_rad
+        if play and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{body.name}/play") < 0:
+            raise AssetError(path, body.name, f"its joint has backlash and needs a second hinge '{body.name}/play'")
         if hinge and hinge.motor and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0:
             raise AssetError(path, body.name, "its joint has a motor and needs an actuator with its name")
         if isinstance(hinge, BodyHinge):
@@ -366,6 +369,8 @@ def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: 
         dry_friction_n_m=same_or(float(joint.frictionloss[0]), stated.dry_friction_n_m),
         viscous_friction_n_m_s_per_rad=same_or(float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad),
         armature_kg_m2=same_or(float(joint.armature[0]), stated.armature_kg_m2),
+        backlash_rad=stated.backlash_rad
+        and same_or(float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad),
     )
     if isinstance(motor, Servo):
         actuator = model.actuator(body)

@@ -233,10 +233,11 @@ def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[E
             yield from zip(element.findall(tag), parts, strict=True)
 
 
+LIMIT = {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"}
 ALIASES = {
     "mesh": {"vertex": "uservert"},
-    "spatial": {"solreflimit": "solref_limit", "solimplimit": "solimp_limit"},
-    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"},
+    "spatial": LIMIT,
+    "joint": {"solreffriction": "solref_friction", "solimpfriction": "solimp_friction"} | LIMIT,
     "inertial": {"pos": "ipos", "diaginertia": "inertia"},
     "flex": {"vertex": "vert", "nodecoord": "node", "node": "nodebody"},
 }

@@ -142,6 +142,7 @@ def build_model(scene: Scene, settings: SettingsMuJoCo) -> tuple[mujoco.MjSpec, 
         The editable model, the compiled model, and the parts of the deformable bodies by name.
     """
     spec = mujoco.MjSpec()
+    spec.compiler.degree = False
     _set_options(spec, settings)
     spec.option.gravity = [0.0, 0.0, -scene.gravity_m_per_s2]
 
@@ -296,6 +297,11 @@ def _add_hinge(frame: mujoco.MjsBody, body: RigidBody, hinge: Hinge | BodyHinge,
         # with its own time constant of 20 ms one that stops is 0.2 degrees off after three swings.
         joint.solimp_friction = STIFF_IMPEDANCE
         joint.solref_friction = [max(2.0 * settings.timestep_s, 1e-3), 1.0]
+    if hinge.dynamics.backlash_rad:
+        stop = 0.5 * hinge.dynamics.backlash_rad
+        play = frame.add_joint(name=f"{body.name}/play", pos=joint.pos, axis=joint.axis, range=[-stop, stop])
+        play.type, play.limited = joint.type, mujoco.mjtLimited.mjLIMITED_TRUE
+        play.solimp_limit, play.solref_limit = STIFF_IMPEDANCE, [max(2.0 * settings.timestep_s, 1e-3), 1.0]
 
 
 def _volumes_m3(shape: ConvexUnion | Compound) -> list[float]:

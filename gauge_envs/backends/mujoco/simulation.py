@@ -222,7 +222,7 @@ def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tup
     if all(scene.body(name).motion is not Motion.FIXED and name not in hinges for name in names):
         return _OneFreeBody(model, data, names[0]) if len(names) == 1 else _FreeBodies(model, data, names)
     hinge = hinges.get(names[0]) if len(names) == 1 else None
-    if isinstance(hinge, Hinge):
+    if isinstance(hinge, Hinge) and not hinge.dynamics.backlash_rad:
         return _OneHingedBody(scene, model, data, hinge)
     return _AnyBodies(model, data, names)
 

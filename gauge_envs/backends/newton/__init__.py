@@ -10,7 +10,7 @@ from functools import cache
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
@@ -22,6 +22,7 @@ from gauge_envs.backends.newton.settings import (
 )
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
+from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.soft_rows import soft_row_problems
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, ContactMode, Hinge, Rod, Rope, Scene, Tether
@@ -44,7 +45,7 @@ class BackendNewton(BundledBackend):
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",
         "a step of cloth starts from the last acceleration, by a subclass of SolverVBD",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.TORSION, Feature.ROLLING}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     worlds_mix_constants = True
     worlds_restart_alone = True
@@ -58,14 +59,14 @@ class BackendNewton(BundledBackend):
         chosen = _checked(scene, settings)
         from gauge_envs.backends.newton.simulation import SimulationNewton
 
-        return SimulationNewton(scene, chosen)
+        return SimulationNewton(with_rotors(scene), chosen)
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
         """Build scenes as worlds of one model, which advance in the same step."""
         chosen = _checked(scenes[0], settings)
         from gauge_envs.backends.newton.simulation import WorldsNewton
 
-        return WorldsNewton(scenes, chosen)
+        return WorldsNewton([*map(with_rotors, scenes)], chosen)
 
 
 def _checked(scene: Scene, changes: Mapping[str, Any] | None) -> SettingsNewton:

@@ -34,7 +34,7 @@ from gauge_envs.backends.newton.kernels import bodies_to_joints
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
 from gauge_envs.backends.newton.stepper import Stepper, collision_pipeline, warp_transform
 from gauge_envs.backends.settings import check_kept
-from gauge_envs.backends.shared.joints import joint_motors, joint_rate_rad_per_s
+from gauge_envs.backends.shared.joints import PlayHinge, joint_motors, joint_rate_rad_per_s
 from gauge_envs.backends.shared.rigid import centre_velocity, hinges_by_body
 from gauge_envs.scene import (
     BodyHinge,
@@ -86,11 +86,17 @@ STIFF_FRICTION = {
 """Impedance of dry friction in joints: with the default of 0.9, a joint that it holds creeps by a degree in a second.
 MuJoCo Warp raises the time constant to two time steps."""
 
+SOLREF_AS_GIVEN = 1
+"""Newton's code for a `solref` that is given, and not computed from stiffness and damping."""
+
+STIFF_STOPS = {
+    "mujoco:solimplimit": STIFF_FRICTION["mujoco:solimpfriction"],
+    "mujoco:solreflimit": wp.vec2(1e-3, 1.0),
+    "mujoco:solreflimit_mode": SOLREF_AS_GIVEN,
+}
+
 NO_FRICTION = 2e-5
 """Friction of frictionless shapes and of those that carry no constants, just above MuJoCo Warp's smallest value."""
-
-SOLREF_AS_GIVEN = 1
-"""Newton's code for a shape whose `solref` is given, and not computed from its stiffness and damping."""
 
 CONTACT_GAP_M = 0.002
 """Distance at which Newton detects a contact [m], more than the displacement of any body in one step."""
@@ -199,6 +205,7 @@ def _add_articulation(
         if isinstance(hinge, BodyHinge):
             other = scene.body(other_end(hinge, name))
             parent, in_parent = places[other.name], wp.transform_inverse(warp_transform(other.pose)) * anchor
+        stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else None
         joint = builder.add_joint_revolute(
             parent,
             places[name],
@@ -209,7 +216,9 @@ def _add_articulation(
             friction=hinge.dynamics.dry_friction_n_m,
             damping=hinge.dynamics.viscous_friction_n_m_s_per_rad,
             label=name,
-            custom_attributes=STIFF_FRICTION if hinge.dynamics.dry_friction_n_m else {},
+            limit_lower=stop and -stop,
+            limit_upper=stop,
+            custom_attributes=STIFF_STOPS if stop else STIFF_FRICTION if hinge.dynamics.dry_friction_n_m else {},
             **_servo_arguments(hinge.motor),
         )
         joints.append(joint)

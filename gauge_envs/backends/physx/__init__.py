@@ -12,6 +12,7 @@ from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
 from gauge_envs.backends.physx.contacts import unsupported_contacts
 from gauge_envs.backends.physx.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_hinges, first_of
+from gauge_envs.backends.shared.joints import with_rotors
 from gauge_envs.backends.shared.states import ReplayedSimulation
 from gauge_envs.scene import Compound, ConvexUnion, Ellipsoid, Hinge, Motion, Scene
 
@@ -38,7 +39,7 @@ class BackendPhysX(BundledBackend):
         "a cylinder is a capsule or a ball in a prism",
         "dry friction of a joint is its drive, a brake; beside it this package computes servos and viscous friction",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
     own_defaults = frozenset({"out_of_box", "isaac", "paper"})
 
     def versions(self) -> dict[str, str]:
@@ -73,7 +74,7 @@ class BackendPhysX(BundledBackend):
         chosen = settings_for(scene, settings)
         from gauge_envs.backends.physx.simulation import SimulationPhysX
 
-        return ReplayedSimulation(SimulationPhysX(scene, chosen))
+        return ReplayedSimulation(SimulationPhysX(with_rotors(scene), chosen))
 
 
 def _unsupported_hulls(scene: Scene) -> Iterator[str]:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.physx.contacts import Constants, Groups, groups_of_bodies
 from gauge_envs.backends.physx.settings import SettingsPhysX
 from gauge_envs.backends.settings import check_kept, put
-from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.joints import PlayHinge, drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame, world_hinges
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import (
@@ -271,7 +271,8 @@ def _link(
     link.joint.type = "revolute_unwrapped"
     link.joint.pose_in_parent = in_parent
     link.joint.pose_in_child = physx_pose(frame.relative_to(body.pose))
-    link.joint.limit = np.array([[-np.inf, np.inf]])
+    stop = hinge.stop_rad if isinstance(hinge, PlayHinge) else np.inf
+    link.joint.limit = np.array([[-stop, stop]])
     link.joint.friction = 0.0
     link.joint.set_drive_properties(0.0, 0.0)
     return link

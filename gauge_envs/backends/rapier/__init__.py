@@ -9,7 +9,7 @@ from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
 from gauge_envs.backends.rapier.contacts import LARGEST_CONTACT_COUNT, colliding_contacts
 from gauge_envs.backends.rapier.settings import settings_for
 from gauge_envs.backends.shared.bundled import BundledBackend, declined_compounds, first_of
-from gauge_envs.backends.shared.joints import linked_hinges
+from gauge_envs.backends.shared.joints import linked_hinges, with_rotors
 from gauge_envs.scene import Cloth, Hinge, Rod, Rope, Scene
 
 __all__ = ["BackendRapier"]
@@ -28,7 +28,7 @@ class BackendRapier(BundledBackend):
     configurations = MappingProxyType(
         {"coulomb": {"friction_model": "coulomb"}, "out_of_box": {"preset": "out_of_box"}}
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA}
+    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
     worlds_mix_constants = True
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
@@ -59,10 +59,10 @@ class BackendRapier(BundledBackend):
         """Build a scene; settings are the fields of `SettingsRapier`."""
         from gauge_envs.backends.rapier.simulation import SimulationRapier
 
-        return SimulationRapier(scene, settings_for(scene, settings))
+        return SimulationRapier(with_rotors(scene), settings_for(scene, settings))
 
     def build_worlds(self, scenes: Sequence[Scene], settings: Mapping[str, Any] | None = None) -> Worlds:
         """Build scenes in shared Rapier worlds, as far as the bits stay those of single simulations."""
         from gauge_envs.backends.rapier.simulation import WorldsRapier
 
-        return WorldsRapier(scenes, settings_for(scenes[0], settings))
+        return WorldsRapier([*map(with_rotors, scenes)], settings_for(scenes[0], settings))

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.rapier.contacts import ColliderLayer, collider_layers, colliding_contacts
 from gauge_envs.backends.rapier.settings import SettingsRapier
 from gauge_envs.backends.settings import put
-from gauge_envs.backends.shared.joints import drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
+from gauge_envs.backends.shared.joints import PlayHinge, drive_of, has_terms, joint_rate_rad_per_s, linked_hinges
 from gauge_envs.backends.shared.rigid import centre_velocity, hinge_frame
 from gauge_envs.errors import BackendError
 from gauge_envs.scene import (
@@ -90,6 +90,8 @@ def _add_joints(world: rapier.PhysicsWorld, scene: Scene, layout: Layout, settin
         if isinstance(hanging, BodyHinge):
             ends = (other_end(hanging, name), name)
             joint = _revolute(*(isometry(hinge_frame(hanging).relative_to(scene.body(one).pose)) for one in ends))
+            if isinstance(hanging, PlayHinge):
+                joint.set_limits(TURN, -hanging.stop_rad, hanging.stop_rad)
             world.multibody_joints.insert(*(layout[one][0] for one in ends), joint)
     # Links that are added later need their damping and their start rate anew.
     for name, hanging in linked.items():

@@ -1,16 +1,61 @@
-"""Joints of a scene, for every engine: start rates, motors, and which terms one drive of an engine can be."""
+"""Joints of a scene, for every engine: start rates, motors, rotors, and which terms one drive of an engine can be."""
 
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from gauge_envs.backends.shared.rigid import hinges_by_body, world_hinges
-from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Scene
+from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Pose, Scene, Sphere
+from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_trees, joint_sign, other_end, parent_hinges, start_rate_rad_per_s
 from gauge_envs.scene.motors import Motor, Servo
 
 BRAKE_RATE_RAD_PER_S = 1e-5
 """Rate up to which a brake that is a joint's dry friction is viscous [rad/s]."""
+
+ROTOR_SHARE = 1e-3
+"""Mass of a rotor with play, over that of its body, and inertia of this mass, over the rotor's, which has the rest as
+armature."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlayHinge(BodyHinge):
+    """Hinge of a rotor and the body that it turns, free between two stops.
+
+    Attributes:
+        stop_rad: Angle of the stops, to either side of the start [rad].
+    """
+
+    stop_rad: float
+
+
+def with_rotors(scene: Scene) -> Scene:
+    """Return a scene in which each rotor with play is a body, for engines with one joint for each body."""
+    for hinge in scene.hinges:
+        if not hinge.dynamics.backlash_rad:
+            continue
+        body = scene.body(hinge.body if isinstance(hinge, Hinge) else hinge.second)
+        mass_kg, armature = ROTOR_SHARE * body.mass_kg, hinge.dynamics.armature_kg_m2
+        arm_m, spin = np.subtract(hinge.anchor_m, body.pose.position_m), body.angular_velocity_rad_per_s
+        rotor = replace(
+            body,
+            name=f"{body.name}/rotor",
+            shape=Sphere(radius_m=float(np.sqrt(2.5 * ROTOR_SHARE * armature / mass_kg))),
+            pose=Pose(position_m=hinge.anchor_m),
+            mass_kg=mass_kg,
+            inertia_kg_m2=None,
+            linear_velocity_m_per_s=vector(body.linear_velocity_m_per_s + np.cross(spin, arm_m)),
+        )
+        place: dict[str, Any] = {"anchor_m": hinge.anchor_m, "axis": hinge.axis}
+        play = PlayHinge(first=rotor.name, second=body.name, stop_rad=0.5 * hinge.dynamics.backlash_rad, **place)
+        terms = replace(hinge.dynamics, armature_kg_m2=(1.0 - ROTOR_SHARE) * armature, backlash_rad=0.0)
+        end: dict[str, Any] = {"body" if isinstance(hinge, Hinge) else "second": rotor.name}
+        turned: Any = replace(hinge, dynamics=terms, **end)
+        joints = tuple(turned if one is hinge else one for one in scene.joints)
+        inner = (*(turned if one is hinge else one for one in scene.body_hinges), play)
+        scene = replace(scene, bodies=(*scene.bodies, rotor), joints=joints, body_hinges=inner)
+    return scene
 
 
 class JointMotor(NamedTuple):

@@ -171,7 +171,9 @@ class StateOrigin:
             dynamics = [hinge.dynamics for hinge in one.hinges if hinge.dynamics != JointDynamics()]
             resists = ((at, touch.torsion_m, touch.rolling_m) for at, touch in enumerate(one.contacts))
             turned = [values for values in resists if any(values[1:])]
-            rare = "".join(repr(part) for part in (one.air, one.body_hinges, dynamics, one.motors, turned) if part)
+            plays = [(at, play) for at, hinge in enumerate(one.hinges) if (play := hinge.dynamics.backlash_rad)]
+            few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays)
+            rare = "".join(repr(part) for part in few if part)
             self._hash = hashlib.sha256((repr(parts) + rare).encode()).hexdigest()
         return self._hash
 

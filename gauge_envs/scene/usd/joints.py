@@ -289,7 +289,7 @@ def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
     for field, name in DYNAMICS.items():
         other = [source.reading(prim.GetAttribute(PHYSX_ARMATURE))] if name == "mjc:armature" else []
         if (value := source.counted(prim.GetAttribute(name), other)) is not None:
-            dynamics[field] = unit * float(value)
+            dynamics[field] = float(value) * (1.0 if field == "backlash_rad" else unit)
     drive = UsdPhysics.DriveAPI(prim, "angular")
     kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
     motor = None if kind is None else {"kind": kind} | _motor(source, prim, drive, unit, sign)

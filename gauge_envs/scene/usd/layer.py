@@ -39,8 +39,9 @@ DYNAMICS = {
     "dry_friction_n_m": "mjc:frictionloss",
     "viscous_friction_n_m_s_per_rad": "mjc:damping",
     "armature_kg_m2": "mjc:armature",
+    "backlash_rad": "gauge:backlash_rad",
 }
-"""Attributes of MuJoCo's schema, doubles per radian, by field of `JointDynamics`."""
+"""Attributes of MuJoCo's schema, doubles per radian, or of this package, by field of `JointDynamics`."""
 
 PHYSX_ARMATURE = "physxJoint:armature"
 

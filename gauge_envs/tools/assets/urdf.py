@@ -96,7 +96,7 @@ def _hinged(body: RigidBody, hinge: Hinge) -> BodyFile:
     ElementTree.SubElement(joint, "axis", xyz=_text(vector(turn.apply(hinge.axis, inverse=True))))
     terms = hinge.dynamics
     if terms.armature_kg_m2 or hinge.motor:
-        raise UnsupportedSceneError("URDF has no armature and no motors: export the scene as MJCF or USD")
+        raise UnsupportedSceneError("URDF has no armature, backlash or motors: export the scene as MJCF or USD")
     damping, friction = (
         repr(one).removesuffix(".0") for one in (terms.viscous_friction_n_m_s_per_rad, terms.dry_friction_n_m)
     )

@@ -1,12 +1,17 @@
-"""Joints: dry and viscous friction, armature, motors, and a chain of two bars that hangs on the world.
+"""Joints: dry and viscous friction, armature, motors, backlash, and a chain of two bars that hangs on the world.
 
 A bar of mass m hangs on a horizontal hinge at the distance c from its centre, with the inertia I about the hinge:
 
     (I + armature) angle'' = motor - m g c sin(angle) - dry sign(angle') - viscous angle'
 
 A bar at rest stays at rest while the other torques together are at most the dry friction.
+
+A rotor with play b turns the bar at one of two stops: J rotor'' + I bar'' = motor, whatever their restitution. A relay
+on the bar, as of a servo with an encoder on its output, reverses a torque with the sign of bar + lead bar'. The bar is
+then h = J b / 2 (I + J) behind the mean angle, whose acceleration is a constant +-a: the period is 4 h / (lead a).
 """
 
+from contextlib import closing
 from dataclasses import replace
 from typing import Any
 
@@ -20,6 +25,7 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Hinge, JointDynamics, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S
 from gauge_envs.tools.conformance.lab import Lab, body, ramp
 from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, box_inertia_kg_m2, mean_period_s, pendulum_period_s
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
@@ -110,17 +116,16 @@ def _joint_slip(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(lost / abs(turned)) if turned else np.nan, expected=HOLD_N_M)
 
 
-SPIN = 3.0 * AXIS
-_spinning = replace(
-    _bar(),
-    linear_velocity_m_per_s=vector(np.cross(SPIN, [0.0, 0.0, -CENTRE_M])),
-    angular_velocity_rad_per_s=vector(SPIN),
-)
+def _turning(rate_rad_per_s: float) -> RigidBody:
+    """Return a hanging bar that starts with a rate."""
+    spin = rate_rad_per_s * AXIS
+    speed = vector(np.cross(spin, [0.0, 0.0, -CENTRE_M]))
+    return replace(_bar(), linear_velocity_m_per_s=speed, angular_velocity_rad_per_s=vector(spin))
 
 
 @rollout_of(
     "a bar on a hinge with a viscous friction of 0.02 N m s/rad, which starts with 3 rad/s, without gravity",
-    _scene(_spinning, seconds=1.0, viscous_friction_n_m_s_per_rad=VISCOUS),
+    _scene(_turning(3.0), seconds=1.0, viscous_friction_n_m_s_per_rad=VISCOUS),
 ).check("joint-viscous", tolerance=FRICTION)
 def _joint_viscous(rollout: Rollout) -> Measurement:
     rate = np.maximum(rollout.angular_velocity("bar") @ AXIS, 1e-6)
@@ -207,6 +212,46 @@ def _joint_limit(rollout: Rollout) -> Measurement:
 def _joint_dry_servo(rollout: Rollout) -> Measurement:
     angles = _turned_rad(rollout) - RELEASE_RAD
     return _dry_n_m(angles, 0.5 * KP * angles**2, BRAKE_N_M)
+
+
+# --- backlash --------------------------------------------------------------------------------------------------------
+
+PLAY_RAD, DRIVE_N_M, LEAD_S = 0.02, 0.002, 0.11
+TOTAL, ROTOR = INERTIA + ARMATURE, {"armature_kg_m2": ARMATURE, "backlash_rad": PLAY_RAD}
+CYCLE_S, SWITCH_RAD_PER_S = 2.0 * ARMATURE * PLAY_RAD / (LEAD_S * DRIVE_N_M), 0.5 * PLAY_RAD * ARMATURE / TOTAL / LEAD_S
+
+
+@rollout_of(
+    "a bar with a play of 0.02 rad on a hinge with an armature of 0.01 kg m^2, whose motor exerts 0.002 N m",
+    _scene(_bar(), seconds=1.2, motor=TorqueMotor(command=_stays(DRIVE_N_M)), **ROTOR),
+).check("joint-backlash", tolerance=FRICTION)
+def _joint_backlash(rollout: Rollout) -> Measurement:
+    part = rollout.between(0.6, 1.2)
+    lag = -float(np.polyfit(rollout.times_s[part], _turned_rad(rollout)[part], 2)[2])
+    return Measurement(measured=2.0 * lag * TOTAL / ARMATURE, expected=PLAY_RAD)
+
+
+@Check("joint-backlash-cycle", tolerance=FRICTION)
+def _joint_backlash_cycle(lab: Lab) -> Measurement:
+    motor, switches_s, torque = TorqueMotor(command=_stays(0.0)), [], -DRIVE_N_M
+    scene = _scene(_turning(SWITCH_RAD_PER_S), seconds=3.25 * CYCLE_S, motor=motor, **ROTOR)
+    with closing(lab.build(scene)) as simulation:
+        simulation.reset(0)
+        for interval in range(round(scene.duration_s / DRIVE_INTERVAL_S)):
+            state, mean = simulation.body_states(["bar"])[0], torque
+            rate, turned = (
+                float(one @ AXIS) for one in (state[10:], Rotation.from_quat(state[[4, 5, 6, 3]]).as_rotvec())
+            )
+            ahead, climb = turned + LEAD_S * rate, DRIVE_INTERVAL_S * (rate + LEAD_S * torque / TOTAL)
+            if (ahead + climb) * torque > 0.0:
+                # The mean torque has the impulse of one that changes sign within the interval.
+                share = float(np.clip(-ahead / climb, 0.0, 1.0))
+                mean, torque = (2.0 * share - 1.0) * torque, -torque
+                switches_s.append(DRIVE_INTERVAL_S * (interval + share))
+            simulation.command(np.array([mean]))
+            simulation.advance(DRIVE_INTERVAL_S)
+    halves_s = np.diff(switches_s)[-4:]
+    return Measurement(measured=2.0 * float(halves_s.mean()) if len(halves_s) == 4 else np.nan, expected=CYCLE_S)
 
 
 # --- chain -----------------------------------------------------------------------------------------------------------

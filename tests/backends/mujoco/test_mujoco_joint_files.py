@@ -24,7 +24,10 @@ from gauge_envs.tools.assets.urdf import body_files
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 SERVO = Servo(command=COMMAND, kp_n_m_per_rad=0.8123456789, kv_n_m_s_per_rad=0.013, torque_limit_n_m=1.7, delay_s=0.02)
 DYNAMICS = JointDynamics(
-    dry_friction_n_m=0.0103456789, viscous_friction_n_m_s_per_rad=0.0212345678, armature_kg_m2=0.00171234567
+    dry_friction_n_m=0.0103456789,
+    viscous_friction_n_m_s_per_rad=0.0212345678,
+    armature_kg_m2=0.00171234567,
+    backlash_rad=0.0234567891,
 )
 
 
@@ -59,7 +62,7 @@ def test_the_file_is_the_scenes(tmp_path: Path) -> None:
         for world in worlds:
             paths.advance(world, index)
     np.testing.assert_array_equal(worlds[0].data.qpos, worlds[1].data.qpos)
-    assert abs(worlds[0].data.qpos[1]) > 0.1
+    assert abs(worlds[0].data.qpos[2]) > 0.1
 
 
 def test_a_torque_motor_stays(tmp_path: Path) -> None:
@@ -76,6 +79,7 @@ def test_a_torque_motor_stays(tmp_path: Path) -> None:
         ('frictionloss="0.0103456789"', 'frictionloss="0.5"', "dynamics", "dry_friction_n_m", 0.5, "dof_frictionloss"),
         ('damping="0.0212345678"', 'damping="0"', "dynamics", "viscous_friction_n_m_s_per_rad", 0.0, "dof_damping"),
         ('armature="0.00171234567"', 'armature="0.25"', "dynamics", "armature_kg_m2", 0.25, "dof_armature"),
+        ("-0.01172839455 0.01172839455", "-0.25 0.25", "dynamics", "backlash_rad", 0.5, "first/play"),
         ('gainprm="0.8123456789"', 'gainprm="2"', "motor", "kp_n_m_per_rad", 2.0, "second: actuator_gainprm"),
         ("-0.8123456789 -0.013", "-0.8123456789 -0.5", "motor", "kv_n_m_s_per_rad", 0.5, "second: actuator_biasprm"),
         ("-1.7 1.7", "-2 2", "motor", "torque_limit_n_m", 2.0, "second: actuator_forcerange"),
@@ -98,6 +102,11 @@ def test_a_file_without_the_motor_is_refused(tmp_path: Path) -> None:
         read(chain(), tmp_path, ('name="second" joint="second"', 'name="other" joint="second"'))
 
 
+def test_a_file_without_the_play_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(AssetError, match="its joint has backlash and needs a second hinge 'first/play'"):
+        read(chain(), tmp_path, ('name="first/play"', 'name="other"'))
+
+
 def test_urdf_has_friction_and_refuses_the_rest() -> None:
     scene = load_experiment("Pendulum-metal").scene
     (joint,) = scene.joints
@@ -106,5 +115,5 @@ def test_urdf_has_friction_and_refuses_the_rest() -> None:
     files = body_files(replace(scene, joints=(replace(joint, dynamics=rubbing),)))
     assert '<dynamics damping="0.002" friction="0.01" />' in files[joint.body].texts[f"{joint.body}.urdf"]
     for terms in ({"dynamics": DYNAMICS}, {"motor": SERVO}):
-        with pytest.raises(UnsupportedSceneError, match="URDF has no armature and no motors"):
+        with pytest.raises(UnsupportedSceneError, match="URDF has no armature, backlash or motors"):
             body_files(replace(scene, joints=(replace(joint, **terms),)))

@@ -23,7 +23,9 @@ from gauge_envs.scene.usd.writer import scene_stage, to_usd
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 SAMPLED = SampledProfile(times_s=(0.0, 0.1, 0.3), values=(0.1, 0.2, -0.3))
 SERVO = Servo(command=COMMAND, kp_n_m_per_rad=8.1, kv_n_m_s_per_rad=0.13, torque_limit_n_m=1.7, delay_s=0.02)
-DYNAMICS = JointDynamics(dry_friction_n_m=0.0103, viscous_friction_n_m_s_per_rad=0.021, armature_kg_m2=0.0017)
+DYNAMICS = JointDynamics(
+    dry_friction_n_m=0.0103, viscous_friction_n_m_s_per_rad=0.021, armature_kg_m2=0.0017, backlash_rad=0.01
+)
 
 
 def chain(dynamics: JointDynamics = DYNAMICS, motor: Motor | None = SERVO) -> Scene:
@@ -56,7 +58,10 @@ SERVOS = st.builds(
     delay_s=NUMBER,
 )
 MOTORS = st.none() | SERVOS | st.builds(TorqueMotor, command=PROFILES, delay_s=NUMBER)
-TERMS = st.builds(JointDynamics, dry_friction_n_m=NUMBER, viscous_friction_n_m_s_per_rad=NUMBER, armature_kg_m2=NUMBER)
+FRICTION = {"dry_friction_n_m": NUMBER, "viscous_friction_n_m_s_per_rad": NUMBER}
+TERMS = st.builds(JointDynamics, **FRICTION, armature_kg_m2=NUMBER) | st.builds(
+    JointDynamics, **FRICTION, armature_kg_m2=GAIN, backlash_rad=NUMBER
+)
 
 
 @settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
