@@ -73,15 +73,15 @@ class _SoftFriction(Passed):
         self.inner.model.dof_solref[:] = (0.02, 1.0)
 
 
-class _DraggedPlay(Passed):
-    """Plays of joints have the viscous friction of a joint."""
+class _RestingRotor(Passed):
+    """Starts rotors with play at rest, and bodies with their rate."""
 
-    def __init__(self, inner: Simulation, scene: Scene) -> None:
-        super().__init__(inner, scene)
-        model = self.inner.model
+    def reset(self, seed: int) -> None:
+        super().reset(seed)
+        model, rates = self.inner.model, self.inner.data.qvel
         for joint in map(model.joint, range(model.njnt)):
             if joint.name.endswith("/play"):
-                model.dof_damping[joint.dofadr] = 0.05
+                rates[joint.dofadr], rates[joint.dofadr - 1] = rates[joint.dofadr - 1], 0.0
 
 
 def _grasps(change: Callable[[Scene], Scene]) -> Callable[[Scene], Scene]:
@@ -187,11 +187,11 @@ FAULTS: dict[str, Fault] = dict(
             scene=_terms(lambda one: replace(one, backlash_rad=2.0 * one.backlash_rad)),
         ),
         fault(
-            "joint-backlash-drag",
-            "there is friction in the play",
+            "joint-backlash-rotor",
+            "rotors with play start at rest",
             "joint-backlash-cycle",
-            "a torque acts within the play",
-            simulation=_DraggedPlay,
+            "the rotor starts without the rate",
+            simulation=_RestingRotor,
             engine="mujoco",
         ),
         fault("motor-reversed", "motors turn the other way", "joint-torque", "sign of the axis", simulation=_Reversed),
