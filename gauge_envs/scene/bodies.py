@@ -135,11 +135,8 @@ class JointDynamics:
         dry_friction_n_m: Coulomb torque [N m]: opposes the rotation, and holds the joint against less than it.
         viscous_friction_n_m_s_per_rad: Torque per rate that opposes the rotation [N m s/rad].
         armature_kg_m2: Inertia of a rotor, times its gear ratio squared, which turns with the joint [kg m^2].
-        backlash_rad: Play between the rotor and what it turns, which starts in its middle [rad]. Friction and motor act
-            on the rotor, whose angle a servo measures. It ends in two stops without a stated restitution.
-
-    Raises:
-        ParameterError: There is play and no armature: a rotor without inertia has no motion of its own.
+        backlash_rad: Play between the rotor, which needs an armature, and what it turns [rad]. It starts in its middle
+            and ends in two stops of any restitution. Friction and motor act on the rotor; a servo measures its angle.
     """
 
     dry_friction_n_m: NonNegative = 0.0

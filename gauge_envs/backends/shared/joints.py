@@ -15,17 +15,12 @@ BRAKE_RATE_RAD_PER_S = 1e-5
 """Rate up to which a brake that is a joint's dry friction is viscous [rad/s]."""
 
 ROTOR_SHARE = 1e-3
-"""Mass of a rotor with play, over that of its body, and inertia of this mass, over the rotor's, which has the rest as
-armature."""
+"""Mass of a rotor over that of its body, and inertia of this mass over the armature, which has the rest."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlayHinge(BodyHinge):
-    """Hinge of a rotor and the body that it turns, free between two stops.
-
-    Attributes:
-        stop_rad: Angle of the stops, to either side of the start [rad].
-    """
+    """Hinge of a rotor and the body that it turns, free up to a stop at an angle to either side [rad]."""
 
     stop_rad: float
 

@@ -173,8 +173,7 @@ class StateOrigin:
             turned = [values for values in resists if any(values[1:])]
             plays = [(at, play) for at, hinge in enumerate(one.hinges) if (play := hinge.dynamics.backlash_rad)]
             few = (one.air, one.body_hinges, dynamics, one.motors, turned, plays)
-            rare = "".join(repr(part) for part in few if part)
-            self._hash = hashlib.sha256((repr(parts) + rare).encode()).hexdigest()
+            self._hash = hashlib.sha256("".join(map(repr, (parts, *filter(None, few)))).encode()).hexdigest()
         return self._hash
 
 

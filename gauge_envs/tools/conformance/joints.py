@@ -214,8 +214,6 @@ def _joint_dry_servo(rollout: Rollout) -> Measurement:
     return _dry_n_m(angles, 0.5 * KP * angles**2, BRAKE_N_M)
 
 
-# --- backlash --------------------------------------------------------------------------------------------------------
-
 PLAY_RAD, DRIVE_N_M, LEAD_S = 0.02, 0.002, 0.11
 TOTAL, ROTOR = INERTIA + ARMATURE, {"armature_kg_m2": ARMATURE, "backlash_rad": PLAY_RAD}
 CYCLE_S, SWITCH_RAD_PER_S = 2.0 * ARMATURE * PLAY_RAD / (LEAD_S * DRIVE_N_M), 0.5 * PLAY_RAD * ARMATURE / TOTAL / LEAD_S
@@ -239,9 +237,7 @@ def _joint_backlash_cycle(lab: Lab) -> Measurement:
         simulation.reset(0)
         for interval in range(round(scene.duration_s / DRIVE_INTERVAL_S)):
             state, mean = simulation.body_states(["bar"])[0], torque
-            rate, turned = (
-                float(one @ AXIS) for one in (state[10:], Rotation.from_quat(state[[4, 5, 6, 3]]).as_rotvec())
-            )
+            turned, rate = Rotation.from_quat(state[[4, 5, 6, 3]]).as_rotvec() @ AXIS, state[10:] @ AXIS
             ahead, climb = turned + LEAD_S * rate, DRIVE_INTERVAL_S * (rate + LEAD_S * torque / TOTAL)
             if (ahead + climb) * torque > 0.0:
                 # The mean torque has the impulse of one that changes sign within the interval.

@@ -19,7 +19,7 @@ from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.tools.identify.logs import Log
 
-DYNAMICS = tuple(one.name for one in fields(JointDynamics))
+DYNAMICS = tuple(one.name for one in fields(JointDynamics) if one.name != "backlash_rad")
 SERVO = ("kp_n_m_per_rad", "kv_n_m_s_per_rad", "delay_s")
 LIMIT = "torque_limit_n_m"
 
