@@ -63,7 +63,7 @@ def test_a_motor_turns_two_free_bodies_apart_against_dry_friction(name: str) -> 
 def _arm(name: str = "mujoco") -> Scene:
     """Return two bars on the world, the upper one with a servo, the lower one with friction and a torque motor.
 
-    On an engine that builds it, the lower one has play too.
+    On an engine that builds it, both have play too.
     """
     upper, lower = (
         body(name, Box(size_m=(0.02, 0.02, 0.2)), Pose(position_m=(0.0, 0.0, z)), mass_kg=0.2)
@@ -71,18 +71,21 @@ def _arm(name: str = "mujoco") -> Scene:
     )
     servo = Servo(command=ramp(0.5, start_s=0.0, duration_s=0.1, ramp_s=0.0), kp_n_m_per_rad=2.0, kv_n_m_s_per_rad=0.1)
     friction = JointDynamics(dry_friction_n_m=0.005, viscous_friction_n_m_s_per_rad=0.001)
+    first, second, bearing = "upper", "lower", JointDynamics()
     if Feature.BACKLASH in backend(name).features:
-        friction = replace(friction, armature_kg_m2=0.002, backlash_rad=0.02)
+        # Both rotors turn the upper bar.
+        first, second = second, first
+        friction, bearing = (replace(one, armature_kg_m2=0.002, backlash_rad=0.02) for one in (friction, bearing))
     axis = (0.0, 1.0, 0.0)
     inner = BodyHinge(
-        first="upper",
-        second="lower",
+        first=first,
+        second=second,
         anchor_m=(0.0, 0.0, 0.8),
         axis=axis,
         dynamics=friction,
         motor=TorqueMotor(command=STEP, delay_s=0.05),
     )
-    outer = Hinge(body="upper", anchor_m=(0.0, 0.0, 1.0), axis=axis, motor=servo)
+    outer = Hinge(body="upper", anchor_m=(0.0, 0.0, 1.0), axis=axis, motor=servo, dynamics=bearing)
     return Scene(bodies=(lower, upper), joints=(outer,), body_hinges=(inner,), duration_s=0.2)
 
 

@@ -143,6 +143,7 @@ def test_overrides_state_terms(tmp_path: Path) -> None:
     ("old", "new", "key", "reason"),
     [
         ("dry_friction_n_m = 0.01", "dry_friction_n_m = -0.01", "constants.upper.brass.dry_friction_n_m", "-0.01"),
+        ("armature_kg_m2 = 0.002, ", "", "constants.upper", "a joint with backlash_rad needs armature_kg_m2"),
         ("kp_n_m_per_rad = 8.0, ", "", "constants.lower", "a servo needs the constant kp_n_m_per_rad"),
         ('"servo"', '"torque"', "constants.lower", "no motor with that constant"),
         ("dry_friction_n_m = 0.01", "delay_s = 0.01", "constants.upper", "state its motor"),

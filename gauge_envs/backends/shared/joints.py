@@ -27,7 +27,7 @@ class PlayHinge(BodyHinge):
 
 def with_rotors(scene: Scene) -> Scene:
     """Return a scene in which each rotor with play is a body, for engines with one joint for each body."""
-    for hinge in scene.hinges:
+    for number, hinge in enumerate(scene.hinges):
         if not hinge.dynamics.backlash_rad:
             continue
         body = scene.body(hinge.body if isinstance(hinge, Hinge) else hinge.second)
@@ -35,7 +35,7 @@ def with_rotors(scene: Scene) -> Scene:
         arm_m, spin = np.subtract(hinge.anchor_m, body.pose.position_m), body.angular_velocity_rad_per_s
         rotor = replace(
             body,
-            name=f"{body.name}/rotor",
+            name=f"{body.name}/rotor{number}",
             shape=Sphere(radius_m=float(np.sqrt(2.5 * ROTOR_SHARE * armature / mass_kg))),
             pose=Pose(position_m=hinge.anchor_m),
             mass_kg=mass_kg,

@@ -183,7 +183,9 @@ def numbers(scene: Scene) -> list[dict[str, float]]:
 
 
 def check_joints(scene: Scene, log: Log) -> None:
-    """Raise `ParameterError` unless a log has as many joints as a scene has hinges."""
+    """Raise `ParameterError` unless a log has as many joints as a scene has hinges, which have no play."""
+    if any(hinge.dynamics.backlash_rad for hinge in scene.hinges):
+        raise ParameterError("the scene has joints with backlash_rad, which is not identified: set it to 0")
     if log.position_rad.shape[1] != len(scene.hinges):
         raise ParameterError(
             f"{log.name} has {log.position_rad.shape[1]} joints, and the scene {len(scene.hinges)} hinges: one column "
