@@ -16,7 +16,7 @@ from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, UnsupportedSceneError
 from gauge_envs.runs.rollout import DivergedError
-from gauge_envs.scene import BodyHinge, Box, Hinge, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.profiles import SampledProfile
 from gauge_envs.scene.usd.writer import to_usd
@@ -262,6 +262,10 @@ def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
     assert log.position_rad.shape == (30, 2)
     with pytest.raises(ParameterError, match="2 joints, and the scene 1 hinges"):
         identify(backend("mujoco"), one_joint(1.0, 0.1), [log], [DRY])
+    scene = one_joint(1.0, 0.1)
+    play = replace(scene.hinges[0], dynamics=JointDynamics(armature_kg_m2=0.01, backlash_rad=0.01))
+    with pytest.raises(ParameterError, match="backlash_rad, which is not identified"):
+        identify(backend("mujoco"), replace(scene, joints=(play,)), [log], [DRY])
 
 
 def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
@@ -270,6 +274,7 @@ def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
     for words, reason in (
         ((), "mass_kg= of the load is missing"),
         (("mass_kg=1", "length_m=0.2", "fit=kp_n_m_per_rad"), "kp_n_m_per_rad: no number of such a joint"),
+        (("mass_kg=1", "length_m=0.2", "fit=backlash_rad"), "backlash_rad: no number of such a joint"),
         (("mass_kg=1", "scene=Pendulum-metal"), "leave mass_kg out"),
     ):
         result = CliRunner().invoke(app, ["recipe", "joint", str(path), *words])
