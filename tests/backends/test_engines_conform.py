@@ -57,7 +57,7 @@ CORE = (
 LONG = (
     *("restore-benchmark-*", "restore-impact", "restore-rest", "determinism", "driven-*", "pushed-ball"),
     *("swing-union", "swing-cylinder", "collision-slow", "rebound-slow", "pile-*"),
-    *("carry-line", "carry-turn", "reset-start", "finite", "grasp-*"),
+    *("carry-line", "carry-turn", "reset-start", "finite", "grasp-*", "joint-backlash-cycle"),
 )
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
@@ -68,7 +68,7 @@ ENGINES = (
     Engine(
         name="pybullet",
         module="pybullet",
-        lacks=("cloth", "air", "rod", "joint-armature"),
+        lacks=("cloth", "air", "rod", "joint-armature", "joint-backlash"),
         long=(
             *LONG,
             *("restore-*", "reset-*", "copy", "swing-*", "foam-*"),
