@@ -21,7 +21,7 @@ from gauge_envs.backends.mujoco.model import (
 )
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, stance_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, held_rows, stance_of
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -121,8 +121,9 @@ class Robot:
 
     @cached_property
     def grounded(self) -> set[int]:
-        """Geoms that can touch the ground, and those of the ground."""
-        return set(np.unique(self.pairs.geoms[ground_rows(self.pairs)]).tolist())
+        """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
+        rows = [*ground_rows(self.pairs), *held_rows(self.model, self.pairs)]
+        return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def needs_default(self, name: str, value: Any) -> bool:
         """Return whether a default changes a geom on the ground."""
