@@ -38,16 +38,17 @@ if TYPE_CHECKING:
         hanging_strip,
         stretch_stiffness,
     )
-    from gauge_envs.tools.conformance.grasp import OBJECT, WEIGHT_N, grasp_creep, grasp_scene, grasp_sink, torque_share
-    from gauge_envs.tools.conformance.lab import Lab, ball, contact, ground
-    from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, friction_of_slide, hann_mean, pendulum_period_s
+    from gauge_envs.tools.conformance.contacts import turning_scene
+    from gauge_envs.tools.conformance.grasp import HELD, TURNED, grasp_creep, grasp_sink, grasp_turn
+    from gauge_envs.tools.conformance.lab import Lab
+    from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
     from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
     from gauge_envs.tools.conformance.run import run_checks
 
 __all__ = [
     "BENT_FREE_M",
-    "OBJECT",
-    "WEIGHT_N",
+    "HELD",
+    "TURNED",
     "Check",
     "CheckResult",
     "Lab",
@@ -55,25 +56,21 @@ __all__ = [
     "Rollout",
     "Status",
     "Tolerance",
-    "ball",
     "bending_stiffness",
-    "box_inertia_kg_m2",
     "cantilever_strip",
     "check",
     "checks",
-    "contact",
     "friction_of_slide",
     "grasp_creep",
-    "grasp_scene",
     "grasp_sink",
-    "ground",
+    "grasp_turn",
     "hanging_strip",
     "hann_mean",
     "pendulum_period_s",
     "run_checks",
     "stretch_stiffness",
-    "torque_share",
+    "turning_scene",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth", "grasp")
+    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth", "grasp", "contacts")

@@ -31,9 +31,7 @@ PAD, TIP = Box(size_m=(THICK_M, PAD_M, PAD_M)), Sphere(radius_m=0.5 * THICK_M)
 OBJECT = box("object", (0.0, 0.0, 1.0), SIZE_M, mass_kg=MASS_KG)
 
 
-def grasp_scene(
-    force_n: float, seconds: float, *, pad: Shape = PAD, held: RigidBody = OBJECT, gravity: float = G
-) -> Scene:
+def _grasp(force_n: float, seconds: float, *, pad: Shape = PAD, held: RigidBody = OBJECT, gravity: float = G) -> Scene:
     """Return an object between two pads that press with a force [N] each."""
     pads, hinges = [], []
     for name, side in (("left", -1.0), ("right", 1.0)):
@@ -81,7 +79,7 @@ def _held(lab: Lab) -> Rollout:
         force = SHAKE * WEIGHT_N * np.sin(2.0 * np.pi * SHAKES_HZ * time_s) if time_s > SHAKEN_S else 0.0
         return 0.0, 0.0, force, 0.0, 0.0, 0.0
 
-    return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 2.5), shake)
+    return _pushed(lab, _grasp(2.0 * WEIGHT_N, 2.5), shake)
 
 
 @_held.check("grasp-sink")
@@ -93,7 +91,7 @@ def grasp_sink(rollout: Rollout) -> Measurement:
 
 @_held.check("grasp-creep")
 def grasp_creep(rollout: Rollout) -> Measurement:
-    """Return the downward velocity of the box relative to its pads [um/s]."""
+    """Return the speed with which the box creeps down its pads [um/s]."""
     still = rollout.between(STILL_S, SHAKEN_S)
     return Measurement(measured=-1e6 * float(np.polyfit(rollout.times_s[still], _from_pads(rollout)[still, 2], 1)[0]))
 
@@ -106,7 +104,7 @@ def _grasp_holds(rollout: Rollout) -> Measurement:
 
 @rollout_of(
     "the same box between pads that press with half its weight each, so that friction carries half of it",
-    grasp_scene(0.5 * WEIGHT_N, 0.15),
+    _grasp(0.5 * WEIGHT_N, 0.15),
 ).check(
     "grasp-slips",
 )
@@ -121,18 +119,29 @@ TURNING_N_M, SHARES = 0.07, (0.3826, 0.7071)
 
 @recorded("the same box between pads that press with twice its weight each, under a torque of 0.07 N m; no gravity")
 def _turned(lab: Lab) -> Rollout:
-    return _pushed(lab, grasp_scene(2.0 * WEIGHT_N, 0.1, gravity=0.0), lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0))
+    return _pushed(lab, _grasp(2.0 * WEIGHT_N, 0.1, gravity=0.0), lambda _: (0.0, 0.0, 0.0, TURNING_N_M, 0.0, 0.0))
 
 
 @_turned.check("grasp-torsion")
 def _grasp_torsion(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
-    return torque_share(TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * acceleration_m_per_s2(rollout.times_s, angles))
+    return _share(TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * acceleration_m_per_s2(rollout.times_s, angles))
 
 
-def torque_share(held_n_m: float) -> Measurement:
-    """Return the torque that a pair of pads holds, over mu N times the side of a pad, for each pad."""
+def _share(held_n_m: float) -> Measurement:
     return Measurement(measured=held_n_m / (2.0 * FRICTION * 2.0 * WEIGHT_N * PAD_M), expected=sum(SHARES) / 2.0)
+
+
+_spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
+HELD, TURNED = _grasp(2.0 * WEIGHT_N, 1.5), _grasp(2.0 * WEIGHT_N, 0.15, held=_spun, gravity=0.0)
+"""The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
+
+
+def grasp_turn(rollout: Rollout) -> Measurement:
+    """Return the same of a box that spins between its pads, from its loss of energy."""
+    spin = rollout.angular_velocity("object")[:, 0]
+    lost = 0.5 * box_inertia_kg_m2(OBJECT)[0] * float(spin[0] ** 2 - spin[-1] ** 2)
+    return _share(lost / float(np.trapezoid(spin, rollout.times_s)))
 
 
 _tilt = Rotation.from_euler("x", RELEASE_RAD)
@@ -142,7 +151,7 @@ _off_centre = replace(OBJECT, pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.ap
 @rollout_of(
     "the same box between balls of 5 mm radius that press with five times its weight 50 mm above its centre, released "
     "at 0.7 rad",
-    grasp_scene(5.0 * WEIGHT_N, 2.0, pad=TIP, held=_off_centre),
+    _grasp(5.0 * WEIGHT_N, 2.0, pad=TIP, held=_off_centre),
 ).check(
     "grasp-swing",
 )

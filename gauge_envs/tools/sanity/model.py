@@ -75,7 +75,7 @@ class ContactGroup:
         pair_count: Number of pairs of geoms.
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
-        is_held: Whether a hand holds with them, so that grasps run with these constants.
+        is_held: Whether a hand holds a body with these constants, and grasps run with them.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -238,21 +238,12 @@ class TrainingConfiguration:
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
         """Settings for each set of contact constants that is judged, by its geoms; one without name if unknown."""
-        return self._sets(tuple(group for group in self.contact_groups if group.is_used))
-
-    @property
-    def held_sets(self) -> dict[str, dict[str, Any]]:
-        """The same for grasps: those of a hand; without one, those of all experiments."""
-        held = tuple(group for group in self.contact_groups if group.is_held)
-        return self._sets(held) if held else self.contact_sets
-
-    def _sets(self, groups: tuple[ContactGroup, ...]) -> dict[str, dict[str, Any]]:
         sets: dict[str, dict[str, Any]] = {}
         contact = {name for group in self.contact_groups for name in group.settings}
         options = {name: value for name, value in self.settings.items() if name not in contact}
-        for group in groups:
+        for group in self.contact_groups:
             settings = {**options, **group.settings}
-            if settings not in sets.values():
+            if group.is_used and settings not in sets.values():
                 sets[group.geoms] = settings
         return sets or {"": dict(self.settings)}
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.phenomena.base import Phenomenon
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
-__all__ = ["CAPACITY_ID", "GRASP", "GRAVITY_ID", "RELEASE_ID", "RIGID", "ROBOT_IDS", "phenomena", "phenomenon", "selection"]
-
 GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 """Rows on what a target states, which need no rollout."""
 

@@ -157,16 +157,6 @@ def read_foot(
     )
 
 
-def held_rows(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.intp]:
-    """Return the pairs of a part whose joints have motors and a free body without: what a hand can hold."""
-    roots = model.body_rootid
-    motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
-    driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
-    free = np.isin(roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]) & ~driven
-    bodies = model.geom_bodyid[pairs.geoms]
-    return np.flatnonzero(driven[bodies].any(axis=1) & free[bodies].any(axis=1))
-
-
 def ground_rows(pairs: ContactPairs) -> NDArray[np.intp]:
     """Return the pairs of a moving geom and the ground: planes and height fields, or other geoms of the world."""
     kind = pairs.kinds.min() if len(pairs.kinds) else PairKind.MOVING

@@ -28,8 +28,8 @@ from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, held_rows, read_foot, shortened
-from gauge_envs.tools.sanity.robot.robot import Robot, never_touches
+from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
+from gauge_envs.tools.sanity.robot.robot import Robot, held_rows, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01

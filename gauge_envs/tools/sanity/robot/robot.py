@@ -21,7 +21,7 @@ from gauge_envs.backends.mujoco.model import (
 )
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, held_rows, stance_of
+from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, stance_of
 
 GEOM_FIELDS = {
     "contact_solref": "solref",
@@ -189,6 +189,16 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         option.enableflags = option.enableflags | bit if value else option.enableflags & ~bit
     elif name == "o_friction" and value is None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+
+
+def held_rows(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.intp]:
+    """Return the pairs of a part whose joints have motors and a free body without: what a hand can hold."""
+    roots = model.body_rootid
+    motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
+    driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
+    free = np.isin(roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]) & ~driven
+    bodies = model.geom_bodyid[pairs.geoms]
+    return np.flatnonzero(driven[bodies].any(axis=1) & free[bodies].any(axis=1))
 
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:
