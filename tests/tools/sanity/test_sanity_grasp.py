@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import json
+import re
+import shlex
+
 import mujoco
 import numpy as np
 import pytest
+from places import ROOT
 from sanity_cases import moved
+from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.conformance import run_checks
 from gauge_envs.tools.recipes.materials import published_pairs
@@ -160,3 +167,13 @@ def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
     robot = report.configuration.robot
     mended, _ = checked(robot.changed(report.cure.changes)[0])
     assert set(mended.values()) == {Verdict.INSIDE}
+
+
+def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box() -> None:
+    page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
+    outcome = CliRunner().invoke(app, [*shlex.split(command), "--json"])
+    rows = [json.loads(line) for line in outcome.stdout.splitlines()]
+    verdicts = {row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row}
+    assert outcome.exit_code == 1 and set(verdicts) == set(GRASP)
+    assert [name for name, verdict in verdicts.items() if verdict != "inside"] == ["grasp-creep"]
