@@ -22,8 +22,8 @@ PENETRATION_RANGE_M = (1e-7, 0.01)
 """Depths at rest that the scenes measure [m]: the plate is 0.03 m thick."""
 
 
-TURNING_RANGE_M = (1e-5, 0.01)
-"""Torsional and rolling friction that the scenes measure [m]: above, a ball slides and does not roll."""
+TURNING_RANGE_M, CREEP_RANGE_M_S = (1e-5, 0.01), (1e-9, 1.0)
+"""Torsional and rolling friction [m], above which a ball slides and does not roll, and creep [m/s]."""
 
 FREE_FRICTION = 0.5
 """Coefficient of friction with which a contact is built and measured when none is asked for."""
@@ -70,6 +70,8 @@ class Aim:
             check_measurable("restitution", self.restitution, (0.0, 1.0))
         for name, value in self.turning.items():
             check_measurable(name, value, TURNING_RANGE_M, " m")
+        if self.creep_m_s is not None:
+            check_measurable("creep", self.creep_m_s, CREEP_RANGE_M_S, " m/s")
         if self.penetration_m is not None:
             check_measurable("penetration", self.penetration_m, PENETRATION_RANGE_M, " m")
         if self.stiffness_n_per_m is not None:

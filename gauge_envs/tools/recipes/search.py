@@ -166,10 +166,11 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     try:
         settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump() | aim.turning)
         found = measured(settings, aim.mass_kg, friction=aim.friction)
-        if _is_missed(aim, "creep_m_s", found.creep_m_s) and "impratio" in engine.model_fields:
+        if aim.creep_m_s is not None and found.creep_m_s > aim.creep_m_s and "impratio" in engine.model_fields:
             # Creep is inversely proportional to it.
-            ratio = CREEP_MARGIN * found.creep_m_s / (aim.creep_m_s or 1.0) * settings.model_dump()["impratio"]
-            settings = engine.model_validate(settings.model_dump() | {"impratio": ratio})
+            values = settings.model_dump()
+            values["impratio"] *= CREEP_MARGIN * found.creep_m_s / aim.creep_m_s
+            settings = engine.model_validate(values)
             found = measured(settings, aim.mass_kg, friction=aim.friction)
         text = ""
     except DivergedError as error:

@@ -84,6 +84,7 @@ def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
     assert max(losses(found.snippet.replace('condim="6"', 'condim="3"'))) < 0.01
 
 
+@pytest.mark.slow
 def test_a_creep_that_is_asked_is_not_exceeded() -> None:
     aims = (Aim(friction=0.5, creep_m_s=creep, mass_kg=0.2, timestep_s=0.002) for creep in (None, 2.5e-6))
     free, slow = (find_recipe(engine_settings("mujoco"), aim) for aim in aims)

@@ -169,6 +169,7 @@ def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
     assert set(mended.values()) == {Verdict.INSIDE}
 
 
+@pytest.mark.slow
 def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box() -> None:
     page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
     (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
