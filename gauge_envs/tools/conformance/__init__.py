@@ -38,6 +38,8 @@ if TYPE_CHECKING:
         hanging_strip,
         stretch_stiffness,
     )
+    from gauge_envs.tools.conformance.contacts import turning_scene
+    from gauge_envs.tools.conformance.grasp import HELD, TURNED, grasp_creep, grasp_sink, grasp_turn
     from gauge_envs.tools.conformance.lab import Lab
     from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
     from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
@@ -45,6 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BENT_FREE_M",
+    "HELD",
+    "TURNED",
     "Check",
     "CheckResult",
     "Lab",
@@ -57,12 +61,16 @@ __all__ = [
     "check",
     "checks",
     "friction_of_slide",
+    "grasp_creep",
+    "grasp_sink",
+    "grasp_turn",
     "hanging_strip",
     "hann_mean",
     "pendulum_period_s",
     "run_checks",
     "stretch_stiffness",
+    "turning_scene",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth")
+    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth", "grasp", "contacts")

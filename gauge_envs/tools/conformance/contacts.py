@@ -114,20 +114,20 @@ def _spin_on_point(lab: Lab) -> Measurement:
 TORSION_M, ROLLING_M, ROLLS_M_PER_S = 2e-4, 1e-3, 0.3
 
 
-def _turned_on(lab: Lab, seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any) -> Rollout:
-    """Return the rollout of a ball with torsional or rolling friction on a plane."""
+def turning_scene(seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any) -> Scene:
+    """Return a ball with torsional or rolling friction on a plane."""
     turns = replace(
         ball("ball", (0.0, 0.0, RADIUS_M)),
         linear_velocity_m_per_s=(velocity, 0.0, 0.0),
         angular_velocity_rad_per_s=vector(spin),
     )
     touch = replace(contact("ball", "ground", friction=0.5), **turning)
-    return lab.rollout(Scene(bodies=(turns, ground()), contacts=(touch,), duration_s=seconds))
+    return Scene(bodies=(turns, ground()), contacts=(touch,), duration_s=seconds)
 
 
 @Check("torsion")
 def _torsion(lab: Lab) -> Measurement:
-    rollout = _turned_on(lab, 0.5, 0.0, (0.0, 0.0, 20.0), torsion_m=TORSION_M)
+    rollout = lab.rollout(turning_scene(0.5, 0.0, (0.0, 0.0, 20.0), torsion_m=TORSION_M))
     rate = float(np.polyfit(rollout.times_s, rollout.angular_velocity("ball")[:, 2], 1)[0])
     return Measurement(measured=-400.0 * RADIUS_M**2 * rate / G, expected=1e3 * TORSION_M)
 
@@ -135,7 +135,7 @@ def _torsion(lab: Lab) -> Measurement:
 @Check("rolling")
 def _rolling(lab: Lab) -> Measurement:
     spin = (0.0, ROLLS_M_PER_S / RADIUS_M, 0.0)
-    rollout = _turned_on(lab, 1.6, ROLLS_M_PER_S, spin, rolling_m=ROLLING_M)
+    rollout = lab.rollout(turning_scene(1.6, ROLLS_M_PER_S, spin, rolling_m=ROLLING_M))
     expected = 0.7 * ROLLS_M_PER_S**2 * RADIUS_M / (G * ROLLING_M)
     return Measurement(measured=1e3 * float(rollout.displacement("ball")[-1, 0]), expected=1e3 * expected)
 

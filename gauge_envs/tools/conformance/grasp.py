@@ -83,13 +83,15 @@ def _held(lab: Lab) -> Rollout:
 
 
 @_held.check("grasp-sink")
-def _grasp_sink(rollout: Rollout) -> Measurement:
+def grasp_sink(rollout: Rollout) -> Measurement:
+    """Return the depth of the pads in the box [um]."""
     apart = rollout.displacement("left")[:, 0] - rollout.displacement("right")[:, 0]
     return Measurement(measured=0.5e6 * float(apart[rollout.between(STILL_S, SHAKEN_S)].mean()))
 
 
 @_held.check("grasp-creep")
-def _grasp_creep(rollout: Rollout) -> Measurement:
+def grasp_creep(rollout: Rollout) -> Measurement:
+    """Return the speed with which the box creeps down its pads [um/s]."""
     still = rollout.between(STILL_S, SHAKEN_S)
     return Measurement(measured=-1e6 * float(np.polyfit(rollout.times_s[still], _from_pads(rollout)[still, 2], 1)[0]))
 
@@ -123,11 +125,23 @@ def _turned(lab: Lab) -> Rollout:
 @_turned.check("grasp-torsion")
 def _grasp_torsion(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
-    held_n_m = TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * acceleration_m_per_s2(rollout.times_s, angles)
-    return Measurement(
-        measured=held_n_m / (2.0 * FRICTION * 2.0 * WEIGHT_N * PAD_M),
-        expected=sum(SHARES) / 2.0,
-    )
+    return _share(TURNING_N_M - box_inertia_kg_m2(OBJECT)[0] * acceleration_m_per_s2(rollout.times_s, angles))
+
+
+def _share(held_n_m: float) -> Measurement:
+    return Measurement(measured=held_n_m / (2.0 * FRICTION * 2.0 * WEIGHT_N * PAD_M), expected=sum(SHARES) / 2.0)
+
+
+_spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
+HELD, TURNED = _grasp(2.0 * WEIGHT_N, 1.5), _grasp(2.0 * WEIGHT_N, 0.15, held=_spun, gravity=0.0)
+"""The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
+
+
+def grasp_turn(rollout: Rollout) -> Measurement:
+    """Return the same of a box that spins between its pads, from its loss of energy."""
+    spin = rollout.angular_velocity("object")[:, 0]
+    lost = 0.5 * box_inertia_kg_m2(OBJECT)[0] * float(spin[0] ** 2 - spin[-1] ** 2)
+    return _share(lost / float(np.trapezoid(spin, rollout.times_s)))
 
 
 _tilt = Rotation.from_euler("x", RELEASE_RAD)

@@ -22,6 +22,9 @@ PENETRATION_RANGE_M = (1e-7, 0.01)
 """Depths at rest that the scenes measure [m]: the plate is 0.03 m thick."""
 
 
+TURNING_RANGE_M, CREEP_RANGE_M_S = (1e-5, 0.01), (1e-9, 1.0)
+"""Torsional and rolling friction [m], above which a ball slides and does not roll, and creep [m/s]."""
+
 FREE_FRICTION = 0.5
 """Coefficient of friction with which a contact is built and measured when none is asked for."""
 
@@ -36,6 +39,9 @@ class Aim:
         penetration_m: Largest depth of the plate at rest on four corners [m]; None if it does not matter.
         stiffness_n_per_m: Weight of the plate over its depth at rest [N/m]; None for a contact as hard as it gets.
         damping_n_s_per_m: Damping beside this stiffness [N s/m], in place of the restitution; None if it is not given.
+        torsion_m: Torque of friction about the normal, over the normal force [m]; None if it does not matter.
+        rolling_m: Torque against rolling, over the normal force [m]; None if it does not matter.
+        creep_m_s: Largest speed on a slope of half the friction [m/s]; None if it does not matter.
         mass_kg: Mass of the body [kg].
         timestep_s: Time step of the engine [s].
         is_friction_asked: Whether the friction matters. If not, it is a value to build and measure with.
@@ -49,6 +55,9 @@ class Aim:
     penetration_m: float | None = None
     stiffness_n_per_m: float | None = None
     damping_n_s_per_m: float | None = None
+    torsion_m: float | None = None
+    rolling_m: float | None = None
+    creep_m_s: float | None = None
     mass_kg: float
     timestep_s: float
     is_friction_asked: bool = True
@@ -59,6 +68,10 @@ class Aim:
         check_measurable("timestep", self.timestep_s, TIMESTEP_RANGE_S, " s")
         if self.restitution is not None:
             check_measurable("restitution", self.restitution, (0.0, 1.0))
+        for name, value in self.turning.items():
+            check_measurable(name, value, TURNING_RANGE_M, " m")
+        if self.creep_m_s is not None:
+            check_measurable("creep", self.creep_m_s, CREEP_RANGE_M_S, " m/s")
         if self.penetration_m is not None:
             check_measurable("penetration", self.penetration_m, PENETRATION_RANGE_M, " m")
         if self.stiffness_n_per_m is not None:
@@ -76,6 +89,12 @@ class Aim:
         weight = self.mass_kg * GRAVITY_M_PER_S2
         low, high = (float(f"{weight / depth_m:.3g}") for depth_m in reversed(PENETRATION_RANGE_M))
         check_measurable("stiffness", stiffness, (low, high), " N/m for this mass")
+
+    @property
+    def turning(self) -> dict[str, float]:
+        """Torsional and rolling friction that are asked for [m], by name."""
+        several = {"torsion_m": self.torsion_m, "rolling_m": self.rolling_m}
+        return {name: value for name, value in several.items() if value is not None}
 
     @property
     def depth_m(self) -> float | None:

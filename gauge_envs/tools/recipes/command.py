@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
     from gauge_envs.scene.fabrics import Fabric
 
-BEHAVIOUR = ("friction", "restitution", "penetration_m", "stiffness_n_per_m", "damping_n_s_per_m")
+HELD = ("torsion_m", "rolling_m", "creep_m_s")
+
+BEHAVIOUR = (*HELD, "friction", "restitution", "penetration_m", "stiffness_n_per_m", "damping_n_s_per_m")
 
 NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
 
@@ -39,8 +41,8 @@ def recipe(
     """Give contact settings of an engine for a measured behaviour, and what they reach.
 
     Details: friction=0.4; restitution=0.6, rebound over impact speed; penetration_m=, largest depth at rest;
-    stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; mass_kg=0.5, of the body;
-    timestep_s=0.002, of the engine.
+    stiffness_n_per_m=, weight over depth at rest; damping_n_s_per_m=, beside the stiffness; torsion_m= and rolling_m=,
+    torque over normal force; creep_m_s=, largest creep; mass_kg=0.5, of the body; timestep_s=0.002, of the engine.
 
     With --explain, report the behaviour of given settings. The settings are simulated in a slide, a drop, at rest and
     on a slope; those of a fabric in a hanging and in a bending strip. Exit code 1 when the simulation diverges. A value
@@ -91,7 +93,7 @@ def _print_recipe(engine: str, material: str | None, numbers: dict[str, float], 
         if "damping_n_s_per_m" in numbers:
             del measured["restitution"]
         numbers = {name: value for name, value in measured.items() if value is not None} | numbers
-    if not any(name in numbers for name in BEHAVIOUR[:4]):
+    if not any(name in numbers for name in BEHAVIOUR[:-1]):
         raise ParameterError("nothing is asked: add friction=0.4, restitution=0.6, penetration_m= or stiffness_n_per_m")
     _given(numbers.get("mass_kg"), "mass_kg", "mass_kg=0.5")
     _given(numbers.get("timestep_s"), "timestep_s", "timestep_s=0.002")

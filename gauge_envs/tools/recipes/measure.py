@@ -1,5 +1,6 @@
 """Measure contact settings on an engine: friction, restitution, depth at rest and creep."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from gauge_envs.runs.rollout import DivergedError
@@ -31,6 +32,7 @@ class Measured:
         rebound: Restitution of drops.
         rest: Plate at rest.
         creep_m_s: Creep on a slope that friction holds [m/s].
+        turning: Torsional and rolling friction [m] by name, where the settings have them.
     """
 
     slide: Spread
@@ -39,13 +41,14 @@ class Measured:
     rebound: Spread
     rest: Rest
     creep_m_s: float
+    turning: Mapping[str, float]
 
     @property
     def values(self) -> dict[str, float | None]:
         """Values by their names in `REACHED`; None for a time constant that is not resolved."""
         frictions, rest = (self.slide.mean, self.hopping.mean), self.rest
         values = (*frictions, self.rebound.mean, rest.penetration_m, self.creep_m_s, rest.time_constant_s)
-        return dict(zip(REACHED, values, strict=True))
+        return {**dict(zip(REACHED, values, strict=True)), **self.turning}
 
 
 def probe_of(settings: ContactSettings, mass_kg: float) -> Probe:
@@ -74,6 +77,7 @@ def measured(settings: ContactSettings, mass_kg: float, *, friction: float | Non
         rebound=probe.drop(build),
         rest=probe.rest(build),
         creep_m_s=probe.creep(build, slope),
+        turning={name: probe.turning(build, name) for name, value in build.turning.items() if value},
     )
 
 

@@ -7,7 +7,7 @@ without turning, others may tip, hop and spin. The scenes go through the contrac
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import Any, Self
 
@@ -93,12 +93,14 @@ class Build:
     Attributes:
         friction: Coefficient of friction in the scene.
         restitution: Coefficient of restitution in the scene.
+        turning: Torsional and rolling friction in the scene [m], by name.
         mode: Kind of contact in the scene.
         settings: Settings of the backend, without the drive interval.
     """
 
     friction: float
     restitution: float
+    turning: Mapping[str, float]
     mode: ContactMode
     settings: Mapping[str, Any]
 
@@ -211,22 +213,27 @@ class Probe:
         """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
         speed = math.sqrt(2.0 * G * DROP_M)
         later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
-        balls = [
-            RigidBody(
-                name=f"ball-{index}",
-                shape=Sphere(radius_m=BALL_RADIUS_M),
-                motion=Motion.DYNAMIC,
-                pose=Pose(
-                    position_m=((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M, 0.0, BALL_RADIUS_M + DROP_M + later)
-                ),
-                mass_kg=self.mass_kg,
-            )
-            for index, later in enumerate(later_m)
-        ]
+        places = ((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M for index in range(BALL_COUNT))
+        balls = [self._ball(place, DROP_M + later) for place, later in zip(places, later_m, strict=True)]
         rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
         heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
         found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
         return Spread.of(found)
+
+    def turning(self, build: Build, name: str) -> float:
+        """Return `torsion_m` or `rolling_m` from the spin that a ball loses, which the law stops after 0.5 s [m]."""
+        axis, inertia = (np.array([0.0, 0.0, 1.0]), 0.4) if name == "torsion_m" else (np.array([0.0, 1.0, 0.0]), 1.4)
+        # Torque over the normal force, for a loss of spin of 1 rad/s^2.
+        arm_m = inertia * BALL_RADIUS_M**2 / G
+        spin = SLIDE_S * build.turning[name] / arm_m * axis
+        ball = replace(
+            self._ball(0.0, 0.0),
+            linear_velocity_m_per_s=(BALL_RADIUS_M * float(spin[1]), 0.0, 0.0),
+            angular_velocity_rad_per_s=vector(spin),
+        )
+        rollout = self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S)
+        seen = rollout.times_s >= SLIDE_FROM_S
+        return -arm_m * float(np.polyfit(rollout.times_s[seen], rollout.angular_velocity(ball.name)[seen] @ axis, 1)[0])
 
     def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
@@ -241,6 +248,12 @@ class Probe:
             friction = friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1]))
             found.append((friction, float(lift_m.max())))
         return found
+
+    def _ball(self, place_m: float, height_m: float) -> RigidBody:
+        """Return a ball at a height above level ground."""
+        pose, shape = Pose(position_m=(place_m, 0.0, BALL_RADIUS_M + height_m)), Sphere(radius_m=BALL_RADIUS_M)
+        name = f"ball{place_m:+.1f}"
+        return RigidBody(name=name, shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg)
 
     def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
         """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""
@@ -265,6 +278,7 @@ class Probe:
             friction=build.friction,
             restitution=build.restitution,
             mode=build.mode,
+            **build.turning,
         )
         scene = Scene(bodies=(*bodies, ground), contacts=(contact,), duration_s=seconds)
         if missing := scene_support(self.backend, scene).missing:

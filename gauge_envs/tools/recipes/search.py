@@ -20,8 +20,14 @@ RESTITUTION_TOLERANCE = 0.01
 FRICTION_SHARE = 0.005
 """Relative error of a friction that counts as none."""
 
+TURNING_SHARE = 0.01
+"""Relative error of torsional and rolling friction that counts as none, as in the conformance checks."""
+
 DEPTH_SHARE = 0.05
 """Relative error of a depth at rest that counts as none, where a stiffness states it."""
+
+CREEP_MARGIN = 1.2
+"""Factor on the ratio of impedances that an asked creep needs."""
 
 MOST_TRIALS = 10
 """Most simulations of one search between two values that bracket the target."""
@@ -62,12 +68,14 @@ class Recipe:
     def asked(self) -> dict[str, float | None]:
         """Asked values by name; None for what was not asked."""
         friction = self.aim.friction if self.aim.is_friction_asked else None
-        return {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+        asked = {"friction": friction, "restitution": self.aim.rebound, "penetration_m": self.aim.depth_m}
+        return {**asked, "creep_m_s": self.aim.creep_m_s, **self.aim.turning}
 
     @property
     def reached(self) -> dict[str, float | None]:
         """Measured values by name; None for those that were not measured."""
-        return {name: None if self.found is None else self.found.values[name] for name in REACHED[:-1]}
+        names = (*REACHED[:-1], *self.aim.turning)
+        return {name: None if self.found is None else self.found.values[name] for name in names}
 
     @property
     def error(self) -> dict[str, float | None]:
@@ -128,6 +136,10 @@ def _is_missed(aim: Aim, name: str, value: float | None) -> bool:
         return aim.is_friction_asked and not abs(value - aim.friction) <= FRICTION_SHARE * aim.friction
     if name == "restitution":
         return aim.rebound is not None and not abs(value - aim.rebound) <= RESTITUTION_TOLERANCE
+    if name == "creep_m_s":
+        return aim.creep_m_s is not None and not value <= aim.creep_m_s
+    if name in aim.turning:
+        return not abs(value - aim.turning[name]) <= TURNING_SHARE * aim.turning[name]
     if aim.depth_m is None:
         return False
     if aim.stiffness_n_per_m is None:
@@ -152,8 +164,14 @@ def find_recipe(engine: type[ContactSettings], aim: Aim) -> Recipe:
     start = time.perf_counter()
     settings, found = engine.aimed(aim), None
     try:
-        settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump())
+        settings = engine.model_validate(_searched(engine.searched_on(), aim).model_dump() | aim.turning)
         found = measured(settings, aim.mass_kg, friction=aim.friction)
+        if aim.creep_m_s is not None and found.creep_m_s > aim.creep_m_s and "impratio" in engine.model_fields:
+            # Creep is inversely proportional to it.
+            values = settings.model_dump()
+            values["impratio"] *= CREEP_MARGIN * found.creep_m_s / aim.creep_m_s
+            settings = engine.model_validate(values)
+            found = measured(settings, aim.mass_kg, friction=aim.friction)
         text = ""
     except DivergedError as error:
         text = divergence_text(error)
@@ -239,7 +257,7 @@ def _explanation(engine: type[ContactSettings], recipe: Recipe, found: Measured)
         texts.append(f"{name}: {reached:.3g}{unit} is reached, {error:+.2g} from what is asked.")
         if limit := engine.limits.get(name):
             texts.append(f"{limit[0].upper()}{limit[1:]}.")
-        if name != "penetration_m" or engine.is_soft:
+        if name in ("friction", "restitution") or (name == "penetration_m" and engine.is_soft):
             texts.append(_step_text(engine, aim, name))
     if aim.rebound and (other := recipe.settings.other_body()) is not None:
         text, settings = other

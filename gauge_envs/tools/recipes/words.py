@@ -18,6 +18,8 @@ TITLES = {
     "friction_hopping": "friction, hopping",
     "penetration_m": "penetration [m]",
     "creep_m_s": "creep [m/s]",
+    "torsion_m": "torsion [m]",
+    "rolling_m": "rolling [m]",
     "time_constant_s": "time constant [s]",
     "stretch_n_per_m": "stretch [N/m]",
     "shear_n_per_m": "shear [N/m]",

@@ -27,7 +27,7 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import phenomenon as phenomenon_of
+from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon as phenomenon_of
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario, run_scenario, settings_in_force
 
@@ -321,6 +321,9 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
             return replace(subject, inapplicable=configuration.inapplicable[need])
+    if phenomenon.id in GRASP and any(group.is_held for group in configuration.contact_groups):
+        groups = tuple(replace(group, is_used=group.is_held) for group in configuration.contact_groups)
+        configuration = replace(configuration, contact_groups=groups)
     sets: dict[str, Mapping[str, Any]] = dict(configuration.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry

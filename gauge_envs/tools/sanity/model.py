@@ -75,6 +75,7 @@ class ContactGroup:
         pair_count: Number of pairs of geoms.
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
+        is_held: Whether a hand holds a body with these constants, and grasps run with them.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -82,6 +83,7 @@ class ContactGroup:
     pair_count: int
     constants: Mapping[str, Any]
     is_used: bool = False
+    is_held: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -35,7 +35,7 @@ from gauge_envs.tools.sanity.model import (
     TrainingConfiguration,
     Verdict,
 )
-from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, RIGID, ROBOT_IDS, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, GRAVITY_ID, RIGID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
@@ -161,7 +161,7 @@ def _where_it_trains(
     Rows that are flagged are measured on the engine of training, others on that of the rows.
     """
     there, engine = measurements, ""
-    flagged = [phenomenon(name) for name, is_flag in rows.items() if is_flag and name in RIGID]
+    flagged = [phenomenon(name) for name, is_flag in rows.items() if is_flag and name in (*RIGID, *GRASP)]
     runs_there = any(one.scenario.seconds <= WARP_S for one in flagged)
     if configuration.trains_on == "mujoco_warp" and runs_there:
         try:
@@ -201,8 +201,9 @@ def check(
 
     Args:
         target: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
-        only: Ids of phenomena or patterns such as `creep-*`; all when empty.
-        include_deformables: Whether to measure phenomena of deformable bodies.
+        only: Ids of phenomena or patterns such as `creep-*`; when empty, all of rigid bodies, and of grasps if the
+            target is a model with a hand.
+        include_deformables: Whether to measure phenomena of grasps and of deformable bodies too.
         time_limit_s: Time after which no simulation starts any more [s]; rows that are not measured by then are
             declined. It bounds each simulation of an engine of another package too. None for no limit.
         explain: Whether to find the responsible settings and the change that mends most.
@@ -219,6 +220,8 @@ def check(
     started = time.perf_counter()
     configuration = configuration_of(target)
     chosen = selection(only, include_deformables=include_deformables)
+    if not only and not include_deformables and any(group.is_held for group in configuration.contact_groups):
+        chosen = (*chosen, *GRASP)
     with closing(Engine(configuration.backend, simulation_limit_s(time_limit_s))) as engine:
         measurements = Measurements(engine, time_limit_s=math.inf if time_limit_s is None else time_limit_s)
         run = _Run(measurements, configuration, explain=explain)

@@ -10,13 +10,15 @@ from dataclasses import replace
 from typing import Any
 
 import mujoco
+import numpy as np
 import pytest
 from places import ROOT
 from typer.testing import CliRunner
 
+from gauge_envs.backends import backend
 from gauge_envs.backends.shared.spring_damper import spring_damper_restitution
 from gauge_envs.cli.app import app
-from gauge_envs.errors import MissingExtraError, ParameterError
+from gauge_envs.errors import MissingExtraError, ParameterError, UnsupportedSceneError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
@@ -24,6 +26,9 @@ from gauge_envs.tools.recipes.closed_forms import ContactForm
 from gauge_envs.tools.recipes.explain import explain, parsed_contact
 from gauge_envs.tools.recipes.materials import material_pairs, published_pairs
 from gauge_envs.tools.recipes.words import PUBLISHED
+from gauge_envs.tools.sanity import Verdict
+from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.phenomena import phenomenon
 
 
 def gauge(*arguments: str) -> Any:
@@ -51,6 +56,62 @@ def test_a_recipe_is_one_json_object() -> None:
     assert found["error"]["friction"] == pytest.approx(found["reached"]["friction"] - 0.4)
     assert found["error"]["penetration_m"] is None
     assert found["engine"] == "mujoco" and "mujoco" in found["versions"]
+
+
+def test_torsional_and_rolling_friction_are_those_of_a_plain_ball() -> None:
+    """The pasted pair slows a ball in plain MuJoCo by 5/2 and 5/7 g arm / r^2; with condim 3 it does not."""
+    aim = Aim(friction=0.5, torsion_m=0.002, rolling_m=0.001, mass_kg=0.2, timestep_s=0.002)
+    found = find_recipe(engine_settings("mujoco"), aim)
+    assert found.misses == () and set(found.error) >= {"torsion_m", "rolling_m"}
+
+    def losses(snippet: str) -> list[float]:
+        model = mujoco.MjModel.from_xml_string(
+            f"<mujoco>{snippet}<worldbody><geom name='floor' type='plane' size='9 9 1'/><body pos='0 0 .05'>"
+            "<freejoint/><geom name='foot' size='.05' mass='.2'/></body></worldbody></mujoco>"
+        )
+        model.opt.gravity[2] = -G
+        rates = []
+        for velocity in ([0, 0, 0, 0, 0, 20.0], [0.5, 0, 0, 0, 10.0, 0]):
+            data = mujoco.MjData(model)
+            data.qvel[:] = velocity
+            mujoco.mj_step(model, data, 100)
+            middle = data.qvel.copy()
+            mujoco.mj_step(model, data, 200)
+            rates.append(float(np.abs(middle - data.qvel)[3:].max()) / 0.4)
+        return rates
+
+    assert losses(found.snippet) == pytest.approx([2.5 * G * 0.002 / 0.05**2, G * 0.001 / 1.4 / 0.05**2], rel=0.01)
+    assert max(losses(found.snippet.replace('condim="6"', 'condim="3"'))) < 0.01
+
+
+@pytest.mark.slow
+def test_a_creep_that_is_asked_is_not_exceeded() -> None:
+    aims = (Aim(friction=0.5, creep_m_s=creep, mass_kg=0.2, timestep_s=0.002) for creep in (None, 2.5e-6))
+    free, slow = (find_recipe(engine_settings("mujoco"), aim) for aim in aims)
+    assert free.reached["creep_m_s"] > 2.5e-6 > slow.reached["creep_m_s"] and slow.misses == ()
+    # A box that pads hold creeps faster than the plate, in both by the same factor, and then within its limit.
+    held = [
+        Measurements(backend("mujoco")).measure(phenomenon("grasp-creep"), one.settings.build(0.2).settings)
+        for one in (free, slow)
+    ]
+    assert [one.verdict for one in held] == [Verdict.WRONG, Verdict.INSIDE]
+    factors = [one.value / found.reached["creep_m_s"] for one, found in zip(held, (free, slow), strict=True)]
+    assert factors == pytest.approx([3.44e6, 3.44e6], rel=0.01)
+
+
+def test_an_engine_without_torsional_friction_says_so() -> None:
+    pytest.importorskip("rapier3d")
+    with pytest.raises(UnsupportedSceneError, match=r"rapier cannot simulate the recipe: .* torsional friction"):
+        find_recipe(engine_settings("rapier"), Aim(friction=0.5, torsion_m=0.002, mass_kg=0.2, timestep_s=0.002))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("engine", ["newton", "pybullet"])
+def test_torsional_and_rolling_friction_of_other_engines(engine: str) -> None:
+    pytest.importorskip(engine)
+    for asked in ({"torsion_m": 0.002}, {"torsion_m": 0.002, "rolling_m": 0.001}):
+        aim = Aim(friction=0.5, mass_kg=0.2, timestep_s=0.002, **asked)
+        assert find_recipe(engine_settings(engine), aim).misses == ()
 
 
 @pytest.mark.parametrize("place", [0, 1])

@@ -36,6 +36,8 @@ class ContactSettings(BaseModel, ABC):
         comment: A comment in the engine's own language, with braces for its text.
         limits: What the engine itself limits in `restitution`, `friction` or `penetration_m`.
         timestep_s: Time step [s].
+        torsion_m: Torsional friction [m].
+        rolling_m: Rolling friction [m].
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
@@ -53,6 +55,8 @@ class ContactSettings(BaseModel, ABC):
     limits: ClassVar[Mapping[str, str]]
 
     timestep_s: float = Field(gt=0.0)
+    torsion_m: float = Field(default=0.0, ge=0.0)
+    rolling_m: float = Field(default=0.0, ge=0.0)
 
     @field_validator("*")
     @classmethod
@@ -96,6 +100,7 @@ class ContactSettings(BaseModel, ABC):
         return Build(
             friction=self.sliding_friction,
             restitution=restitution or 0.0,
+            turning={"torsion_m": self.torsion_m, "rolling_m": self.rolling_m},
             mode=ContactMode.SUSTAINED if restitution is None else ContactMode.IMPACT,
             settings={"preset": self.preset, **given, **self.further(mass_kg)},
         )

@@ -58,6 +58,10 @@ class ConstraintSettings(ContactSettings):
     def _with_shape(cls, value: Any) -> Any:
         return (*value, 0.5, 2.0)[:5] if isinstance(value, list | tuple) and len(value) == 3 else value
 
+    def texts(self) -> dict[str, str]:
+        """Return the values of the fields, with the dimension of contacts."""
+        return super().texts() | {"condim": "6" if self.rolling_m else "4" if self.torsion_m else "3"}
+
 
 @stated_by(PRESETS["out_of_box"])
 class MuJoCoSettings(ConstraintSettings):
@@ -80,7 +84,8 @@ class MuJoCoSettings(ConstraintSettings):
     template: ClassVar[str] = """\
 <option timestep="{timestep_s}" integrator="{integrator}" cone="{cone}" impratio="{impratio}"/>
 <contact>
-  <pair geom1="foot" geom2="floor" condim="3" friction="{friction} {friction} 0.005 0.0001 0.0001"
+  <pair geom1="foot" geom2="floor" condim="{condim}"
+        friction="{friction} {friction} {torsion_m} {rolling_m} {rolling_m}"
         solref="{solref}" solimp="{solimp}"{tangential}/>
 </contact>
 """

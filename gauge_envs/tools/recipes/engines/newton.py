@@ -45,10 +45,10 @@ import warp as wp
 
 # newton.solvers.SolverMuJoCo.register_custom_attributes(builder) comes before the shapes.
 config = newton.ModelBuilder.ShapeConfig(
-    mu={mu}, kf={kf}, mu_torsional=0.0, mu_rolling=0.0, gap=0.002
+    mu={mu}, kf={kf}, mu_torsional={torsion_m}, mu_rolling={rolling_m}, gap=0.002
 )
 attributes = {{  # of the foot's shapes: add_shape_box(..., cfg=config, custom_attributes=attributes)
-    "mujoco:condim": 3,
+    "mujoco:condim": {condim},
     "mujoco:geom_priority": 1,
     "mujoco:solref_mode": 1,  # solref as given
     "mujoco:solref": wp.vec2({solref}),

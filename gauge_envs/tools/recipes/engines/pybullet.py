@@ -55,6 +55,7 @@ def set_contact(foot, floor, client=0):
     # Bullet multiplies the coefficients of the two bodies.
     pybullet.changeDynamics(floor, -1, lateralFriction=1, restitution=1{threshold}, physicsClientId=client)
     pybullet.changeDynamics(foot, -1, lateralFriction={lateralFriction}, restitution={restitution}{threshold},
+                            spinningFriction={torsion_m}, rollingFriction={rolling},
                             linearDamping=0, angularDamping=0, physicsClientId=client)
 """
 
@@ -95,6 +96,8 @@ def set_contact(foot, floor, client=0):
         return super().texts() | {
             "split": ", splitImpulsePenetrationThreshold=0" if self.useSplitImpulse else "",
             "threshold": ", contactProcessingThreshold=0" if self.contactProcessingThreshold == 0 else "",
+            # Without rolling friction, Bullet ignores torsional friction.
+            "rolling": f"{max(self.rolling_m, 1e-6 * self.torsion_m):.4g}",
         }
 
     def other_body(self) -> tuple[str, Self] | None:

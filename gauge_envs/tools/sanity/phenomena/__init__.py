@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.sanity.phenomena.base import Phenomenon
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
-__all__ = ["CAPACITY_ID", "GRAVITY_ID", "RELEASE_ID", "RIGID", "ROBOT_IDS", "phenomena", "phenomenon", "selection"]
-
 GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 """Rows on what a target states, which need no rollout."""
 
@@ -33,12 +31,15 @@ ROBOT_IDS = tuple(_TABLES["robot"])
 RIGID: Mapping[str, Sequence[str]] = _TABLES["rigid"]
 """Module, function and argument of the phenomena of rigid bodies by id, in the order of their rows."""
 
+GRASP: Mapping[str, Sequence[str]] = _TABLES["grasp"]
+"""The same for what a hand holds; measured of a model that has a hand, or by name."""
+
 DEFORMABLE: Mapping[str, Sequence[str]] = _TABLES["deformable"]
 """The same for deformable bodies."""
 
 
 def _known(*, include_deformables: bool) -> tuple[str, ...]:
-    return (*RIGID, *DEFORMABLE) if include_deformables else tuple(RIGID)
+    return (*RIGID, *GRASP, *DEFORMABLE) if include_deformables else tuple(RIGID)
 
 
 @cache
@@ -49,7 +50,7 @@ def phenomenon(name: str, foot: FootGeometry | None = None) -> Phenomenon:
         name: The id.
         foot: Foot of the target, for rows that need one; that of a small quadruped if None.
     """
-    module, function, *arguments = {**RIGID, **DEFORMABLE}[name]
+    module, function, *arguments = {**RIGID, **GRASP, **DEFORMABLE}[name]
     make = getattr(import_module(f"{__name__}.{module}"), function)
     made: Phenomenon = make(*arguments) if foot is None else make(foot)
     return replace(made, id=name)
@@ -60,7 +61,7 @@ def phenomena(only: Sequence[str] = (), *, include_deformables: bool = False) ->
 
     Args:
         only: Ids or patterns such as `creep-*`; all when empty.
-        include_deformables: Whether to include phenomena of deformable bodies.
+        include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
     return tuple(map(phenomenon, _matching(only, _known(include_deformables=include_deformables))))
 
@@ -70,7 +71,7 @@ def selection(only: Sequence[str] = (), *, include_deformables: bool = False) ->
 
     Args:
         only: Ids or patterns such as `creep-*`, also several in one text with commas; all when empty.
-        include_deformables: Whether to include phenomena of deformable bodies.
+        include_deformables: Whether to include phenomena of deformable bodies and of grasps.
     """
     patterns = [part.strip() for text in only for part in text.split(",") if part.strip()]
     return _matching(patterns, (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS, *_known(include_deformables=include_deformables)))

@@ -121,8 +121,9 @@ class Robot:
 
     @cached_property
     def grounded(self) -> set[int]:
-        """Geoms that can touch the ground, and those of the ground."""
-        return set(np.unique(self.pairs.geoms[ground_rows(self.pairs)]).tolist())
+        """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
+        rows = [*ground_rows(self.pairs), *held_rows(self.model, self.pairs)]
+        return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def needs_default(self, name: str, value: Any) -> bool:
         """Return whether a default changes a geom on the ground."""
@@ -188,6 +189,16 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         option.enableflags = option.enableflags | bit if value else option.enableflags & ~bit
     elif name == "o_friction" and value is None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
+
+
+def held_rows(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.intp]:
+    """Return the pairs of a part whose joints have motors and a free body without: what a hand can hold."""
+    roots = model.body_rootid
+    motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
+    driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
+    free = np.isin(roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]) & ~driven
+    bodies = model.geom_bodyid[pairs.geoms]
+    return np.flatnonzero(driven[bodies].any(axis=1) & free[bodies].any(axis=1))
 
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:

@@ -1,0 +1,180 @@
+"""What a hand holds: readings against closed forms, contacts of a hand, and advice that mends."""
+
+from __future__ import annotations
+
+import json
+import re
+import shlex
+
+import mujoco
+import numpy as np
+import pytest
+from places import ROOT
+from sanity_cases import moved
+from typer.testing import CliRunner
+
+from gauge_envs.backends import backend
+from gauge_envs.cli.app import app
+from gauge_envs.scene import GRAVITY_M_PER_S2 as G
+from gauge_envs.tools.conformance import run_checks
+from gauge_envs.tools.recipes.materials import published_pairs
+from gauge_envs.tools.sanity.measure import Measurements
+from gauge_envs.tools.sanity.model import Report, Verdict
+from gauge_envs.tools.sanity.phenomena import GRASP, phenomenon
+from gauge_envs.tools.sanity.phenomena.grasp import MOST_ROLLING_MM
+from gauge_envs.tools.sanity.run import check
+from gauge_envs.tools.sanity.stacks import configuration
+
+MUJOCO = Measurements(backend("mujoco"))
+GOOD = {"option": 'cone="elliptic" impratio="100"', "geom": 'solref="0.004 1" solimp=".95 .95 .001"'}
+
+
+def hand(option: str = "", geom: str = "", pad: str = "", motors: str = "left right") -> mujoco.MjModel:
+    """Return a gripper above a cube on a floor."""
+    fingers = "".join(
+        f"<body name='{name}' pos='{place} 0 .1'><joint name='{name}' type='slide' axis='1 0 0'/>"
+        f"<geom name='{name}_pad' type='box' size='.005 .01 .02' mass='.02' {pad}/></body>"
+        for name, place in (("left", -0.04), ("right", 0.04))
+    )
+    driven = "".join(f"<motor joint='{name}'/>" for name in motors.split())
+    return mujoco.MjModel.from_xml_string(
+        f"<mujoco><option {option}/><default><geom {geom}/></default><worldbody>"
+        "<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 .03'><freejoint/>"
+        f"<geom name='cube' type='box' size='.02 .02 .03' mass='.1'/></body>{fingers}</worldbody>"
+        f"<actuator>{driven}</actuator></mujoco>"
+    )
+
+
+def checked(model: mujoco.MjModel) -> tuple[dict[str, Verdict], Report]:
+    report = check(model, only=["grasp-*", "rolling"], include_deformables=True)
+    return {row.phenomenon: row.verdict for row in report.rows}, report
+
+
+# --- readings --------------------------------------------------------------------------------------------------------
+
+
+def test_creep_and_depth_of_a_box_are_relative_to_its_pads() -> None:
+    creep = phenomenon("grasp-creep")
+    times = np.linspace(0.0, 1.5, 151)
+    down, inward = np.outer(times, [0.0, 0.0, -1e-6]), np.outer(times > 0.0, [3e-5, 0.0, 0.0])
+    rollout = moved(creep.scenario, times, object=30.0 * down, left=10.0 * down + inward, right=10.0 * down - inward)
+    assert creep.value(rollout) == pytest.approx(20.0)
+    assert phenomenon("grasp-sink").value(rollout) == pytest.approx(30.0)
+
+
+@pytest.mark.parametrize("share", [0.383, 0.707, 3.0])
+def test_torque_is_read_from_the_energy_of_the_spin(share: float) -> None:
+    row = phenomenon("grasp-torsion")
+    times = np.linspace(0.0, 0.15, 1501)
+    # 2 mu N side share over m (a^2 + b^2) / 12; at 3.0 the box stops within the time.
+    rate = share * 2.0 * 0.5 * 2.0 * 0.2 * G * 0.02 / (0.2 * (0.06**2 + 0.16**2) / 12.0)
+    rollout = moved(row.scenario, times)
+    rollout.states["object"][:, 10] = np.maximum(20.0 - rate * times, 0.0)
+    assert row.value(rollout) == pytest.approx(share, rel=1e-3)
+    low, high = row.reality.value - row.reality.tolerance, row.reality.value + row.reality.tolerance
+    assert (low, high) == pytest.approx((0.383, 0.707), abs=0.007)
+
+
+@pytest.mark.parametrize("arm_mm", [0.5, 3.0, 20.0])
+def test_rolling_friction_is_read_from_the_path(arm_mm: float) -> None:
+    row = phenomenon("rolling")
+    times = np.linspace(0.0, 0.5, 2001)
+    # Rolling without slip: a = 5/7 g arm / r, until the ball stops.
+    rate = 5.0 / 7.0 * G * 1e-3 * arm_mm / 0.03
+    until = np.minimum(times, 0.3 / rate)
+    path = np.outer(0.3 * until - 0.5 * rate * until**2, [1.0, 0.0, 0.0])
+    assert row.value(moved(row.scenario, times, ball=path)) == pytest.approx(arm_mm, rel=2e-3)
+
+
+def test_the_limit_of_rolling_is_the_largest_published_value() -> None:
+    (name, most), *_ = sorted(
+        ((row["name"], float(row["rolling_mm"])) for row in published_pairs() if row["rolling_mm"] != "-"),
+        key=lambda pair: -pair[1],
+    )
+    assert (name, most) == ("hard-rubber-on-steel", MOST_ROLLING_MM)
+
+
+# --- MuJoCo ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_the_preset_has_the_values_of_the_conformance_checks() -> None:
+    names = ("grasp-creep", "grasp-sink")
+    known = {one.check: one.measured for one in run_checks("mujoco", only=names)}
+    for name in names:
+        assert MUJOCO.measure(phenomenon(name), {}).value == pytest.approx(known[name], rel=1e-3), name
+
+
+@pytest.mark.parametrize(("arm_m", "verdict"), [(1e-3, Verdict.INSIDE), (0.1, Verdict.WRONG)])
+def test_rolling_friction_of_mujoco(arm_m: float, verdict: Verdict) -> None:
+    settings = {"condim": 6, "rolling_friction_m": arm_m}
+    found = MUJOCO.measure(phenomenon("rolling"), settings)
+    assert found.verdict is verdict
+    assert verdict is Verdict.WRONG or found.value == pytest.approx(1e3 * arm_m, rel=0.01)
+
+
+def test_no_slip_iterations_hold_with_the_elliptic_cone_alone() -> None:
+    row, soft = phenomenon("grasp-creep"), {"contact_solref": (0.02, 1.0), "impratio": 1.0}
+    found = {
+        cone: MUJOCO.measure(row, soft | {"cone": cone, "noslip_iterations": 10}).verdict
+        for cone in ("elliptic", "pyramidal")
+    }
+    assert found == {"elliptic": Verdict.INSIDE, "pyramidal": Verdict.WRONG}
+
+
+# --- hands -----------------------------------------------------------------------------------------------------------
+
+
+def test_the_contacts_of_a_hand_are_those_of_its_pads_and_a_free_body() -> None:
+    held = [group for group in configuration(hand(pad='condim="4"')).contact_groups if group.is_held]
+    assert [(group.geoms, group.settings["condim"]) for group in held] == [
+        ("cube, left_pad and right_pad with each other", 4)
+    ]
+    # Fingers without motors hold nothing, and a chosen pair stands for all contacts.
+    assert not any(group.is_held for group in configuration(hand(motors="")).contact_groups)
+    assert not any(group.is_held for group in configuration(hand(), pair=("floor", "cube")).contact_groups)
+
+
+@pytest.mark.slow
+def test_grasps_are_measured_without_being_named_where_there_is_a_hand() -> None:
+    with_hand, without = (
+        {row.phenomenon for row in check(hand(motors=motors), explain=False).rows if row.experiment}
+        for motors in ("left", "")
+    )
+    assert with_hand - without == set(GRASP)
+
+
+def test_a_good_hand_has_no_flag() -> None:
+    verdicts, report = checked(hand(**GOOD))
+    assert set(verdicts) == set(GRASP) and set(verdicts.values()) == {Verdict.INSIDE} and report.cure is None
+
+
+FAULTS = {
+    "grasp-creep": {},
+    "grasp-sink": GOOD | {"pad": 'priority="1" solref=".2 1"'},
+    "grasp-torsion": GOOD | {"pad": 'condim="4" friction="1 .05 .0001"'},
+    "rolling": GOOD | {"pad": 'condim="6" friction="1 .005 .1"'},
+}
+
+
+@pytest.mark.parametrize("name", [pytest.param(one, marks=pytest.mark.slow) for one in FAULTS])
+def test_advice_that_is_followed_mends_the_hand(name: str) -> None:
+    """Planted faults: the change of the first line, set in a copy of the model, leaves no flag."""
+    model = hand(**FAULTS[name])
+    verdicts, report = checked(model)
+    assert verdicts[name].is_off
+    assert report.cure is not None and report.cure.mended_count == report.cure.flag_count
+    robot = report.configuration.robot
+    mended, _ = checked(robot.changed(report.cure.changes)[0])
+    assert set(mended.values()) == {Verdict.INSIDE}
+
+
+@pytest.mark.slow
+def test_the_command_of_the_page_finds_the_creep_of_mujoco_out_of_the_box() -> None:
+    page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
+    (command,) = re.findall(r"\ngauge (sanity [^\n]*grasp[^\n]*)\n", page)
+    outcome = CliRunner().invoke(app, [*shlex.split(command), "--json"])
+    rows = [json.loads(line) for line in outcome.stdout.splitlines()]
+    verdicts = {row["phenomenon"]: row["verdict"] for row in rows if "phenomenon" in row}
+    assert outcome.exit_code == 1 and set(verdicts) == set(GRASP)
+    assert [name for name, verdict in verdicts.items() if verdict != "inside"] == ["grasp-creep"]
