@@ -112,7 +112,7 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
     early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
     if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
         foreign = FOREIGN
-    doubts = (registration.problem, foreign)
+    doubts = (registration.problem, foreign, task.doubt)
     return Track(
         frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
@@ -134,12 +134,13 @@ def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | N
     return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
 
 
-def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str) -> Iterator[Event]:
+def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str, look: str) -> Iterator[Event]:
     """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
         ("registration", registration),
         ("picture", foreign),
+        ("look", look),
         ("file", cut if _is_cut(frames, cadence) else ""),
         ("cadence", cadence.text),
     ):
