@@ -122,7 +122,8 @@ def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.
 def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:
     # The outgoing ball of a cradle is looked for only where it swings out.
     if task.motion is Motion.CRADLE:
-        return [], []
+        swings = [track.frames[one] for one in laws.swings_without_apex(track, task)]
+        return [], [f"the ball swings out in frames {_runs(one)}, and its apex is not seen" for one in swings]
     lost = rows[~track.is_found[rows]]
     share = len(lost) / len(rows)
     text = f"the object is lost in {share:.0%} of the retained frames: {_runs(track.frames[lost])}"
@@ -355,7 +356,10 @@ def _metrics(
         }
     assert task.rest_px is not None
     events = laws.apices(times_s, angles)
-    heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
+    rises_m = (task.rest_px[1] - track.points_px[rows, 1]) * scale_m_per_px
+    # An apex lies between two frames: at the vertex of the parabola through the highest place and its neighbours.
+    near = [(times_s[i - 1 : i + 2] - times_s[i], rises_m[i - 1 : i + 2]) for i in events]
+    heights = np.array([h[1] - 0.25 * b * b / a if a < 0.0 else h[1] for t, h in near for a, b, _ in [np.polyfit(t, h, 2)]])
     mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
     return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
         "event_count": float(len(events)),
