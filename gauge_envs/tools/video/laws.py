@@ -85,6 +85,7 @@ class OscillationFit:
         equilibrium_rad: Angle of equilibrium [rad].
         amplitude_rad: Amplitude at the first sample [rad].
         r2: Coefficient of determination, 1.
+        residuals_rad: What the law does not explain [rad], shape [sample_count].
     """
 
     period_s: float
@@ -92,6 +93,7 @@ class OscillationFit:
     equilibrium_rad: float
     amplitude_rad: float
     r2: float
+    residuals_rad: FloatArray
 
 
 def fit_constant_acceleration(
@@ -239,6 +241,7 @@ def fit_damped_oscillation(
         equilibrium_rad=float(equilibrium),
         amplitude_rad=float(np.hypot(cosine, sine)),
         r2=1.0 - float(residual @ residual) / spread,
+        residuals_rad=residual,
     )
 
 

@@ -1,10 +1,11 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -41,6 +42,9 @@ MOST_TRIMMED, SAME_FORM = 4, 1.5
 MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
 """Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
 
+LEAST_PERIODS = 0.5
+"""Fewest periods of a valid clip: both turns of a swing part its period from its damping and equilibrium."""
+
 JUMP = 0.15
 """Change of the step from frame to frame that no law needs, in sizes of the object."""
 
@@ -60,7 +64,11 @@ class Grade(StrEnum):
 
 
 def grade_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = "", form: float = 0.0
+    track: Track,
+    task: VideoTask,
+    span: tuple[int, int] | None,
+    problem: str = "",
+    metrics: Mapping[str, float] = MappingProxyType({}),
 ) -> tuple[Grade, tuple[str, ...]]:
     """Return the grade of a clip and its reasons, with frame numbers.
 
@@ -69,7 +77,7 @@ def grade_of(
         task: The task.
         span: First and last retained row; None when the object does not move.
         problem: Why the law could not be fitted; empty when it could.
-        form: Residual of the law.
+        metrics: Metrics of the clip, with the residual of the law.
     """
     if span is None:
         missing = _runs(track.frames[~track.is_found])
@@ -92,8 +100,12 @@ def grade_of(
     confidence = float(track.confidence[found].mean()) if len(found) else 0.0
     if confidence < LEAST_CONFIDENCE:
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
+    form = metrics.get("form", 0.0)
     if form > MOST_FORM.get(task.motion, math.inf):
         doubts.append(f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion")
+    shown_s, period_s = float(np.ptp(track.times_s[list(span)])), metrics.get("pd_s", 0.0)
+    if shown_s < LEAST_PERIODS * period_s:
+        doubts.append(f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one")
     jumps = _jumps(track, task, found)
     if len(jumps):
         doubts.append(f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}")
@@ -274,12 +286,17 @@ def score_track(
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
         except ParameterError as error:
             problem = str(error)
-    grade, reasons = grade_of(track, task, span, problem, metrics.get("form", 0.0))
-    guess = None
-    if task.motion is Motion.PENDULUM and metrics:
+    grade, reasons = grade_of(track, task, span, problem, metrics)
+    guess = misfit_rad = None
+    if task.motion is Motion.PENDULUM and metrics and span is not None:
         guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
+        rows = _found(track, span)
+        angles = laws.swing_angles_rad(track, task)[rows]
+        misfit_rad = laws.fit_damped_oscillation(track.times_s[rows], angles, guess=guess).residuals_rad
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view)
+    intervals = (
+        {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view, misfit_rad)
+    )
     return VideoScore(
         video=name,
         task=task.id,
@@ -306,6 +323,12 @@ def _ended(track: Track, task: VideoTask, span: tuple[int, int] | None) -> tuple
     return span[0], next(end for end, form in zip(ends, forms, strict=True) if form <= SAME_FORM * min(forms))
 
 
+def _found(track: Track, span: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the rows of an interval in which the object was found."""
+    rows = np.arange(span[0], span[1] + 1)
+    return rows[track.is_found[rows]]
+
+
 def _metrics(
     track: Track,
     task: VideoTask,
@@ -314,8 +337,7 @@ def _metrics(
     guess: tuple[float, float] | None = None,
 ) -> tuple[Metrics, Metrics]:
     """Return the metrics of a task in an interval, and further numbers."""
-    rows = np.arange(span[0], span[1] + 1)
-    rows = rows[track.is_found[rows]]
+    rows = _found(track, span)
     times_s = track.times_s[rows]
     if task.motion in (Motion.SLIDE, Motion.FALL):
         # Rest before the motion belongs to the fit: the release is where rest and law meet.
@@ -398,6 +420,7 @@ def _intervals(
     nominal: Metrics,
     guess: tuple[float, float] | None,
     view: PlaneView | None,
+    misfit_rad: FloatArray | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
@@ -415,6 +438,12 @@ def _intervals(
             sample = frontal_track(drawn, sample, judged)
         elif task.pivot_px is not None and task.motion is not Motion.TURN:
             sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
+        if misfit_rad is not None and judged.pivot_px is not None:
+            # What the law does not explain may come at any other time, with the other sign.
+            rows = _found(track, span)
+            other = rng.choice([-1.0, 1.0]) * np.roll(misfit_rad, rng.integers(len(rows))) - misfit_rad
+            offset = sample.points_px[rows] - np.array(judged.pivot_px)
+            sample.points_px[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
         scale = judged.scale_m_per_px * (1.0 if view is not None else 1.0 + rng.normal(0.0, scale_sigma))
@@ -434,6 +463,10 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
+    if "pd_s" in intervals:
+        # Over less than a period, any noise lengthens it, and that of the track has already: the error has either sign.
+        away = float(np.percentile(np.abs(np.array(found["pd_s"]) - nominal["pd_s"]), 100.0 * COVERAGE))
+        intervals["pd_s"] = (max(0.0, nominal["pd_s"] - away), nominal["pd_s"] + away)
     if view is not None and "de_n" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de_n"][1]
