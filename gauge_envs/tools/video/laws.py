@@ -393,6 +393,12 @@ def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
     return np.array(found, dtype=np.intp)
 
 
+def peak(times_s: FloatArray, heights_m: FloatArray) -> float:
+    """Return the largest height of a parabola through three places [m]: an apex lies between two frames."""
+    a, b, height_m = np.polyfit(times_s - times_s[1], heights_m, 2)
+    return float(height_m - 0.25 * b * b / a if a < 0.0 else height_m)
+
+
 def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]:
     """Return the rows of each swing of a cradle's ball without an apex, unless the video ends in it.
 

@@ -379,9 +379,7 @@ def _metrics(
     assert task.rest_px is not None
     events = laws.apices(times_s, angles)
     rises_m = (task.rest_px[1] - track.points_px[rows, 1]) * scale_m_per_px
-    # An apex lies between two frames: at the vertex of the parabola through the highest place and its neighbours.
-    near = [(times_s[i - 1 : i + 2] - times_s[i], rises_m[i - 1 : i + 2]) for i in events]
-    heights = np.array([h[1] - 0.25 * b * b / a if a < 0.0 else h[1] for t, h in near for a, b, _ in [np.polyfit(t, h, 2)]])
+    heights = np.array([laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events])
     mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
     return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
         "event_count": float(len(events)),
