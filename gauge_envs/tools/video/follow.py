@@ -308,7 +308,6 @@ def best_path(
     start_px: FloatArray,
     size_px: float,
     lawful_px: float = 0.0,
-    *,
     is_struck: bool = False,
 ) -> list[Sight]:
     """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.

@@ -400,17 +400,13 @@ def peak(times_s: FloatArray, heights_m: FloatArray) -> float:
 
 
 def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]:
-    """Return the rows of each swing of a cradle's ball without an apex, unless the video ends in it.
-
-    Such a swing is another event of the momentum transfer, and nobody knows of which height.
-    """
+    """Return the rows of each swing of a cradle's ball, an event of unknown height, unless the video ends in it."""
     rows = np.flatnonzero(track.is_found)
     angles_rad, times_s = swing_angles_rad(track, task)[rows], track.times_s[rows]
     known = rows[apices(times_s, angles_rad)]
     rows = rows[angles_rad >= LEAST_APEX_RAD]
     swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_APEX_STEPS) + 1)
-    last = len(track.frames) - 1
-    return [one for one in swings if len(one) and not np.isin(known, one).any() and one[-1] < last]
+    return [one for one in swings if len(one) and not np.isin(known, one).any() and one[-1] < len(track.frames) - 1]
 
 
 def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[int, int] | None:

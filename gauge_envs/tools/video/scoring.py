@@ -1,11 +1,10 @@
 """Score the motion in a video by the law of its task, with the uncertainty of the track carried into the result."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -20,6 +19,8 @@ from gauge_envs.tools.video.plane import PlaneView, frontal_task, frontal_track
 from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
+
+Metrics: TypeAlias = dict[str, float]
 
 LEAST_RETAINED = 5
 """Fewest retained frames of a valid clip."""
@@ -64,11 +65,7 @@ class Grade(StrEnum):
 
 
 def grade_of(
-    track: Track,
-    task: VideoTask,
-    span: tuple[int, int] | None,
-    problem: str = "",
-    metrics: Mapping[str, float] = MappingProxyType({}),
+    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str, metrics: Metrics
 ) -> tuple[Grade, tuple[str, ...]]:
     """Return the grade of a clip and its reasons, with frame numbers.
 
@@ -155,8 +152,6 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 
 # --- score ------------------------------------------------------------------------------------------------------------
-
-Metrics: TypeAlias = dict[str, float]
 
 METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n", "form")
 """Names of all metrics, in the order of a result."""
@@ -287,16 +282,12 @@ def score_track(
         except ParameterError as error:
             problem = str(error)
     grade, reasons = grade_of(track, task, span, problem, metrics)
-    guess = misfit_rad = None
+    swing = None
     if task.motion is Motion.PENDULUM and metrics and span is not None:
-        guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
-        rows = _found(track, span)
-        angles = laws.swing_angles_rad(track, task)[rows]
-        misfit_rad = laws.fit_damped_oscillation(track.times_s[rows], angles, guess=guess).residuals_rad
+        rows, guess = _found(track, span), (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
+        swing = laws.fit_damped_oscillation(track.times_s[rows], laws.swing_angles_rad(track, task)[rows], guess=guess)
     rng = np.random.default_rng(seed)
-    intervals = (
-        {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view, misfit_rad)
-    )
+    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, swing, view)
     return VideoScore(
         video=name,
         task=task.id,
@@ -416,12 +407,12 @@ def _intervals(
     span: tuple[int, int],
     rng: np.random.Generator,
     nominal: Metrics,
-    guess: tuple[float, float] | None,
+    swing: laws.OscillationFit | None,
     view: PlaneView | None,
-    misfit_rad: FloatArray | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
+    guess = None if swing is None else (swing.damping_per_s, 2.0 * math.pi / swing.period_s)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
@@ -436,10 +427,10 @@ def _intervals(
             sample = frontal_track(drawn, sample, judged)
         elif task.pivot_px is not None and task.motion is not Motion.TURN:
             sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
-        if misfit_rad is not None and judged.pivot_px is not None:
+        if swing is not None and judged.pivot_px is not None:
             # What the law does not explain may come at any other time, with the other sign.
-            rows = _found(track, span)
-            other = rng.choice([-1.0, 1.0]) * np.roll(misfit_rad, rng.integers(len(rows))) - misfit_rad
+            rows, misfit = _found(track, span), swing.residuals_rad
+            other = rng.choice([-1.0, 1.0]) * np.roll(misfit, rng.integers(len(rows))) - misfit
             offset = sample.points_px[rows] - np.array(judged.pivot_px)
             sample.points_px[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
         first = max(0, span[0] + int(rng.integers(-1, 2)))

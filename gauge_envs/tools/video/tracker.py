@@ -206,9 +206,8 @@ def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
     length = task.rest_px[1] - task.pivot_px[1]
     # The incoming ball hangs as many diameters to the left as there are balls before the last one.
     first_x = x + (CRADLE_BALLS - 1) * task.size_px
-    return (first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length) or (
-        abs(y - length) < task.size_px
-    )
+    is_on_arc = first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
+    return is_on_arc or abs(y - length) < task.size_px
 
 
 def _surroundings(centre: FloatArray, size_px: float) -> Region:
