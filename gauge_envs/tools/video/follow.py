@@ -304,7 +304,11 @@ FIRST_STEP, FIRST_FRAMES = 0.4, 3
 
 
 def best_path(
-    candidates: Sequence[Sequence[Sight]], start_px: FloatArray, size_px: float, lawful_px: float = 0.0
+    candidates: Sequence[Sequence[Sight]],
+    start_px: FloatArray,
+    size_px: float,
+    lawful_px: float = 0.0,
+    is_struck: bool = False,
 ) -> list[Sight]:
     """Return the places of the whole clip with the largest sum of likenesses, less what changes of the velocity cost.
 
@@ -315,10 +319,13 @@ def best_path(
         start_px: Place before the first frame [px], shape [2].
         size_px: Size of the object [px].
         lawful_px: Change of the step from frame to frame that gravity makes [px].
+        is_struck: Whether it may return to that place, where impacts change its velocity at no cost.
     """
     usual_px = max(BEND * size_px, lawful_px)
     nodes = [(-1, Sight(x_px=float(start_px[0]), y_px=float(start_px[1])))]
-    nodes += [(frame, one) for frame, ones in enumerate(candidates) for one in ones]
+    for frame, ones in enumerate(candidates):
+        nodes += [(frame, nodes[0][1])] * is_struck + [(frame, one) for one in ones]
+    hangs = np.array([is_struck and one is nodes[0][1] for _, one in nodes])
     frames = np.array([frame for frame, _ in nodes])
     places = np.array([one.place for _, one in nodes])
     totals, speeds, before = np.zeros(len(nodes)), np.zeros((len(nodes), 2)), np.full(len(nodes), -1)
@@ -328,7 +335,8 @@ def best_path(
     for node in range(1, len(nodes)):
         gap = frames[node] - frames[:node]
         steps = (places[node] - places[:node]) / np.maximum(gap, 1)[:, None]
-        bend = np.linalg.norm(steps - speeds[:node], axis=1) / usual_px
+        # When it was struck between two frames is unknown, and so is the velocity of its first step.
+        bend = np.linalg.norm(steps - speeds[:node], axis=1) / usual_px * ~(hangs[:node] | hangs[before[:node]])
         value = totals[:node] - np.minimum(BEND_COST * bend**2, MOST_COST)
         is_possible = (gap > 0) & ((gap <= MOST_GAP) | (frames[:node] < 0))
         is_possible &= np.linalg.norm(steps, axis=1) <= MOST_STEP * max(size_px, lawful_px)
@@ -342,6 +350,6 @@ def best_path(
     path = [Sight() for _ in candidates]
     node = int(totals.argmax())
     while node > 0:
-        path[frames[node]] = nodes[node][1]
+        path[frames[node]] = Sight() if hangs[node] else nodes[node][1]
         node = int(before[node])
     return path

@@ -85,6 +85,7 @@ class OscillationFit:
         equilibrium_rad: Angle of equilibrium [rad].
         amplitude_rad: Amplitude at the first sample [rad].
         r2: Coefficient of determination, 1.
+        residuals_rad: What the law does not explain [rad], shape [sample_count].
     """
 
     period_s: float
@@ -92,6 +93,7 @@ class OscillationFit:
     equilibrium_rad: float
     amplitude_rad: float
     r2: float
+    residuals_rad: FloatArray
 
 
 def fit_constant_acceleration(
@@ -239,6 +241,7 @@ def fit_damped_oscillation(
         equilibrium_rad=float(equilibrium),
         amplitude_rad=float(np.hypot(cosine, sine)),
         r2=1.0 - float(residual @ residual) / spread,
+        residuals_rad=residual,
     )
 
 
@@ -318,8 +321,9 @@ LEAST_APEX_RAD = 0.08
 """Smallest angle of an apex [rad]; hanging balls are no event."""
 
 
-MOST_APEX_STEPS, APEX_FALL = 2.5, 0.9
-"""Most frames from an apex to its neighbours, and angle on both sides that shows a swing, in that of the apex."""
+MOST_APEX_STEPS, APEX_FALL, APEX_FALL_RAD = 2.5, 0.9, 0.04
+"""Most frames from an apex to its neighbours, and angle on both sides that shows a swing, in that of the apex; or fall
+of the angle [rad]: a quarter of a ball, which no trembling is."""
 
 
 def displacement_px(track: Track, task: VideoTask) -> FloatArray:
@@ -381,11 +385,28 @@ def apices(times_s: FloatArray, angles_rad: FloatArray) -> NDArray[np.intp]:
         is_highest = angles_rad[row] >= angles_rad[near].max()
         is_seen = max(times_s[row + 1] - times_s[row], times_s[row] - times_s[row - 1]) <= MOST_APEX_STEPS * step_s
         sides = (angles_rad[:row][near[:row]], angles_rad[row + 1 :][near[row + 1 :]])
-        is_swing = all(side.min(initial=np.inf) <= APEX_FALL * angles_rad[row] for side in sides)
+        fallen = max(APEX_FALL * angles_rad[row], angles_rad[row] - APEX_FALL_RAD)
+        is_swing = all(side.min(initial=np.inf) <= fallen for side in sides)
         is_new = not (found and near[found[-1]])
         if is_highest and is_seen and is_swing and is_new and angles_rad[row] >= LEAST_APEX_RAD:
             found.append(row)
     return np.array(found, dtype=np.intp)
+
+
+def peak(times_s: FloatArray, heights_m: FloatArray) -> float:
+    """Return the largest height of a parabola through three places [m]: an apex lies between two frames."""
+    a, b, height_m = np.polyfit(times_s - times_s[1], heights_m, 2)
+    return float(height_m - 0.25 * b * b / a if a < 0.0 else height_m)
+
+
+def swings_without_apex(track: Track, task: VideoTask) -> list[NDArray[np.intp]]:
+    """Return the rows of each swing of a cradle's ball, an event of unknown height, unless the video ends in it."""
+    rows = np.flatnonzero(track.is_found)
+    angles_rad, times_s = swing_angles_rad(track, task)[rows], track.times_s[rows]
+    known = rows[apices(times_s, angles_rad)]
+    rows = rows[angles_rad >= LEAST_APEX_RAD]
+    swings = np.split(rows, np.flatnonzero(np.diff(rows) > MOST_APEX_STEPS) + 1)
+    return [one for one in swings if len(one) and not np.isin(known, one).any() and one[-1] < len(track.frames) - 1]
 
 
 def _straight(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> tuple[int, int] | None:

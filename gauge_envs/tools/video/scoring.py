@@ -20,6 +20,8 @@ from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
+Metrics: TypeAlias = dict[str, float]
+
 LEAST_RETAINED = 5
 """Fewest retained frames of a valid clip."""
 
@@ -41,6 +43,9 @@ MOST_TRIMMED, SAME_FORM = 4, 1.5
 MOST_FORM = {Motion.SLIDE: 0.03, Motion.FALL: 0.03, Motion.PENDULUM: 0.2}
 """Largest residual of the law in travelled distances, or amplitudes, with which its constant says something."""
 
+LEAST_PERIODS = 0.5
+"""Fewest periods of a valid clip: both turns of a swing part its period from its damping and equilibrium."""
+
 JUMP = 0.15
 """Change of the step from frame to frame that no law needs, in sizes of the object."""
 
@@ -60,7 +65,7 @@ class Grade(StrEnum):
 
 
 def grade_of(
-    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str = "", form: float = 0.0
+    track: Track, task: VideoTask, span: tuple[int, int] | None, problem: str, metrics: Metrics
 ) -> tuple[Grade, tuple[str, ...]]:
     """Return the grade of a clip and its reasons, with frame numbers.
 
@@ -69,7 +74,7 @@ def grade_of(
         task: The task.
         span: First and last retained row; None when the object does not move.
         problem: Why the law could not be fitted; empty when it could.
-        form: Residual of the law.
+        metrics: Metrics of the clip, with the residual of the law.
     """
     if span is None:
         missing = _runs(track.frames[~track.is_found])
@@ -92,8 +97,12 @@ def grade_of(
     confidence = float(track.confidence[found].mean()) if len(found) else 0.0
     if confidence < LEAST_CONFIDENCE:
         doubts.append(f"the mean confidence of the track is {confidence:.2f}, below {LEAST_CONFIDENCE:g}")
+    form = metrics.get("form", 0.0)
     if form > MOST_FORM.get(task.motion, math.inf):
         doubts.append(f"the motion does not follow the law at any constant: its residual is {form:.0%} of the motion")
+    shown_s, period_s = float(np.ptp(track.times_s[list(span)])), metrics.get("pd_s", 0.0)
+    if shown_s < LEAST_PERIODS * period_s:
+        doubts.append(f"less than half a period is shown, {shown_s:.2f} s of {period_s:.2f} s: it may be another one")
     jumps = _jumps(track, task, found)
     if len(jumps):
         doubts.append(f"the object jumps by more than the law allows in frames {_runs(track.frames[jumps])}")
@@ -122,7 +131,8 @@ def _jumps(track: Track, task: VideoTask, rows: NDArray[np.intp]) -> NDArray[np.
 def _missing_reasons(track: Track, rows: NDArray[np.intp], task: VideoTask) -> tuple[list[str], list[str]]:
     # The outgoing ball of a cradle is looked for only where it swings out.
     if task.motion is Motion.CRADLE:
-        return [], []
+        swings = [track.frames[one] for one in laws.swings_without_apex(track, task)]
+        return [], [f"the ball swings out in frames {_runs(one)}, and its apex is not seen" for one in swings]
     lost = rows[~track.is_found[rows]]
     share = len(lost) / len(rows)
     text = f"the object is lost in {share:.0%} of the retained frames: {_runs(track.frames[lost])}"
@@ -142,8 +152,6 @@ def _runs(frames: NDArray[np.int64]) -> str:
 
 
 # --- score ------------------------------------------------------------------------------------------------------------
-
-Metrics: TypeAlias = dict[str, float]
 
 METRICS = ("a_m_s2", "qfi", "r2", "pd_s", "mte", "de_n", "form")
 """Names of all metrics, in the order of a result."""
@@ -273,12 +281,13 @@ def score_track(
             metrics, details = _metrics(track, task, span, task.scale_m_per_px)
         except ParameterError as error:
             problem = str(error)
-    grade, reasons = grade_of(track, task, span, problem, metrics.get("form", 0.0))
-    guess = None
-    if task.motion is Motion.PENDULUM and metrics:
-        guess = (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
+    grade, reasons = grade_of(track, task, span, problem, metrics)
+    swing = None
+    if task.motion is Motion.PENDULUM and metrics and span is not None:
+        rows, guess = _found(track, span), (details["damping_per_s"], 2.0 * math.pi / metrics["pd_s"])
+        swing = laws.fit_damped_oscillation(track.times_s[rows], laws.swing_angles_rad(track, task)[rows], guess=guess)
     rng = np.random.default_rng(seed)
-    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, guess, view)
+    intervals = {} if span is None or not metrics else _intervals(seen, task, span, rng, metrics, swing, view)
     return VideoScore(
         video=name,
         task=task.id,
@@ -305,6 +314,12 @@ def _ended(track: Track, task: VideoTask, span: tuple[int, int] | None) -> tuple
     return span[0], next(end for end, form in zip(ends, forms, strict=True) if form <= SAME_FORM * min(forms))
 
 
+def _found(track: Track, span: tuple[int, int]) -> NDArray[np.intp]:
+    """Return the rows of an interval in which the object was found."""
+    rows = np.arange(span[0], span[1] + 1)
+    return rows[track.is_found[rows]]
+
+
 def _metrics(
     track: Track,
     task: VideoTask,
@@ -313,8 +328,7 @@ def _metrics(
     guess: tuple[float, float] | None = None,
 ) -> tuple[Metrics, Metrics]:
     """Return the metrics of a task in an interval, and further numbers."""
-    rows = np.arange(span[0], span[1] + 1)
-    rows = rows[track.is_found[rows]]
+    rows = _found(track, span)
     times_s = track.times_s[rows]
     if task.motion in (Motion.SLIDE, Motion.FALL):
         # Rest before the motion belongs to the fit: the release is where rest and law meet.
@@ -355,7 +369,8 @@ def _metrics(
         }
     assert task.rest_px is not None
     events = laws.apices(times_s, angles)
-    heights = (task.rest_px[1] - track.points_px[rows][events, 1]) * scale_m_per_px
+    rises_m = (task.rest_px[1] - track.points_px[rows, 1]) * scale_m_per_px
+    heights = np.array([laws.peak(times_s[i - 1 : i + 2], rises_m[i - 1 : i + 2]) for i in events])
     mte = laws.momentum_transfer(task.release_height_m, np.maximum(heights, 0.0))
     return {"mte": mte, "form": laws.monotone_misfit(heights, is_rising=False)}, {
         "event_count": float(len(events)),
@@ -392,11 +407,12 @@ def _intervals(
     span: tuple[int, int],
     rng: np.random.Generator,
     nominal: Metrics,
-    guess: tuple[float, float] | None,
+    swing: laws.OscillationFit | None,
     view: PlaneView | None,
 ) -> dict[str, tuple[float, float]]:
     """Return the interval of each metric, over simulated noise, scales, pivots and choices of the interval."""
     noise = noise_px(track, span)
+    guess = None if swing is None else (swing.damping_per_s, 2.0 * math.pi / swing.period_s)
     scale_sigma = math.hypot(FRAMING_SIGMA, 0.5 * task.size_sigma_px / task.size_px)
     found: dict[str, list[float]] = {}
     count = SAMPLES if task.motion is not Motion.PENDULUM else SAMPLES // 5
@@ -411,6 +427,12 @@ def _intervals(
             sample = frontal_track(drawn, sample, judged)
         elif task.pivot_px is not None and task.motion is not Motion.TURN:
             sample = replace(sample, points_px=points + rng.normal(0.0, task.pivot_sigma_px, 2))
+        if swing is not None and judged.pivot_px is not None:
+            # What the law does not explain may come at any other time, with the other sign.
+            rows, misfit = _found(track, span), swing.residuals_rad
+            other = rng.choice([-1.0, 1.0]) * np.roll(misfit, rng.integers(len(rows))) - misfit
+            offset = sample.points_px[rows] - np.array(judged.pivot_px)
+            sample.points_px[rows] += other[:, None] * offset[:, ::-1] * (1.0, -1.0)
         first = max(0, span[0] + int(rng.integers(-1, 2)))
         last = min(len(track.frames) - 1, max(first + 4, span[1] - int(rng.integers(0, 3))))
         scale = judged.scale_m_per_px * (1.0 if view is not None else 1.0 + rng.normal(0.0, scale_sigma))
@@ -430,6 +452,10 @@ def _intervals(
         for name, values in found.items()
         if len(values) >= count // 2
     }
+    if "pd_s" in intervals:
+        # Over less than a period, any noise lengthens it, and that of the track has already: the error has either sign.
+        away = float(np.percentile(np.abs(np.array(found["pd_s"]) - nominal["pd_s"]), 100.0 * COVERAGE))
+        intervals["pd_s"] = (max(0.0, nominal["pd_s"] - away), nominal["pd_s"] + away)
     if view is not None and "de_n" in intervals:
         # A track has noise already, which excess counts as force. Simulated noise shows how much; it is reflected.
         high = intervals["de_n"][1]

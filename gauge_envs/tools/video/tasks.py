@@ -65,6 +65,7 @@ class VideoTask:
         pivot_sigma_px: Standard uncertainty of each coordinate of the pivot [px].
         rest_px: Position of the tracked ball when it hangs [px], shape [2]; None where there is none.
         release_height_m: Height from which the incoming ball of a cradle is released [m].
+        doubt: Why this package's tracker cannot be believed in this scene; empty where it can.
         real: Real values by the name of the metric, from the published table of real trials.
     """
 
@@ -78,6 +79,7 @@ class VideoTask:
     pivot_px: tuple[float, float] | None = None
     pivot_sigma_px: float = 1.0
     rest_px: tuple[float, float] | None = None
+    doubt: str = ""
     release_height_m: float = 0.0
     real: dict[str, float]
 

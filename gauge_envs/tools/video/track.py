@@ -31,7 +31,7 @@ class Event:
     """Something in a video that makes its track doubtful.
 
     Attributes:
-        kind: `duplicated`, `camera`, `scene`, `registration`, `picture`, `cadence` or `file`.
+        kind: `duplicated`, `camera`, `scene`, `registration`, `picture`, `look`, `cadence` or `file`.
         first_frame: First frame of it.
         last_frame: Last frame of it.
         text: Description with numbers.

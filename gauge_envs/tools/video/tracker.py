@@ -108,11 +108,11 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         candidates.append(follower.candidates(steady))
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
     lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
-    path = best_path(allowed, centre, task.size_px, lawful_px)
+    path = best_path(allowed, centre, task.size_px, lawful_px, is_struck=task.motion is Motion.CRADLE)
     early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
     if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:
         foreign = FOREIGN
-    doubts = (registration.problem, foreign)
+    doubts = (registration.problem, foreign, task.doubt)
     return Track(
         frames=np.flatnonzero(cadence.is_new),
         fps=cadence.fps,
@@ -134,12 +134,13 @@ def _registered(start: NDArray[np.uint8], task: VideoTask, first_frame: Path | N
     return registration_by_first_frame(start, given), FOREIGN if shown.problem.startswith(UNSEEN) else ""
 
 
-def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str) -> Iterator[Event]:
+def _of_the_file(frames: Frames, cadence: Cadence, registration: str, foreign: str, look: str) -> Iterator[Event]:
     """Yield what is doubtful in the whole of a video: how it lies on the grid, what it shows, and its frames."""
     cut = f"the file states {frames.stated_count} frames, and {len(cadence.is_new)} can be decoded"
     for kind, text in (
         ("registration", registration),
         ("picture", foreign),
+        ("look", look),
         ("file", cut if _is_cut(frames, cadence) else ""),
         ("cadence", cadence.text),
     ):
@@ -155,6 +156,9 @@ def _is_cut(frames: Frames, cadence: Cadence) -> bool:
 
 
 def _background(first: Picture, sampled: list[Picture], part: Region, task: VideoTask) -> Background:
+    if task.motion is Motion.CRADLE:
+        # The ball is looked for away from where it hangs, so that nothing is invented behind it there.
+        return Background(first)
     if task.motion is not Motion.TURN:
         return background(first, sampled, part)
     # The plate turns below the cube, so its usual colour stands for it.
@@ -193,6 +197,19 @@ def _is_allowed(sight: Sight, task: VideoTask) -> bool:
     return 0.92 * length <= math.hypot(x, y) <= 1.08 * length and 0.05 < math.atan2(x, y) < 0.5 * math.pi
 
 
+def _is_neighbour(sight: Sight, task: VideoTask) -> bool:
+    """Return whether another ball of a cradle can be at a place: the first one on its arc, all of them near the row."""
+    if task.motion is not Motion.CRADLE or _is_allowed(sight, task):
+        return False
+    assert task.pivot_px is not None and task.rest_px is not None
+    x, y = sight.place - task.pivot_px
+    length = task.rest_px[1] - task.pivot_px[1]
+    # The incoming ball hangs as many diameters to the left as there are balls before the last one.
+    first_x = x + (CRADLE_BALLS - 1) * task.size_px
+    is_on_arc = first_x < 0.0 and 0.92 * length <= math.hypot(first_x, y) <= 1.08 * length
+    return is_on_arc or abs(y - length) < task.size_px
+
+
 def _surroundings(centre: FloatArray, size_px: float) -> Region:
     """Return the part of the first frame that an object and its shadow may hide."""
     half = 1.1 * size_px
@@ -225,15 +242,13 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
 
 def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) -> list[Event]:
     """Return the event of a second object that looks like the first one."""
-    ignored = _moving_part(task)
     frames = []
     for number, (ones, own) in enumerate(zip(candidates, path, strict=True)):
         for one in ones:
-            # The other balls of a cradle swing where they should.
-            column, row = np.clip(np.round(one.place).astype(int), 0, np.array(REFERENCE_SIZE_PX) - 1)
             is_far = not np.linalg.norm(one.place - own.place) < task.size_px
-            is_known = task.motion is Motion.CRADLE and ignored[row, column] and not _is_allowed(one, task)
-            if is_far and not is_known and one.likeness >= TWIN_LIKENESS and own.likeness > 0.0:
+            # Where an object cannot be, it is seen for another one although its own place is unknown.
+            is_other = own.likeness > 0.0 or not _is_allowed(one, task)
+            if is_far and is_other and one.likeness >= TWIN_LIKENESS and not _is_neighbour(one, task):
                 frames.append(number)
                 break
     if len(frames) < LEAST_TWIN_FRAMES:

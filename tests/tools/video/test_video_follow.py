@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
+from gauge_envs.tools.video import video_task
 from gauge_envs.tools.video.follow import Sight, best_path
+from gauge_envs.tools.video.tracker import _is_neighbour
 
 
 def sight(x: float, likeness: float) -> Sight:
@@ -29,3 +33,25 @@ def test_a_gap_is_bridged_and_stays_empty() -> None:
 
 def test_nothing_is_found_where_there_is_no_candidate() -> None:
     assert all(one.likeness == 0.0 for one in best_path([[], [], []], np.zeros(2), 50.0))
+
+
+def test_a_struck_ball_is_followed_from_where_it_hangs() -> None:
+    swing = [20.0, 75.0, 120.0, 150.0, 160.0, 150.0, 120.0, 75.0, 20.0]
+    frames = [[sight(x, 0.6)] if x else [] for x in [0.0] * 9 + swing + [0.0] * 9 + swing]
+    found = {
+        struck: [one.likeness > 0.0 for one in best_path(frames, np.zeros(2), 20.0, 30.0, is_struck=struck)]
+        for struck in (True, False)
+    }
+    assert found[True] == [bool(ones) for ones in frames]
+    assert found[False] != found[True]
+
+
+def test_only_balls_of_the_cradle_are_its_balls() -> None:
+    task = video_task("NewtonsCradle-metal")
+    assert task.pivot_px is not None and task.rest_px is not None
+    length, first_x = task.rest_px[1] - task.pivot_px[1], task.pivot_px[0] - 4.0 * task.size_px
+    at = 0.7 * length
+    places = {"row": (first_x, task.rest_px[1]), "arc": (first_x - at, task.pivot_px[1] + math.sqrt(length**2 - at**2))}
+    for x, y in places.values():
+        assert _is_neighbour(Sight(x_px=x, y_px=y, likeness=1.0), task)
+    assert not _is_neighbour(Sight(x_px=first_x - 50.0, y_px=task.pivot_px[1] + 150.0, likeness=1.0), task)

@@ -14,6 +14,7 @@ from gauge_envs.tools.video.laws import (
     fit_damped_oscillation,
     momentum_transfer,
     monotone_misfit,
+    peak,
 )
 
 TIMES_S = np.arange(40) / 30.0
@@ -154,3 +155,8 @@ def test_an_apex_is_a_swing_that_is_seen_on_both_sides() -> None:
     # The first frame after a gap is the highest that is left of this swing, and no apex.
     seen = (times_s < 0.05) | (times_s > 0.3)
     assert len(apices(times_s[seen], swing[seen])) == 1
+
+
+def test_an_apex_lies_between_two_frames() -> None:
+    times_s = np.array([0.1, 0.2, 0.35])
+    assert peak(times_s, 0.05 - 3.0 * (times_s - 0.22) ** 2) == pytest.approx(0.05)
