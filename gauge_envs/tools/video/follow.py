@@ -318,7 +318,7 @@ def best_path(
         candidates: Candidates by frame.
         start_px: Place before the first frame [px], shape [2].
         size_px: Size of the object [px].
-        lawful_px: Change of the step from frame to frame that gravity makes [px].
+        lawful_px: Largest change of the step from frame to frame that the law makes [px].
         is_struck: Whether it may return to that place, where impacts change its velocity at no cost.
     """
     usual_px = max(BEND * size_px, lawful_px)

@@ -107,7 +107,9 @@ def track_object(frames: Frames, task: VideoTask, *, first_frame: Path | None = 
         watch.compare(steady, number)
         candidates.append(follower.candidates(steady))
     allowed = [[one for one in ones if _is_allowed(one, task)] for ones in candidates]
-    lawful_px = GRAVITY_M_PER_S2 / cadence.fps**2 / task.scale_m_per_px
+    # A ball on wires that was released at the height of their ends passes its lowest point with twice gravity.
+    most_m_s2 = (2.0 if task.motion in (Motion.CRADLE, Motion.PENDULUM) else 1.0) * GRAVITY_M_PER_S2
+    lawful_px = most_m_s2 / cadence.fps**2 / task.scale_m_per_px
     path = best_path(allowed, centre, task.size_px, lawful_px, is_struck=task.motion is Motion.CRADLE)
     early = [math.dist(one.place, centre) for ones in candidates[:FIRST_FRAMES] for one in ones]
     if task.motion is not Motion.CRADLE and min(early, default=math.inf) > FIRST_STEP * task.size_px:

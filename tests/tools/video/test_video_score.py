@@ -79,7 +79,7 @@ def test_intervals_hold_the_truth(task: str) -> None:
         # The stated uncertainty of the scale is 0.65 % for cubes and balls alike.
         one = clip(task, np.random.default_rng(seed), calibration_sigma=0.0065)
         result = scored(one)
-        assert result.grade is (Grade.DOUBTFUL if one.task.doubt else Grade.VALID), (seed, result.reasons)
+        assert result.grade is (Grade.DOUBTFUL if video_task(one.task).doubt else Grade.VALID), (seed, result.reasons)
         for name, truth in one.truth.items():
             assert is_close(name, result.metrics[name], truth), (seed, name, result.metrics[name], truth)
             # A fit of noisy places explains less than all of them, so R^2 has no true value of 1.
