@@ -22,6 +22,7 @@ exclude_patterns = ["_build"]
 html_theme = "furo"
 html_title = "gauge-envs"
 html_show_sphinx = False
+html_static_path = ["_static"]
 
 myst_enable_extensions = ["deflist"]
 myst_heading_anchors = 4
@@ -139,6 +140,7 @@ def leave_out_signature(
 
 def setup(app: Sphinx) -> None:
     """Connect the hooks; docstrings are rewritten before napoleon reads their sections."""
+    app.add_css_file("narrow.css")
     app.connect("builder-inited", copy_studies)
     app.connect("source-read", link_pages)
     app.connect("include-read", link_included)

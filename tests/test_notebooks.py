@@ -33,7 +33,7 @@ def run(notebook: Path) -> dict[str, Any]:
 def test_a_notebook_installs_what_it_needs_first_and_holds_no_output(notebook: Path) -> None:
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     code = [cell for cell in cells(notebook) if cell["cell_type"] == "code"]
-    installed = re.fullmatch(r'%pip install -q "gauge-envs\[([\w,]+)\]"', "".join(code[0]["source"]))
+    installed = re.fullmatch(r'# [\w ]+\.\n%pip install -q "../..\[([\w,]+)\]"', "".join(code[0]["source"]))
     assert installed is not None
     assert set(installed[1].split(",")) <= set(extras)
     assert all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)

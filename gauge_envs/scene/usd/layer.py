@@ -43,6 +43,9 @@ DYNAMICS = {
 }
 """Attributes of MuJoCo's schema, doubles per radian, or of this package, by field of `JointDynamics`."""
 
+ARMS = ("torsion_m", "rolling_m")
+"""Fields of a contact beyond UsdPhysics, written where they are not zero."""
+
 PHYSX_ARMATURE = "physxJoint:armature"
 
 DRIVE = {

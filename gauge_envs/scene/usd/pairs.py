@@ -10,7 +10,7 @@ from typing import Any, Literal
 from pxr import Sdf, Usd, UsdPhysics
 
 from gauge_envs.scene.bodies import Contact, ContactMode
-from gauge_envs.scene.usd.layer import names_digest
+from gauge_envs.scene.usd.layer import ARMS, names_digest
 from gauge_envs.scene.usd.source import Source, StoredValue
 
 Pair = frozenset[str]
@@ -126,6 +126,9 @@ def _gauge_contact(source: Source, prim: Usd.Prim, parties: Sequence[Party]) -> 
         readings = [source.reading(material.GetAttribute(a)) for material in materials for a in attributes]
         value = source.counted(prim.GetAttribute(f"gauge:{name}"), readings)
         values[name] = _coefficient(source, prim, name, None if value is None else float(value))
+    for name in ARMS:
+        arm = source.number(prim.GetAttribute(f"gauge:{name}"))
+        values[name] = _coefficient(source, prim, name, arm or 0.0)
     mode = source.text(prim.GetAttribute("gauge:mode"), tuple(ContactMode))
     if mode is None:
         raise source.fault(prim, f"gauge:mode is missing: {' or '.join(ContactMode)}")

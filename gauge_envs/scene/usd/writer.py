@@ -47,6 +47,7 @@ from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.scene.usd.layer import (
     AIR_KINDS,
+    ARMS,
     DRIVE,
     DYNAMICS,
     KINDS,
@@ -198,6 +199,9 @@ class _Writer:
             prim.CreateRelationship(f"gauge:{side}", custom=True).SetTargets([self.paths[name] for name in names])
         friction = _custom(prim, "friction", contact.friction)
         restitution = _custom(prim, "restitution", contact.restitution)
+        for name in ARMS:
+            if arm := getattr(contact, name):
+                _custom(prim, name, arm)
         _custom(prim, "mode", contact.mode.value, "token")
         material = UsdShade.Material.Define(self.stage, f"{self._group('Materials')}/contact_{index}")
         constants = _friction(material.GetPrim(), contact)

@@ -73,6 +73,8 @@ def _diagnoses(sources: Sequence[str] | None, name: str | None, use: str) -> tup
             reasons[str(error)] = None
     if results and not pairs:
         raise DiagnosisError("; ".join(reasons))
+    # The farthest from the real trials, over their scatter, comes first.
+    pairs.sort(key=lambda pair: pair[0].score.rmse_normalized or 0.0 if pair[0].score else 0.0, reverse=True)
     for reason in reasons:
         message(reason, "left out")
     return pairs, skipped

@@ -26,7 +26,7 @@ class MaterialPair:
         restitution_std: Standard uncertainty of `restitution`; None if none is published.
         mass_kg: Mass of the real body [kg].
         source: Where the numbers come from.
-        uncertainty_source: Where the uncertainties come from; empty if there is none.
+        uncertainty_sources: Where each uncertainty comes from.
     """
 
     name: str
@@ -37,7 +37,7 @@ class MaterialPair:
     restitution_std: float | None
     mass_kg: float
     source: str
-    uncertainty_source: str
+    uncertainty_sources: tuple[str, ...]
 
 
 CUBES = {
@@ -118,7 +118,7 @@ def find_material(name: str, *, also: Iterable[str] = ()) -> MaterialPair:
         restitution_std=std,
         mass_kg=mass_kg,
         source=f"{origin} ({', '.join(filter(None, (spec.source.metadata, spec.source.paper)))})",
-        uncertainty_source="; ".join(whence),
+        uncertainty_sources=tuple(whence),
     )
 
 

@@ -76,7 +76,7 @@ def meaning_document(meaning: Meaning) -> Document:
 
 def material_table(pairs: tuple[MaterialPair, ...]) -> Table:
     """Return the measured pairs with sources and standard uncertainties."""
-    uncertain = sorted({pair.uncertainty_source for pair in pairs if pair.uncertainty_source})
+    uncertain = {source: None for pair in pairs for source in pair.uncertainty_sources}
     return Table(
         columns=(
             Column("name", "material"),

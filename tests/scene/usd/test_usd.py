@@ -52,6 +52,14 @@ def test_checked_in_layers_are_the_scenes_to_the_bit(name: str) -> None:
     assert from_usd(file) == load_experiment(name).scene
 
 
+def test_friction_about_the_normal_and_against_rolling_is_kept(tmp_path: Path) -> None:
+    experiment = load_experiment("SlopeSlider-2-wood")
+    first, *others = experiment.scene.contacts
+    scene = replace(experiment.scene, contacts=(replace(first, torsion_m=0.0031, rolling_m=0.0007), *others))
+    to_usd(scene, tmp_path / "a.usda")
+    assert from_usd(tmp_path / "a.usda") == scene
+
+
 @pytest.mark.parametrize("suffix", [".usda", ".usdc", ".usd"])
 @pytest.mark.parametrize("name", ["Turntable-3-metal", "NewtonsCradle-metal", "FoamTwisting-soft"])
 def test_every_kind_of_file_keeps_every_double(name: str, suffix: str, tmp_path: Path) -> None:

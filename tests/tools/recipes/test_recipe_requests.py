@@ -261,7 +261,7 @@ def test_an_engine_with_half_the_friction_is_found(monkeypatch: pytest.MonkeyPat
 def test_every_material_has_a_source() -> None:
     for pair in material_pairs():
         assert pair.source
-        assert bool(pair.uncertainty_source) == (pair.friction_std is not None or pair.restitution_std is not None)
+        assert bool(pair.uncertainty_sources) == (pair.friction_std is not None or pair.restitution_std is not None)
 
 
 def test_a_material_is_looked_up_in_the_task_files() -> None:

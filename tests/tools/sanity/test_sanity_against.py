@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 
 import mujoco
 import pytest
+from places import ROOT
 from planted import PLANTED, Planted, model_xml
 from typer.testing import CliRunner
 
@@ -44,6 +47,18 @@ def test_the_friction_of_a_foot_is_the_stated_one_times_what_slides() -> None:
     assert straight.change is turned.change is Change.LARGE
     assert found["slide-wood"].change is Change.NONE
     assert found["slide-turned"].change is Change.LARGE
+
+
+@pytest.mark.slow
+def test_the_page_shows_what_the_command_prints() -> None:
+    page = (ROOT / "docs" / "sanity.md").read_text(encoding="utf-8")
+    line, shown = re.findall(
+        r"```sh\ngauge (sanity [^\n]* --against [^\n]*)\n```\n\n```text\n(.*?)```", page, re.DOTALL
+    )[0]
+    printed = " ".join(RUNNER.invoke(app, shlex.split(line)).stdout.split())
+    head, rows_shown = shown.split("\n\n")
+    assert " ".join(head.split()) in printed
+    assert all(" ".join(row.split()) in printed for row in rows_shown.splitlines())
 
 
 def test_step_and_gravity_are_compared() -> None:

@@ -177,4 +177,6 @@ def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
         assert "::notice title=gauge sanity" in done.stdout
         assert (tmp_path / given["page"]).is_file()
     install = next(one for one in action["runs"]["steps"] if one["name"] == "Install")
-    assert install["if"] == "inputs.install != ''" and install["run"] == "python -m pip install $INSTALL"
+    assert install["if"] == "inputs.install != ''" and install["run"] == (
+        'python -m pip install "$GITHUB_ACTION_PATH[plot]" $INSTALL'
+    )

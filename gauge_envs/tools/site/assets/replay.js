@@ -398,7 +398,7 @@
         ...shown.map((one, index) => {
           const text = document.createElement("span");
           text.textContent = one.label + (one.built.end < end - 0.02 ? `, ended at ${one.built.end.toFixed(2)} s` : "");
-          text.style.cssText = `left:${(index % columns) * cell}px;top:${Math.floor(index / columns) * height}px`;
+          text.style.cssText = `left:${(index % columns) * cell}px;top:${Math.floor(index / columns) * height}px;max-width:${cell - 20}px`;
           text.style.borderColor = one.color;
           return text;
         })
