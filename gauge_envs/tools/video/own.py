@@ -19,13 +19,14 @@ from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
+from gauge_envs.tools.video.plane import Board, Corners, Lens, PlaneView, frontal_task, frontal_track
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
-MOTIONS = {"slide": "SlopeSlider-2-wood", "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
+SLOPE = "SlopeSlider-2-wood"
+MOTIONS = {"slide": SLOPE, "roll": SLOPE, "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
 """Tasks whose laws judge one's own films, by the name of the motion."""
 
 SQUARES = np.array([7, 5])
@@ -187,21 +188,15 @@ def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneVie
             f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
         )
     lens = view.lens or _calibrated(seen, source.size_px)
-    ends_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
-    first: list[float] = []
+    offset = {"offset_m": board.offset_m, "offset_sigma_m": board.offset_sigma_m}
 
-    def placed(one: tuple[FloatArray, FloatArray]) -> PlaneView:
-        _, rvec, tvec = cv2.solvePnP(*one, *lens.coefficients)
-        if not first:
-            away = cv2.projectPoints(one[0], rvec, tvec, *lens.coefficients)[0][:, 0] - one[1]
-            relative = board.offset_sigma_m / float(np.linalg.norm(tvec))
-            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
-            first.extend([float(away.std()), 2.0 * math.hypot(board.sigma_m, relative * np.linalg.norm(ends_m[0]))])
-        px = cv2.projectPoints(ends_m + np.array([0.0, 0.0, board.offset_m]), rvec, tvec, *lens.coefficients)[0][:, 0]
-        pairs = PointPairs(px=px.tolist(), m=ends_m[:, :2].tolist(), sigma_px=first[0], sigma_m=first[1])
-        return replace(view, lens=lens, source=pairs)
+    def placed(metres: FloatArray, px: FloatArray) -> PlaneView:
+        # Each frame has its own pose: noise of its pixels is scatter of the track, and no error that the frames share.
+        sigma = {"sigma_px": 0.0, "sigma_m": board.sigma_m}
+        corners = Corners(px=px.tolist(), m=metres[:, :2].tolist(), **sigma, **offset)
+        return replace(view, lens=lens, source=corners)
 
-    return [None if one is None else placed(one) for one in found]
+    return [None if one is None else placed(*one) for one in found]
 
 
 def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, int]) -> Lens:
@@ -223,21 +218,25 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
 
     Args:
         film: The film.
-        motion: `slide`, `fall` or `pendulum`.
+        motion: `slide`, `roll`, `fall` or `pendulum`.
         box_px: Left, top, width and height of the box [px].
-        angle_deg: Slope of a slide [degrees]; that of its motion in the plane if None.
+        angle_deg: Slope of a slide or roll [degrees]; that of its motion in the plane if None.
 
     Returns:
         The result; its track is on the grid of the frontal film.
     """
     task = film.task(motion, box_px)
+    inertia = film.camera.inertia_factor
+    if (motion == "roll") != (inertia is not None):
+        raise VideoError(f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file")
     track = track_object(film, task)
     seen = film.seen(track)
     result = score_track(seen, task, name=film.name, camera=film.camera)
     if result.interval_frames is None:
         return replace(result, track=track)
     if task.motion is Motion.SLIDE:
-        name, value, interval = "friction", *_friction(result, frontal_task(film.camera, seen, task), angle_deg)
+        name = "friction" if inertia is None else "rolling_resistance"
+        value, interval = resistance(result, frontal_task(film.camera, seen, task), angle_deg, inertia or 0.0)
     else:
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
         value, interval = _drawn(seen, task, film.camera, result)
@@ -245,12 +244,24 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
     return replace(result, track=track, metrics=metrics, uncertainty=uncertainty)
 
 
+def swing_log(film: FrontalFilm, result: VideoScore) -> str:
+    """Return the swing of a scored film as a log of `gauge recipe joint`: CSV of times and angles from the release."""
+    first = 0 if result.interval_frames is None else result.interval_frames[0]
+    seen = film.seen(result.track)
+    task = frontal_task(film.camera, seen, video_task(MOTIONS["pendulum"]))
+    track = frontal_track(film.camera, seen, task)
+    used = track.is_found & (track.frames >= first)
+    clock, angles = track.times_s[used], laws.swing_angles_rad(track, task)[used]
+    rows = [f"{time:.6f},{angle:.6f}" for time, angle in zip(clock - clock[0], angles, strict=True)]
+    return "\n".join(["time_s,position_rad", *rows, ""])
+
+
 Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
 """A value and its interval of 95 %; None where the film does not show it."""
 
 
-def _friction(result: VideoScore, task: VideoTask, angle_deg: float | None) -> Estimate:
-    """Return the coefficient of friction that a slide with constant acceleration has on its slope."""
+def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float) -> Estimate:
+    """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
     assert task.direction is not None
     a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
     if a is None or ends is None:
@@ -258,7 +269,8 @@ def _friction(result: VideoScore, task: VideoTask, angle_deg: float | None) -> E
     angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
 
     def friction(a_m_s2: float, more_rad: float = 0.0) -> float:
-        return math.tan(angle + more_rad) - a_m_s2 / (laws.GRAVITY_M_PER_S2 * math.cos(angle + more_rad))
+        gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
+        return math.tan(angle + more_rad) - a_m_s2 / (gravity * math.cos(angle + more_rad))
 
     tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
     below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)
