@@ -19,7 +19,7 @@ from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
-from gauge_envs.tools.video.plane import Board, Corners, Lens, PlaneView, frontal_task, frontal_track
+from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
 from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
@@ -188,15 +188,21 @@ def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneVie
             f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
         )
     lens = view.lens or _calibrated(seen, source.size_px)
-    offset = {"offset_m": board.offset_m, "offset_sigma_m": board.offset_sigma_m}
+    ends_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
+    first: list[float] = []
 
-    def placed(metres: FloatArray, px: FloatArray) -> PlaneView:
-        # Each frame has its own pose: noise of its pixels is scatter of the track, and no error that the frames share.
-        sigma = {"sigma_px": 0.0, "sigma_m": board.sigma_m}
-        corners = Corners(px=px.tolist(), m=metres[:, :2].tolist(), **sigma, **offset)
-        return replace(view, lens=lens, source=corners)
+    def placed(one: tuple[FloatArray, FloatArray]) -> PlaneView:
+        _, rvec, tvec = cv2.solvePnP(*one, *lens.coefficients)
+        if not first:
+            away = cv2.projectPoints(one[0], rvec, tvec, *lens.coefficients)[0][:, 0] - one[1]
+            relative = board.offset_sigma_m / float(np.linalg.norm(tvec))
+            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+            first.extend([float(away.std()), 2.0 * math.hypot(board.sigma_m, relative * np.linalg.norm(ends_m[0]))])
+        px = cv2.projectPoints(ends_m + np.array([0.0, 0.0, board.offset_m]), rvec, tvec, *lens.coefficients)[0][:, 0]
+        pairs = PointPairs(px=px.tolist(), m=ends_m[:, :2].tolist(), sigma_px=first[0], sigma_m=first[1])
+        return replace(view, lens=lens, source=pairs)
 
-    return [None if one is None else placed(*one) for one in found]
+    return [None if one is None else placed(one) for one in found]
 
 
 def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, int]) -> Lens:

@@ -77,30 +77,6 @@ class PointPairs(FileModel):
         return self.model_copy(update=drawn)
 
 
-class Corners(PointPairs):
-    """Corners of a board that lies behind the plane of the motion, as one frame shows them.
-
-    Attributes:
-        offset_m: Distance of the plane from the board, towards the camera [m].
-        offset_sigma_m: Its standard uncertainty [m].
-    """
-
-    offset_m: float
-    offset_sigma_m: NonNegativeFloat
-
-    def to_plane(self, lens: Lens | None) -> FloatArray:
-        """Return the homography from straight coordinates to the plane, shape [3, 3], by the pose of a rigid board."""
-        assert lens is not None
-        corners_m = np.column_stack([self.m, np.zeros(len(self.m))])
-        _, rvec, tvec = cv2.solvePnP(corners_m, np.array(self.px), *lens.coefficients)
-        across, up, out = cv2.Rodrigues(rvec)[0].T
-        return np.linalg.inv(np.column_stack([across, up, tvec[:, 0] + self.offset_m * out]))
-
-    def drawn(self, rng: np.random.Generator) -> Self:
-        """Return the corners and the distance of the plane moved within their uncertainty."""
-        return super().drawn(rng).model_copy(update={"offset_m": rng.normal(self.offset_m, self.offset_sigma_m)})
-
-
 class Board(FileModel):
     """Printed board beside the motion, in every frame of a film, whose upper edge is level.
 

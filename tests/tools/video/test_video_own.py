@@ -23,7 +23,7 @@ from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
 from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, score_track, video_task  # noqa: E402
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
 from gauge_envs.tools.video.own import FrontalFilm, charuco, resistance, restitution  # noqa: E402
-from gauge_envs.tools.video.plane import Board, Corners, Lens, frontal_task  # noqa: E402
+from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 
 sys.path.insert(0, str(ROOT / "studies" / "handheld"))
 from handheld import SIZE_PX, shot  # noqa: E402
@@ -67,7 +67,7 @@ def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path) -> Non
     assert outcome.exit_code == 0, outcome.output
     found = json.loads(outcome.stdout)
     low, high = found["uncertainty"]["friction"]
-    assert low <= one.truth <= high and high - low < 0.04
+    assert low <= one.truth <= high and high - low < 0.15
     assert found["metrics"]["friction"] == pytest.approx(one.truth, abs=0.03)
     assert (tmp_path / "drawn" / f"{one.video.stem}.overlay.mp4").exists()
     friction = f"friction={found['metrics']['friction']:.3f}"
@@ -173,24 +173,6 @@ def test_a_rolling_shutter_is_corrected_when_it_is_stated() -> None:
     blind = score_track(track, task, camera=PlaneView(size_px=camera.size_px, source=camera.source)).metrics["a_m_s2"]
     assert found == pytest.approx(3.0, rel=2e-3)
     assert blind is not None and blind > 1.03 * 3.0
-
-
-def test_a_rigid_board_gives_the_plane_before_it() -> None:
-    lens = Lens(matrix=((1000.0, 0.0, 640.0), (0.0, 1000.0, 360.0), (0.0, 0.0, 1.0)))
-    m = np.array([[x, y] for x in (-0.09, 0.0, 0.09) for y in (-0.05, 0.0, 0.05)])
-    turn, moved = np.array([math.pi + 0.1, 0.2, 0.03]), np.array([0.05, 0.0, 1.1])
-    px = cv2.projectPoints(np.column_stack([m, np.zeros(9)]), turn, moved, *lens.coefficients)[0][:, 0]
-    given = {"px": px.tolist(), "m": m.tolist(), "sigma_px": 0.0, "sigma_m": 0.0}
-    view = PlaneView(size_px=SIZE_PX, source=Corners(**given, offset_m=0.035, offset_sigma_m=0.002), lens=lens)
-    far = np.array([[0.4, -0.3, 0.035]])
-    seen = cv2.projectPoints(far, turn, moved, *lens.coefficients)[0][:, 0]
-    assert view.to_plane_m(seen)[0] == pytest.approx(far[0, :2], abs=1e-6)
-    # A plane that is nearer by d shows what lies d / depth further towards the foot of the camera.
-    eye = -cv2.Rodrigues(turn)[0].T @ moved
-    drawn = view.drawn(np.random.default_rng(0))
-    nearer = drawn.source.offset_m - 0.035
-    shift = nearer / (eye[2] - 0.035) * (eye[:2] - far[0, :2])
-    assert nearer and drawn.to_plane_m(seen)[0] - far[0, :2] == pytest.approx(shift, abs=1e-6)
 
 
 @pytest.mark.parametrize("box", ["1,2,3", "1,2,0,4", "a,b,c,d"])
