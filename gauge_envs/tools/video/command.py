@@ -71,12 +71,14 @@ def video_score(
 
     They have intervals. Details: fps=, frames per second, instead of the rate that a video states; size=832x480, of the
     pictures of a track in pixels. Films of one's own, with --camera: object=612,300,40,40, left, top, width and height
-    of a box around the object in the first frame; angle_deg=, slope of a slide. They give friction, restitution or
-    damping too. Exit code 1 when a video is graded invalid.
+    of a box around the object in the first frame; angle_deg=, slope of a slide or roll. They give friction, rolling
+    resistance, restitution or damping too; --out also gets the log of a swing, for gauge recipe joint. Exit code 1 when
+    a video is graded invalid.
     """
+    from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames, Frames
-    from gauge_envs.tools.video.own import MOTIONS, FrontalFilm, score_own
+    from gauge_envs.tools.video.own import MOTIONS, FrontalFilm, score_own, swing_log
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
@@ -105,6 +107,8 @@ def video_score(
             result = score_track(track, chosen, name=str(file), camera=view)
         if out is not None and source is not None:
             message(save_overlay(source, result, out / f"{file.stem}.overlay.mp4"))
+            if isinstance(source, FrontalFilm) and task == "pendulum":
+                message(save_file(out / f"{file.stem}.swing.csv", swing_log(source, result)))
         print_document(score_document(result, {} if task in MOTIONS else video_task(task).real), form)
         has_failed = has_failed or result.grade is Grade.INVALID
     return has_failed

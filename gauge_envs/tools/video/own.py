@@ -25,7 +25,8 @@ from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, v
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
 
-MOTIONS = {"slide": "SlopeSlider-2-wood", "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
+SLOPE = "SlopeSlider-2-wood"
+MOTIONS = {"slide": SLOPE, "roll": SLOPE, "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
 """Tasks whose laws judge one's own films, by the name of the motion."""
 
 SQUARES = np.array([7, 5])
@@ -223,21 +224,25 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
 
     Args:
         film: The film.
-        motion: `slide`, `fall` or `pendulum`.
+        motion: `slide`, `roll`, `fall` or `pendulum`.
         box_px: Left, top, width and height of the box [px].
-        angle_deg: Slope of a slide [degrees]; that of its motion in the plane if None.
+        angle_deg: Slope of a slide or roll [degrees]; that of its motion in the plane if None.
 
     Returns:
         The result; its track is on the grid of the frontal film.
     """
     task = film.task(motion, box_px)
+    inertia = film.camera.inertia_factor
+    if (motion == "roll") != (inertia is not None):
+        raise VideoError(f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file")
     track = track_object(film, task)
     seen = film.seen(track)
     result = score_track(seen, task, name=film.name, camera=film.camera)
     if result.interval_frames is None:
         return replace(result, track=track)
     if task.motion is Motion.SLIDE:
-        name, value, interval = "friction", *_friction(result, frontal_task(film.camera, seen, task), angle_deg)
+        name = "friction" if inertia is None else "rolling_resistance"
+        value, interval = resistance(result, frontal_task(film.camera, seen, task), angle_deg, inertia or 0.0)
     else:
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
         value, interval = _drawn(seen, task, film.camera, result)
@@ -245,12 +250,24 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
     return replace(result, track=track, metrics=metrics, uncertainty=uncertainty)
 
 
+def swing_log(film: FrontalFilm, result: VideoScore) -> str:
+    """Return the swing of a scored film as a log of `gauge recipe joint`: CSV of times and angles from the release."""
+    first = 0 if result.interval_frames is None else result.interval_frames[0]
+    seen = film.seen(result.track)
+    task = frontal_task(film.camera, seen, video_task(MOTIONS["pendulum"]))
+    track = frontal_track(film.camera, seen, task)
+    used = track.is_found & (track.frames >= first)
+    clock, angles = track.times_s[used], laws.swing_angles_rad(track, task)[used]
+    rows = [f"{time:.6f},{angle:.6f}" for time, angle in zip(clock - clock[0], angles, strict=True)]
+    return "\n".join(["time_s,position_rad", *rows, ""])
+
+
 Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
 """A value and its interval of 95 %; None where the film does not show it."""
 
 
-def _friction(result: VideoScore, task: VideoTask, angle_deg: float | None) -> Estimate:
-    """Return the coefficient of friction that a slide with constant acceleration has on its slope."""
+def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float) -> Estimate:
+    """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
     assert task.direction is not None
     a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
     if a is None or ends is None:
@@ -258,7 +275,8 @@ def _friction(result: VideoScore, task: VideoTask, angle_deg: float | None) -> E
     angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
 
     def friction(a_m_s2: float, more_rad: float = 0.0) -> float:
-        return math.tan(angle + more_rad) - a_m_s2 / (laws.GRAVITY_M_PER_S2 * math.cos(angle + more_rad))
+        gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
+        return math.tan(angle + more_rad) - a_m_s2 / (gravity * math.cos(angle + more_rad))
 
     tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
     below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)

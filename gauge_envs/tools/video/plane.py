@@ -114,6 +114,8 @@ class PlaneView:
         length_m: Distance of the ball's centre from the pivot [m]; None where it is not needed.
         release_height_m: Height from which the incoming ball of a cradle is released [m]; the task's if None.
         direction: Direction of a slide in the plane, shape [2]; fitted to the track if None.
+        inertia_factor: Moment of inertia of a rolling body, in its mass times squared radius; None where none rolls.
+        readout_s: Time from the first to the last row of a picture, by a rolling shutter [s].
     """
 
     size_px: tuple[int, int]
@@ -124,6 +126,8 @@ class PlaneView:
     length_m: float | None = None
     release_height_m: float | None = None
     direction: FloatArray | None = None
+    inertia_factor: float | None = None
+    readout_s: float = 0.0
 
     def to_plane_m(self, points_px: FloatArray) -> FloatArray:
         """Return places in the plane [m] of places in the picture [px], both of shape [count, 2]."""
@@ -213,7 +217,10 @@ def frontal_track(view: PlaneView, track: Track, task: VideoTask) -> Track:
     if np.isfinite(sizes).any():
         # What comes nearer to the camera grows in the picture, and keeps its size in the plane.
         sizes = sizes * view.grid_scale_m_per_px(track.points_px)
-    return replace(track, points_px=places, size_ratio=sizes)
+    # A rolling shutter shows what is lower in the picture later; the clock is that of the middle row.
+    row = np.where(track.is_found, track.points_px[:, 1] / REFERENCE_SIZE_PX[1] - 0.5, 0.0)
+    clock = track.times_s + view.readout_s * row if view.readout_s else track.clock_s
+    return replace(track, points_px=places, size_ratio=sizes, clock_s=clock)
 
 
 def _frontal_px(place_m: FloatArray, scale_m_per_px: float) -> tuple[float, float]:
@@ -247,6 +254,7 @@ class Swing(FileModel):
     length_m: PositiveFloat | None = None
     release_height_m: PositiveFloat | None = None
     direction: Pair | None = None
+    inertia_factor: Annotated[float, Field(gt=0.0, le=1.0)] | None = None
 
 
 class CameraFile(FileModel):
@@ -257,6 +265,7 @@ class CameraFile(FileModel):
     board: Board | None = None
     lens: Lens | None = None
     motion: Swing = Swing()
+    readout_s: Annotated[float, Field(ge=0.0, le=0.1)] = 0.0
 
 
 def read_camera(path: Path | str) -> PlaneView:
@@ -299,7 +308,7 @@ def read_camera(path: Path | str) -> PlaneView:
     }
     source = file.board or file.points
     assert source is not None
-    return PlaneView(size_px=file.size_px, source=source, lens=lens, **known)
+    return PlaneView(size_px=file.size_px, source=source, lens=lens, readout_s=file.readout_s, **known)
 
 
 def _check(path: Path, points: PointPairs) -> None:
