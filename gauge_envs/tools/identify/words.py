@@ -9,6 +9,8 @@ from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.tools.identify.fit import Identified
 
+KV_NOTE = "kv belongs to this engine and step: one that is implicit in the angle damps by kp times the step besides."
+
 
 def identified_document(found: Identified) -> Document:
     """Return the numbers with intervals, and the errors of the logs."""
@@ -16,6 +18,7 @@ def identified_document(found: Identified) -> Document:
     def number(key: str, title: str) -> Column:
         return Column(key, title, lambda value: f"{value:.4g}", is_number=True)
 
+    has_kv = any(one.name == "kv_n_m_s_per_rad" for one in found.settings)
     numbers = Table(
         columns=(
             Column("joint", f"{found.engine}: joint"),
@@ -26,7 +29,7 @@ def identified_document(found: Identified) -> Document:
             Column("unknown", "not determined"),
         ),
         rows=[asdict(one) for one in found.settings],
-        notes=("low and high are the ends of the 95 % interval.", ""),
+        notes=("low and high are the ends of the 95 % interval.", *([KV_NOTE] if has_kv else []), ""),
     )
     rows = [
         {"log": name, "used": used, "joint": joint, "error": 1e3 * float(error)}

@@ -23,7 +23,7 @@ from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.fit import _noise
 from gauge_envs.tools.identify.rig import posed
-from gauge_envs.tools.identify.words import snippet
+from gauge_envs.tools.identify.words import KV_NOTE, identified_document, snippet
 
 MASS_KG, LENGTH_M, INERTIA_KG_M2 = 0.5, 0.2, 1e-3
 G = 9.80665
@@ -121,6 +121,7 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
     assert kv == pytest.approx(0.02, rel=0.04)
     assert delay_s == pytest.approx(0.0525, abs=0.0015)
     assert float(found.held_out_rad["servo"][0]) < 4.0 * NOISE_RAD
+    assert KV_NOTE in identified_document(found).parts[0].notes
     assert "apply it in your controller" in snippet(found)
     assert f'kp="{kp:.5g}"' in snippet(found)
 
