@@ -12,10 +12,7 @@ from gauge_envs.errors import ParameterError
 
 COMMANDS = {
     "list": ("catalog:list_", "List experiments; or backends, checks, phenomena, materials, scenes, ..."),
-    "show": (
-        "catalog",
-        "Show one experiment or control task: reference, reward, spaces, engines, constants.",
-    ),
+    "show": ("catalog", "Show one experiment or control task: reference, reward, spaces, engines, constants."),
     "run": ("run", "Run experiments, score them against reality, and write a result file for each."),
     "score": ("run", "Score a trajectory from your own simulator; no engine is needed."),
     "compare": ("compare", "Compare engines, parameters and settings: scores with intervals, ranks and pairs."),

@@ -351,11 +351,7 @@ class RecordedEpisodes:
         # A world without samples has no score.
         counts[list(self.faults)] = 0
         return score_recording(
-            first.experiment,
-            first.band,
-            positions_m=self.recording.positions_m,
-            rows=self.rows,
-            sample_counts=counts,
+            first.experiment, first.band, positions_m=self.recording.positions_m, rows=self.rows, sample_counts=counts
         )
 
     def _judge(self, bounds: RigidBoundsOfWorlds) -> None:

@@ -68,10 +68,7 @@ class Trajectory:
     @property
     def dense(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """All times [s], shape [sample_count + later_count], and g(t) at those times."""
-        return (
-            np.concatenate([self.times_s, self.later_times_s]),
-            np.concatenate([self.samples, self.later_samples]),
-        )
+        return (np.concatenate([self.times_s, self.later_times_s]), np.concatenate([self.samples, self.later_samples]))
 
 
 class Episode:

@@ -84,10 +84,7 @@ def deformation_reference(experiment: Experiment) -> DeformationReference | None
 
 
 def score_deformation(
-    experiment: Experiment,
-    markers_m: ArrayLike,
-    *,
-    reference: DeformationReference | None = None,
+    experiment: Experiment, markers_m: ArrayLike, *, reference: DeformationReference | None = None
 ) -> DeformationScore | None:
     """Compare the deformation of a rollout with real trials.
 

@@ -111,13 +111,7 @@ def band_baseline(experiment: Experiment, band: Band) -> Baseline | None:
     return baseline if baseline is not None and baseline.mean else None
 
 
-def band_deviations(
-    experiment: Experiment,
-    band: Band,
-    *,
-    times_s: FloatArray,
-    values: FloatArray,
-) -> Deviations:
+def band_deviations(experiment: Experiment, band: Band, *, times_s: FloatArray, values: FloatArray) -> Deviations:
     """Return the deviations of a generalized trajectory from a band, with their errors.
 
     Args:

@@ -120,13 +120,7 @@ def explained(
         if best:
             found.append(
                 Explained(
-                    name=one.name,
-                    kind=one.kind,
-                    std=one.std,
-                    unit=one.unit,
-                    source=one.source,
-                    change=best,
-                    left=left,
+                    name=one.name, kind=one.kind, std=one.std, unit=one.unit, source=one.source, change=best, left=left
                 )
             )
     return tuple(sorted(found, key=lambda one: one.left))

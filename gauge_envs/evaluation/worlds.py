@@ -173,12 +173,7 @@ def copied_array(array: Any) -> FloatArray:
 
 
 def score_recording(
-    experiment: Experiment,
-    band: Band,
-    *,
-    positions_m: Any,
-    rows: Sequence[int],
-    sample_counts: NDArray[np.intp],
+    experiment: Experiment, band: Band, *, positions_m: Any, rows: Sequence[int], sample_counts: NDArray[np.intp]
 ) -> dict[str, FloatArray]:
     """Return the distances of recorded worlds from a band; for experiments that observe positions.
 
@@ -249,10 +244,7 @@ def _scored_on_device(
             outputs=[last, projected],
         )
         wp.launch(
-            compare,
-            dim=world_count,
-            inputs=[projected, mean, weight, SAMPLES_PER_FRAME, counts],
-            outputs=[squares],
+            compare, dim=world_count, inputs=[projected, mean, weight, SAMPLES_PER_FRAME, counts], outputs=[squares]
         )
         scores = {"rmse": np.sqrt(squares.numpy() / len(frames))}
         if _is_aligned(experiment, band):

@@ -58,11 +58,7 @@ class Worker:
     """
 
     def __init__(
-        self,
-        time_limit_s: float = TIME_LIMIT_S,
-        memory_limit_gb: float | None = None,
-        *,
-        single_thread: bool = False,
+        self, time_limit_s: float = TIME_LIMIT_S, memory_limit_gb: float | None = None, *, single_thread: bool = False
     ) -> None:
         # A comparison with NaN is false.
         if not 0.0 < time_limit_s <= threading.TIMEOUT_MAX:

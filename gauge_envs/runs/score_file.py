@@ -65,11 +65,7 @@ def score_file(
 
 
 def _experiment_of_file(
-    file: Path,
-    origin: StatedOrigin,
-    variant: str | None,
-    parameters: Parameters | None,
-    reference: DataSource | str,
+    file: Path, origin: StatedOrigin, variant: str | None, parameters: Parameters | None, reference: DataSource | str
 ) -> Experiment:
     """Return the experiment of a trajectory: that of the arguments, or that of the file."""
     if origin.has_asset and variant is None and parameters is None:

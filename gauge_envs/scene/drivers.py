@@ -74,11 +74,7 @@ class Driver:
         return self.state(start, time_s, offsets)[0]
 
     def state(
-        self,
-        start: Pose,
-        time_s: float,
-        offsets: FloatArray | None = None,
-        rates: FloatArray | None = None,
+        self, start: Pose, time_s: float, offsets: FloatArray | None = None, rates: FloatArray | None = None
     ) -> tuple[Pose, FloatArray]:
         """Return the pose and the velocity at a time.
 

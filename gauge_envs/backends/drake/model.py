@@ -17,13 +17,7 @@ from pydrake.multibody.plant import (
     CoulombFriction,
     DiscreteContactApproximation,
 )
-from pydrake.multibody.tree import (
-    FixedOffsetFrame,
-    PdControllerGains,
-    RevoluteJoint,
-    RotationalInertia,
-    SpatialInertia,
-)
+from pydrake.multibody.tree import FixedOffsetFrame, PdControllerGains, RevoluteJoint, RotationalInertia, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 from scipy.optimize import linprog
 from scipy.spatial import ConvexHull

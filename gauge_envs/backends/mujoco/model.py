@@ -55,11 +55,7 @@ INTEGRATORS = constants_of(
     },
 )
 CONES = {"pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL, "elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC}
-SOLVERS = {
-    "PGS": mujoco.mjtSolver.mjSOL_PGS,
-    "CG": mujoco.mjtSolver.mjSOL_CG,
-    "Newton": mujoco.mjtSolver.mjSOL_NEWTON,
-}
+SOLVERS = {"PGS": mujoco.mjtSolver.mjSOL_PGS, "CG": mujoco.mjtSolver.mjSOL_CG, "Newton": mujoco.mjtSolver.mjSOL_NEWTON}
 DISABLE_FLAGS = {
     "warmstart": mujoco.mjtDisableBit.mjDSBL_WARMSTART,
     "refsafe": mujoco.mjtDisableBit.mjDSBL_REFSAFE,
@@ -70,8 +66,7 @@ DISABLE_FLAGS = {
 }
 """MuJoCo's disable bit of each setting that is on by default."""
 ENABLE_FLAGS = constants_of(
-    "mjtEnableBit",
-    {"diagexact": "mjENBL_DIAGEXACT", "sleep": "mjENBL_SLEEP", "speculative": "mjENBL_SPECULATIVE"},
+    "mjtEnableBit", {"diagexact": "mjENBL_DIAGEXACT", "sleep": "mjENBL_SLEEP", "speculative": "mjENBL_SPECULATIVE"}
 )
 """MuJoCo's enable bit of each setting that is off by default."""
 SAME_NAME_OPTIONS = (

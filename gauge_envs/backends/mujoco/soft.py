@@ -205,12 +205,7 @@ class _Lattice:
 
 
 def add_soft(
-    spec: mujoco.MjSpec,
-    soft_row: SoftRow,
-    *,
-    grip_mass_kg: float,
-    cell_m: float | None = None,
-    damping_s: float = 1e-4,
+    spec: mujoco.MjSpec, soft_row: SoftRow, *, grip_mass_kg: float, cell_m: float | None = None, damping_s: float = 1e-4
 ) -> SoftPartMuJoCo:
     """Add a soft body or a soft row without contacts.
 

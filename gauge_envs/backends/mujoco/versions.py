@@ -42,11 +42,7 @@ class Feature:
 
 FEATURES = (
     Feature(
-        setting="integrator",
-        value="discrete",
-        enumeration="mjtIntegrator",
-        constant="mjINT_DISCRETE",
-        since="3.13",
+        setting="integrator", value="discrete", enumeration="mjtIntegrator", constant="mjINT_DISCRETE", since="3.13"
     ),
     Feature(setting="speculative", enumeration="mjtEnableBit", constant="mjENBL_SPECULATIVE", since="4.0"),
 )

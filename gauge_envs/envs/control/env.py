@@ -292,11 +292,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
         """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
         return pictures.draw(
-            self.experiment,
-            self.rest_nodes_m,
-            reach=self.reach(),
-            poses=self.moving_poses(),
-            nodes_m=self.nodes_m(),
+            self.experiment, self.rest_nodes_m, reach=self.reach(), poses=self.moving_poses(), nodes_m=self.nodes_m()
         )
 
     def reach(self) -> ReferencePath | None:

@@ -122,10 +122,7 @@ def _fitted(points_m: FloatArray, azimuth_deg: float, elevation_deg: float, aspe
     eye = middle + np.array([*centre, near]) @ axes
     distance = -near
     return View(
-        target_m=eye + distance * axes[2],
-        distance_m=distance,
-        azimuth_deg=azimuth_deg,
-        elevation_deg=elevation_deg,
+        target_m=eye + distance * axes[2], distance_m=distance, azimuth_deg=azimuth_deg, elevation_deg=elevation_deg
     )
 
 

@@ -129,10 +129,7 @@ class SceneRenderer:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._device)
 
     def picture(
-        self,
-        poses: Mapping[str, FloatArray],
-        nodes_m: Mapping[str, FloatArray],
-        overlay: Overlay | None = None,
+        self, poses: Mapping[str, FloatArray], nodes_m: Mapping[str, FloatArray], overlay: Overlay | None = None
     ) -> NDArray[np.uint8]:
         """Return a picture of the scene with bodies at given poses.
 

@@ -60,11 +60,7 @@ def longest_stationary_duration(
 
 
 def dropped_rests(
-    height_mm: ArrayLike,
-    *,
-    frame_rate_hz: float = 30.0,
-    height_range_mm: float = 0.5,
-    speed_limit_mm_s: float = 5.0,
+    height_mm: ArrayLike, *, frame_rate_hz: float = 30.0, height_range_mm: float = 0.5, speed_limit_mm_s: float = 5.0
 ) -> tuple[float, float]:
     """Return the rests at the first and at the last frame, which `longest_stationary_duration` does not count.
 

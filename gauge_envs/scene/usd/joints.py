@@ -207,8 +207,7 @@ def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
     if len(moving) != 1:
         joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
         raise source.fault(
-            prim,
-            f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world",
+            prim, f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world"
         )
     return ends[0], ends[1]
 

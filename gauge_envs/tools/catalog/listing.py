@@ -29,10 +29,7 @@ def list_rows(variants: Iterable[Variant], *, notify: Callable[[str], None] = la
     lacking = {name: lacking_features(name, list(experiments.values()), notify) for name in backend_names()}
     return [
         facts_of(experiment)
-        | {
-            "imported": has_import(variant.name),
-            "backends": {name: lacks[index] for name, lacks in lacking.items()},
-        }
+        | {"imported": has_import(variant.name), "backends": {name: lacks[index] for name, lacks in lacking.items()}}
         for index, (variant, experiment) in enumerate(experiments.items())
     ]
 

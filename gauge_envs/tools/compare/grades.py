@@ -225,11 +225,7 @@ class GradedExperiment:
 
 
 def compare_grade(
-    grade: str,
-    *,
-    withheld: bool,
-    experiments: Sequence[GradedExperiment],
-    constants: Sequence[str] | None = None,
+    grade: str, *, withheld: bool, experiments: Sequence[GradedExperiment], constants: Sequence[str] | None = None
 ) -> tuple[GradeComparison, ...]:
     """Return a comparison for each set of constants, and one of the pairs that do not share them.
 

@@ -45,11 +45,7 @@ def _free_sheet(lab: Lab, pose: Pose, air: Air, seconds: float, gravity: float) 
 FALL_S, SETTLED_S = 0.8, 0.6
 
 
-@Check(
-    "air-terminal",
-    source=SOURCE,
-    tolerance=TOLERANCE,
-)
+@Check("air-terminal", source=SOURCE, tolerance=TOLERANCE)
 def _air_terminal(lab: Lab) -> Measurement:
     air = Air(density_kg_per_m3=DENSITY, normal_coefficient=COEFFICIENT)
     rollout = _free_sheet(lab, Pose(position_m=(0.0, 0.0, 2.0)), air, FALL_S, G)
@@ -102,20 +98,12 @@ def _carried(lab: Lab, axis: int, wind_m_per_s: float, **coefficient: float) -> 
     return Measurement(measured=1e3 * float(last[axis]), expected=1e3 * expected, hint=hint)
 
 
-@Check(
-    "air-pressure",
-    source=SOURCE,
-    tolerance=TOLERANCE,
-)
+@Check("air-pressure", source=SOURCE, tolerance=TOLERANCE)
 def _air_pressure(lab: Lab) -> Measurement:
     return _carried(lab, 1, ACROSS_M_PER_S, normal_coefficient=COEFFICIENT)
 
 
-@Check(
-    "air-friction",
-    source=SOURCE,
-    tolerance=TOLERANCE,
-)
+@Check("air-friction", source=SOURCE, tolerance=TOLERANCE)
 def _air_friction(lab: Lab) -> Measurement:
     return _carried(lab, 0, ALONG_M_PER_S, tangential_coefficient=COEFFICIENT)
 

@@ -20,11 +20,7 @@ RIGID = {
     "BouncingBall-rubber": 0.4,
     "Pendulum-metal": 0.3,
 }
-SOFT = {
-    "TextileStretching-satin": 0.1,
-    "FoamTwisting-soft": 0.05,
-    "RopeWinding-rubber": 0.1,
-}
+SOFT = {"TextileStretching-satin": 0.1, "FoamTwisting-soft": 0.05, "RopeWinding-rubber": 0.1}
 """Experiments and the time at which the state is saved [s]."""
 
 

@@ -83,10 +83,7 @@ FRICTION_TOLERANCE = Tolerance(
 )
 
 
-@Check(
-    "slide-between",
-    tolerance=FRICTION_TOLERANCE,
-)
+@Check("slide-between", tolerance=FRICTION_TOLERANCE)
 def _slide_between(lab: Lab) -> Measurement:
     scene = _on_slope(SLIDE_SLOPE_DEG, {"cube": 0.1}, 0.35)
     board, cube = scene.body("board"), scene.body("cube")

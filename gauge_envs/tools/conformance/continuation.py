@@ -134,10 +134,7 @@ def _stack(_: Lab) -> Scene:
     )
     cylinder = body("cylinder", Cylinder(radius_m=0.03, length_m=0.06), Pose(position_m=(0.3, 0.0, 0.03)))
     names = tuple(one.name for one in boxes)
-    contacts = (
-        contact(names, names, friction=0.4),
-        contact((*names, "ball", "cylinder"), "ground", friction=0.4),
-    )
+    contacts = (contact(names, names, friction=0.4), contact((*names, "ball", "cylinder"), "ground", friction=0.4))
     return Scene(
         bodies=(*boxes, cylinder, ball("ball", (-0.2, 0.0, 0.03)), ground()), contacts=contacts, duration_s=1.0
     )
@@ -228,9 +225,5 @@ _continuation(
 
 _continuation(COPY, "copy", title="a copy continues bit for bit", scene=BOUNCES, build=bounces)
 _continuation(
-    COPY,
-    "cloth-copy",
-    title="cloth: a copy continues bit for bit",
-    scene=STRIP_ON_ROD,
-    build=lambda _: strip_on_rod(),
+    COPY, "cloth-copy", title="cloth: a copy continues bit for bit", scene=STRIP_ON_ROD, build=lambda _: strip_on_rod()
 )

@@ -64,10 +64,7 @@ def _foam_scene() -> Scene:
     return clamped(foam, Region(axis="z", side="high"), duration_s=1.0)
 
 
-@Check(
-    "finite",
-    tolerance=COUNT,
-)
+@Check("finite", tolerance=COUNT)
 def _finite(lab: Lab) -> Measurement:
     scenes = (_still_scene(), _bounce_scene(), _swinging_scene(), strip_on_rod(), _foam_scene())
     faults, declined = [], []
@@ -162,10 +159,7 @@ def _bounce_scene() -> Scene:
             driven_box("plate", (0.0, 0.0, 0.6), (0.3, 0.3, 0.02)),
             ball("ball", (0.1, 0.0, 0.64)),
         ),
-        contacts=(
-            contact("brick", "slab", friction=0.4, restitution=0.4),
-            contact("ball", "plate", friction=0.4),
-        ),
+        contacts=(contact("brick", "slab", friction=0.4, restitution=0.4), contact("ball", "plate", friction=0.4)),
         drivers=(driver("plate", "rotate", (0.0, 1.0, 0.0), ramp(0.5, start_s=0.05, duration_s=0.5, ramp_s=0.1)),),
         duration_s=1.0,
     )

@@ -95,13 +95,9 @@ CARRY_DIAGNOSIS = (
 
 
 @_turntable.check(
-    "carry-turn",
-    diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep",
+    "carry-turn", diagnosis=CARRY_DIAGNOSIS + "; check the angular velocity's sign and frame, and outward creep"
 )
-@_carry.check(
-    "carry-line",
-    diagnosis=CARRY_DIAGNOSIS,
-)
+@_carry.check("carry-line", diagnosis=CARRY_DIAGNOSIS)
 def _slip(rollout: Rollout) -> Measurement:
     """Measure the largest displacement of the cube in the plate's prescribed frame [mm]."""
     poses = driver_poses(rollout)

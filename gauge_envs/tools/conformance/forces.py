@@ -130,9 +130,7 @@ PUSHES = {
 }
 
 
-@PUSHES["box"].check(
-    "wrench-frame",
-)
+@PUSHES["box"].check("wrench-frame")
 def _wrench_frame(found: _Push) -> Measurement:
     along = np.diag(found.twists[:3, :3])
     across = found.twists[:3, :3] - np.diag(along)
@@ -143,9 +141,7 @@ def _wrench_frame(found: _Push) -> Measurement:
     return Measurement(measured=100.0 * float(np.abs(across).max()) / scale, hint=hint)
 
 
-@PUSHES["box"].check(
-    "wrench-force",
-)
+@PUSHES["box"].check("wrench-force")
 def _wrench_force(found: _Push) -> Measurement:
     measured = float(np.diag(found.twists[:3, :3]).mean() / SECONDS)
     return Measurement(measured=measured, expected=1.0, hint=_force_hint(measured))
@@ -159,9 +155,7 @@ def _force_hint(measured: float) -> str:
     return f"it accelerates as if its mass were {1.0 / measured:.3g} times that of the scene"
 
 
-@PUSHES["union"].check(
-    "wrench-centre",
-)
+@PUSHES["union"].check("wrench-centre")
 def _wrench_centre(found: _Push) -> Measurement:
     angle = 0.5 * SECONDS * np.degrees(np.linalg.norm(found.twists[:3, 3:], axis=1).max())
     return Measurement(measured=float(angle), hint=_centre_hint(found))

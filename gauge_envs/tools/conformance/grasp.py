@@ -105,9 +105,7 @@ def _grasp_holds(rollout: Rollout) -> Measurement:
 @rollout_of(
     "the same box between pads that press with half its weight each, so that friction carries half of it",
     _grasp(0.5 * WEIGHT_N, 0.15),
-).check(
-    "grasp-slips",
-)
+).check("grasp-slips")
 def _grasp_slips(rollout: Rollout) -> Measurement:
     falls = acceleration_m_per_s2(rollout.times_s, rollout.position("object")[:, 2])
     return Measurement(measured=1.0 + falls / G, expected=FRICTION)
@@ -152,9 +150,7 @@ _off_centre = replace(OBJECT, pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.ap
     "the same box between balls of 5 mm radius that press with five times its weight 50 mm above its centre, released "
     "at 0.7 rad",
     _grasp(5.0 * WEIGHT_N, 2.0, pad=TIP, held=_off_centre),
-).check(
-    "grasp-swing",
-)
+).check("grasp-swing")
 def _grasp_swing(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]
     gyration = float(np.sqrt(box_inertia_kg_m2(OBJECT)[0] / MASS_KG))

@@ -135,9 +135,7 @@ def _joint_viscous(rollout: Rollout) -> Measurement:
 @rollout_of(
     "a bar on a hinge with an armature of 0.01 kg m^2, released at 0.5 rad",
     _scene(_bar(angle_rad=RELEASE_RAD), seconds=4.0, gravity=G, armature_kg_m2=ARMATURE),
-).check(
-    "joint-armature",
-)
+).check("joint-armature")
 def _joint_armature(rollout: Rollout) -> Measurement:
     gyration = float(np.sqrt((ABOUT_CENTRE + ARMATURE) / MASS_KG))
     expected = pendulum_period_s(length_m=CENTRE_M, gyration_m=gyration, amplitude_rad=RELEASE_RAD, gravity_m_per_s2=G)
@@ -178,9 +176,7 @@ def _servo(step_rad: float, **limit: float) -> Servo:
 @rollout_of(
     "a bar on a hinge without gravity, with a servo of 2 N m/rad and 0.05 N m s/rad, whose command steps by 0.3 rad",
     _scene(_bar(), seconds=1.0, motor=_servo(STEP_RAD)),
-).check(
-    "joint-servo",
-)
+).check("joint-servo")
 def _joint_servo(rollout: Rollout) -> Measurement:
     decay, times = 0.5 * KV / INERTIA, rollout.times_s
     frequency = np.sqrt(KP / INERTIA - decay**2)
@@ -192,9 +188,7 @@ def _joint_servo(rollout: Rollout) -> Measurement:
 @rollout_of(
     "the same servo with a largest torque of 0.03 N m, whose command steps by 2 rad",
     _scene(_bar(), seconds=0.8, motor=_servo(2.0, torque_limit_n_m=LIMIT_N_M)),
-).check(
-    "joint-limit",
-)
+).check("joint-limit")
 def _joint_limit(rollout: Rollout) -> Measurement:
     measured = acceleration_m_per_s2(rollout.times_s, _turned_rad(rollout))
     return Measurement(measured=measured, expected=LIMIT_N_M / INERTIA)
@@ -203,10 +197,7 @@ def _joint_limit(rollout: Rollout) -> Measurement:
 @rollout_of(
     "a bar on a hinge without gravity, with a dry friction of 0.1 N m and a servo of 2 N m/rad that steps by 0.5 rad",
     _scene(
-        _bar(),
-        seconds=2.5,
-        motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP),
-        dry_friction_n_m=BRAKE_N_M,
+        _bar(), seconds=2.5, motor=Servo(command=_stays(RELEASE_RAD), kp_n_m_per_rad=KP), dry_friction_n_m=BRAKE_N_M
     ),
 ).check("joint-dry-servo", **DRY)
 def _joint_dry_servo(rollout: Rollout) -> Measurement:

@@ -132,10 +132,7 @@ def _hinged_fall(rollout: Rollout) -> Measurement:
     return Measurement(measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G]))))
 
 
-@_tumbling.check(
-    "hinged-momentum",
-    source=SOURCE,
-)
+@_tumbling.check("hinged-momentum", source=SOURCE)
 def _hinged_momentum(rollout: Rollout) -> Measurement:
     centre = _centre(rollout)
     total = np.zeros((len(centre), 3))
@@ -147,10 +144,7 @@ def _hinged_momentum(rollout: Rollout) -> Measurement:
     return Measurement(measured=100.0 * float(change))
 
 
-@_tumbling.check(
-    "hinged-energy",
-    source=SOURCE,
-)
+@_tumbling.check("hinged-energy", source=SOURCE)
 def _hinged_energy(rollout: Rollout) -> Measurement:
     centre = _centre(rollout)
     inner = np.zeros(len(centre))

@@ -75,10 +75,7 @@ def _free_fall(rollout: Rollout) -> Measurement:
     return Measurement(measured=measured, expected=expected, hint=hint)
 
 
-@Check(
-    "free-fall-spinning",
-    tolerance=FALL_TOLERANCE,
-)
+@Check("free-fall-spinning", tolerance=FALL_TOLERANCE)
 def _free_fall_spinning(lab: Lab) -> Measurement:
     scene = _falling(G)
     brick = replace(scene.body("brick"), angular_velocity_rad_per_s=(8.0, 8.0, 8.0))

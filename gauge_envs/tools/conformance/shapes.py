@@ -156,8 +156,7 @@ def _rest_check(id: str, resting: _Resting) -> None:
 
 _rest_check("rest-box", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02))
 _rest_check(
-    "rest-driven",
-    _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02, supports=Motion.KINEMATIC),
+    "rest-driven", _Resting(what="box", shape=Box(size_m=(0.06, 0.05, 0.04)), height_m=0.02, supports=Motion.KINEMATIC)
 )
 _rest_check(
     "rest-sphere",

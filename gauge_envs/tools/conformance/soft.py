@@ -45,8 +45,7 @@ UPPER_FACE = Region(axis="z", side="high")
 
 
 _hanging = rollout_of(
-    "a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face",
-    clamped(BAR, UPPER_FACE, duration_s=0.8),
+    "a bar of foam, 40 mm by 40 mm by 0.2 m, that hangs from its upper face", clamped(BAR, UPPER_FACE, duration_s=0.8)
 )
 """It sags by 2 mm, its largest strain is 2 %, and its period 80 ms."""
 
@@ -131,9 +130,7 @@ def _start_error(rollout: Rollout) -> Measurement:
     return Measurement(measured=largest_mm(rollout.nodes_m[line.name][0, -1:] - end))
 
 
-_falling_rope.check(
-    "rope-start",
-)(_start_error)
+_falling_rope.check("rope-start")(_start_error)
 
 
 @_falling_rope.check("rope-nodes", tolerance=COUNT)
@@ -209,9 +206,7 @@ def _drooping_rod(lab: Lab) -> Rollout:
     return lab.rollout(clamped(rod, clamp, duration_s=1.1, gravity_m_per_s2=ROD_GRAVITY))
 
 
-_drooping_rod.check(
-    "rod-start",
-)(_start_error)
+_drooping_rod.check("rod-start")(_start_error)
 
 
 @_drooping_rod.check("rod-bending")

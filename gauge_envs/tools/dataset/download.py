@@ -40,11 +40,7 @@ def download_dataset(
     folder = folder if folder is not None else user_data_folder() / "dataset" / commit[:12]
     try:
         hub.snapshot_download(
-            repo_id=DATASET,
-            repo_type="dataset",
-            revision=commit,
-            local_dir=folder,
-            allow_patterns=list(patterns),
+            repo_id=DATASET, repo_type="dataset", revision=commit, local_dir=folder, allow_patterns=list(patterns)
         )
         write_revision(folder, commit)
     except Exception as error:  # The client raises the errors of its HTTP library, which differ between versions.

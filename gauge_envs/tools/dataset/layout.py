@@ -115,12 +115,7 @@ def find_trials(root: Path, *, only: Sequence[str] = ("*",)) -> Layout:
         raise DatasetError(
             f"{root}: contains no trial{of}; data/<group>/<task>/json/<material>/<trial>.json is expected{why}"
         )
-    return Layout(
-        root=root,
-        revision=revision,
-        files=files,
-        findings=tuple(findings),
-    )
+    return Layout(root=root, revision=revision, files=files, findings=tuple(findings))
 
 
 def write_revision(root: Path, revision: str) -> None:

@@ -137,10 +137,7 @@ class FilmLayout:
 
 
 def strip_picture(
-    rows: Sequence[Sequence[NDArray[np.uint8]]],
-    texts: Sequence[PanelText],
-    caption: Caption,
-    clocks: Sequence[str],
+    rows: Sequence[Sequence[NDArray[np.uint8]]], texts: Sequence[PanelText], caption: Caption, clocks: Sequence[str]
 ) -> NDArray[np.uint8]:
     """Return pictures at a few times beside each other, a row for each panel, shape [height, width, 3].
 

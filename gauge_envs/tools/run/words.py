@@ -174,10 +174,7 @@ def _deformation_table(results: Sequence[Result]) -> Table:
             for result, deformation in found
             for statistic in deformation.statistics
         ],
-        notes=(
-            DEFORMATION_NOTE,
-            *sorted({f"{short_id(result.id)}: {one.note}." for result, one in found if one.note}),
-        ),
+        notes=(DEFORMATION_NOTE, *sorted({f"{short_id(result.id)}: {one.note}." for result, one in found if one.note})),
     )
 
 

@@ -126,11 +126,7 @@ def find_cure(
         parts = [f"{shown}: {count}{engine}"]
         parts += [f"left: {', '.join(left)}"] * bool(left) + [f"new flags: {', '.join(new)}"] * bool(new)
         cure = Cure(
-            changes=changes,
-            line="; ".join(parts),
-            flag_count=len(flags),
-            mended_count=len(mended),
-            new_flags=new,
+            changes=changes, line="; ".join(parts), flag_count=len(flags), mended_count=len(mended), new_flags=new
         )
         worth = (float(len(mended) - len(new)), -float(len(changes)))
         if best is None or worth > best[0]:

@@ -77,10 +77,7 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
     band = None if experiment is None else reference_band(experiment, use_withheld=withheld)
-    replays: Parts = [
-        *([] if replay is None else [replay]),
-        *(Paragraph(note, Tone.WARNING) for note in replay_notes),
-    ]
+    replays: Parts = [*([] if replay is None else [replay]), *(Paragraph(note, Tone.WARNING) for note in replay_notes)]
     parts = [
         *_head(one, experiment, band),
         *_causes(site, results),
@@ -126,10 +123,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
     found = [(index, cell, cell.spread(one.primary, normalized=True)) for index, cell in enumerate(one.cells) if cell]
     rows = [
         ForestRow(
-            label=site.labels[index],
-            color=site.color(index),
-            value=spread.mean,
-            interval=cell.interval_95(one.primary),
+            label=site.labels[index], color=site.color(index), value=spread.mean, interval=cell.interval_95(one.primary)
         )
         for index, cell, spread in found
         if spread is not None

@@ -222,12 +222,7 @@ def slurm_script(name: str, arguments: Sequence[str], *, jobs: int, workers: int
     """
     command = [sys.executable, "-c", "from gauge_command import main; main()", "sweep", *arguments]
     return SCRIPT.format(
-        name=name,
-        jobs=jobs,
-        command=command,
-        cpus=workers,
-        memory_gb=4.0 * workers,
-        log_folder=repr(str(log_folder)),
+        name=name, jobs=jobs, command=command, cpus=workers, memory_gb=4.0 * workers, log_folder=repr(str(log_folder))
     )
 
 

@@ -51,8 +51,7 @@ def plan_document(plan: SweepPlan, tasks: Iterable[SweepTask], costs: EarlierCos
     rows: dict[tuple[str, str], dict[str, Any]] = {}
     for run in plan.runs:
         row = rows.setdefault(
-            run.group,
-            {"backend": run.group[0], "experiment": run.group[1], "runs": 0, "episodes": 0, "declined": 0},
+            run.group, {"backend": run.group[0], "experiment": run.group[1], "runs": 0, "episodes": 0, "declined": 0}
         )
         row["runs"] += 1
         row["episodes"] += run.request.repeats

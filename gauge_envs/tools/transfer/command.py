@@ -35,8 +35,7 @@ def transfer(
     changes: arguments.Settings = None,
     parameters: arguments.Parameters = None,
     normalization: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="FILE", help="Statistics of VecNormalize, for all policies or each."),
+        list[Path] | None, typer.Option(metavar="FILE", help="Statistics of VecNormalize, for all policies or each.")
     ] = None,
     trust: TrustOption = False,
     to: Annotated[
@@ -118,13 +117,9 @@ def _picture_files(out: list[Path], *others: str) -> dict[str, Path]:
 
 
 def transfer_envelope(
-    words: Annotated[
-        list[str],
-        typer.Argument(metavar="ID [NAME=VALUE]...", help="Control task or experiment."),
-    ],
+    words: Annotated[list[str], typer.Argument(metavar="ID [NAME=VALUE]...", help="Control task or experiment.")],
     policy: Annotated[
-        str,
-        typer.Option(metavar="POLICY", help="Policy of a control task, as in gauge transfer; or that of its law."),
+        str, typer.Option(metavar="POLICY", help="Policy of a control task, as in gauge transfer; or that of its law.")
     ] = "law",
     normalization: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Statistics that VecNormalize saved beside the policy.")

@@ -171,9 +171,7 @@ def _world_axis(one: ParameterRange) -> str | None:
 
 
 def _maniskill(
-    scene: Scene,
-    bodies: Mapping[str, Mapping[str, ParameterRange]],
-    starts: Mapping[str, Sequence[ParameterRange]],
+    scene: Scene, bodies: Mapping[str, Mapping[str, ParameterRange]], starts: Mapping[str, Sequence[ParameterRange]]
 ) -> Iterator[str]:
     yield _filled("maniskill", "head")
     for name, constants in bodies.items():

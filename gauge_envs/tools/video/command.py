@@ -205,8 +205,7 @@ def video_board(
 
 def video_render(
     words: Annotated[
-        list[str],
-        typer.Argument(metavar="TASK [NAME=VALUE]...", help="Task; see gauge list video-tasks."),
+        list[str], typer.Argument(metavar="TASK [NAME=VALUE]...", help="Task; see gauge list video-tasks.")
     ],
     out: Annotated[Path, typer.Option(help="Video to write, .mp4; its exact track goes beside it.")],
     backend: Annotated[str, typer.Option(help="Engine.")] = "mujoco",

@@ -215,8 +215,4 @@ def _spring(aim: Aim, per_mass: float) -> dict[str, Any]:
     ratio = 1.0 if aim.rebound is None else damping_ratio_of(aim.rebound)
     # More damping than stops the body in a step turns into a rebound.
     damping = min(2.0 * ratio * math.sqrt(per_mass), 1.0 / aim.timestep_s)
-    return {
-        "solref": (-per_mass, -damping),
-        "solimp": (d, d, 0.001, 0.5, 2.0),
-        "impratio": SOFT_IMPRATIO,
-    }
+    return {"solref": (-per_mass, -damping), "solimp": (d, d, 0.001, 0.5, 2.0), "impratio": SOFT_IMPRATIO}

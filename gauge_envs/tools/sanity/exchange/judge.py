@@ -74,10 +74,7 @@ def judge(folder: Path, *, only: Sequence[str] = (), engine: str = "") -> Report
     if GRAVITY_ID in chosen:
         rows = [_gravity_row(configuration, outcomes), *rows]
     return Report(
-        configuration=configuration,
-        rows=tuple(rows),
-        versions=versions(),
-        wall_s=time.perf_counter() - started,
+        configuration=configuration, rows=tuple(rows), versions=versions(), wall_s=time.perf_counter() - started
     )
 
 

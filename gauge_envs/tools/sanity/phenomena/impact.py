@@ -195,11 +195,7 @@ def _with_gaps(scene: Scene) -> Scene:
 def momentum() -> Phenomenon:
     """Return the momentum that passes through a row of balls."""
     scenario = Scenario(
-        name="cradle",
-        variant="NewtonsCradle-metal",
-        seconds=SWING_S,
-        parameters="effective",
-        change=_with_gaps,
+        name="cradle", variant="NewtonsCradle-metal", seconds=SWING_S, parameters="effective", change=_with_gaps
     )
     scene = scenario.scene
     names = [body.name for body in scene.dynamic_bodies]

@@ -11,14 +11,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.backends.mujoco.model import (
-    CONES,
-    DISABLE_FLAGS,
-    ENABLE_FLAGS,
-    INTEGRATORS,
-    SAME_NAME_OPTIONS,
-    SOLVERS,
-)
+from gauge_envs.backends.mujoco.model import CONES, DISABLE_FLAGS, ENABLE_FLAGS, INTEGRATORS, SAME_NAME_OPTIONS, SOLVERS
 from gauge_envs.backends.mujoco.model_settings import ContactPairs
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.robot.mujoco_feet import Standing, first_moving_body, ground_rows, stance_of

@@ -61,10 +61,7 @@ def _capacity(data: Any) -> ContactCapacity:
     if near > naconmax:
         contacts = max(contacts, near)
     need = ContactNeed(
-        rows=rows,
-        contacts=-(-contacts // worlds),
-        mean_contacts=contacts / worlds,
-        situation="the state of its data",
+        rows=rows, contacts=-(-contacts // worlds), mean_contacts=contacts / worlds, situation="the state of its data"
     )
     return ContactCapacity(limits=CapacityLimits(njmax=njmax, naconmax=naconmax, worlds=worlds), need=need)
 
