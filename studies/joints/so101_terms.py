@@ -1,16 +1,14 @@
 """Do Stribeck friction, friction by load, or play lower the error of an SO-101 on motions that were not fitted?
 
-    python studies/joints/so101_terms.py          fits even motions, judges odd ones: so101_terms.csv
-    python studies/joints/so101_terms.py odd load  fits odd motions, judges even ones: so101_terms_odd.csv
+    python studies/joints/so101_terms.py
 
-Laws may be named. Each starts from `so101_constants.csv`; all its constants are fitted again on the same motions. MuJoCo has none of
-the three terms: they are computed in each step.
+Each law starts from `so101_constants.csv`; all its constants are fitted again on the same motions. MuJoCo has none of
+the three terms: they are computed in each step. Writes so101_terms.csv.
 """
 
 from __future__ import annotations
 
 import csv
-import sys
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -107,35 +105,23 @@ def fitted(law: Step, servos: Servos, own: FloatArray, fit: list[Trial]) -> tupl
     return servos, own
 
 
-def rms_mrad(errors_rad: FloatArray) -> list[float]:
-    """Return the error of each joint [mrad]."""
-    return [float(one) for one in 1e3 * np.sqrt(np.square(errors_rad).mean(axis=0))]
-
-
 def main() -> None:
-    """Fit each law on half of the motions, judge it on the others, and write both errors and its own constants."""
+    """Fit each law on even motions, judge it on the odd ones, and write both errors and its own constants."""
     with (HERE / "so101_constants.csv").open(encoding="utf-8") as file:
         table = {(row["joint"], row["constant"]): float(row["value"]) for row in csv.DictReader(file)}
     given = {field: np.array([table[joint, field] for joint in JOINTS]) for field in FIELDS}
     motions = trials("ServoArm-so101")
-    motions[0] = part(motions[0], 0.0, CHIRP_S)
-    fit, judge, file = motions[::2], motions[1::2], "so101_terms.csv"
-    if "odd" in sys.argv[1:]:
-        fit, judge, file = judge, fit, "so101_terms_odd.csv"
-    wanted = {"as identified", *sys.argv[1:]} - {"odd"}
+    fit, judge = [part(motions[0], 0.0, CHIRP_S), *motions[2::2]], motions[1::2]
     found = []
     for name, (law, starts) in LAWS.items():
-        if len(wanted) > 1 and name not in wanted:
-            continue
         own = np.array([same(start) for start in starts]).reshape(-1, 6)
         servos, own = fitted(law, Servos(**given, kv=same(0.0)), own, fit)
         for half, some in (("fit", fit), ("judge", judge)):
-            errors = [off_rad(law, servos, own, trial) for trial in some]
-            found.append((name, half, *rms_mrad(np.concatenate(errors))))
-            found += [(name, f"{half} {k + 1}", *rms_mrad(one)) for k, one in enumerate(errors)]
+            errors = np.concatenate([off_rad(law, servos, own, trial) for trial in some])
+            found.append((name, half, *map(float, 1e3 * np.sqrt(np.square(errors).mean(axis=0)))))
         found += [(name, f"constant {k + 1}", *map(float, values)) for k, values in enumerate(own)]
         print(name, found[-1])
-        write(file, ("law", "what", *JOINTS), found)
+        write("so101_terms.csv", ("law", "what", *JOINTS), found)
 
 
 if __name__ == "__main__":

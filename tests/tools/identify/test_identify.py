@@ -73,7 +73,7 @@ def test_friction_of_a_free_swing_is_told_apart(dry: float, viscous: float) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["pybullet", "physx", "rapier", "drake"])
+@pytest.mark.parametrize("engine", ["newton", "pybullet", "physx", "rapier", "drake"])
 def test_friction_is_found_on_each_engine(engine: str) -> None:
     """One interval in twenty misses the truth, so each may be off by one and a half of its half width."""
     pytest.importorskip(MODULES.get(engine, engine))

@@ -77,6 +77,26 @@ def test_a_phone_gives_friction_and_the_recipe_reaches_it(tmp_path: Path) -> Non
 
 
 @pytest.mark.slow
+def test_a_filmed_swing_gives_the_damping_of_a_joint(tmp_path: Path) -> None:
+    one, length_m = shot("pendulum", 9, tmp_path), _length_of_swing_m(9)
+    box = ",".join(f"{value:.1f}" for value in one.box_px)
+    words = ["--id", "pendulum", "--camera", one.camera, f"object={box}", "--out", tmp_path]
+    assert run("video", "score", one.video, *words).exit_code == 0
+    load = ["mass_kg=0.1", f"length_m={length_m}", "fit=viscous_friction_n_m_s_per_rad"]
+    outcome = run("recipe", "joint", tmp_path / f"{one.video.stem}.swing.csv", *load, "--format", "json")
+    (found,) = json.loads(outcome.stdout)["settings"]
+    # The amplitude of a ball on a massless rod falls by half of friction over inertia.
+    assert found["value"] == pytest.approx(2.0 * one.truth * 0.1 * length_m**2, rel=0.05)
+
+
+def _length_of_swing_m(seed: int) -> float:
+    """Return the length of the swing of a film, the second number that its seed draws."""
+    rng = np.random.default_rng(seed)
+    rng.uniform(0.05, 0.3)
+    return float(rng.uniform(0.3, 0.36))
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("motion", ["slide", "roll", "fall", "pendulum"])
 def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
     for seed in (6, 7, 8):
