@@ -366,6 +366,7 @@ def fenced(language: str) -> list[str]:
     return re.findall(rf"^```{language}\n(.*?)^```$", GUIDE.read_text(), flags=re.MULTILINE | re.DOTALL)
 
 
+@pytest.mark.slow
 def test_blocks_of_the_guide_run(tmp_path: Path) -> None:
     blocks = fenced("python")
     assert len(blocks) > 6

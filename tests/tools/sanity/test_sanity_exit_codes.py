@@ -145,6 +145,7 @@ def test_annotations_of_github_stay_on_one_line(monkeypatch) -> None:
 # --- action ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_steps_of_the_action_run(tmp_path: Path) -> None:
     action = yaml.safe_load((ROOT / "action.yml").read_text(encoding="utf-8"))
     assert action["runs"]["using"] == "composite"

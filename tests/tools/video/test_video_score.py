@@ -66,11 +66,6 @@ def test_a_known_motion_is_recovered(task: str) -> None:
         assert is_close(name, result.metrics[name], truth), (name, result.metrics[name], truth)
 
 
-def test_a_cube_of_the_plate_s_colour_is_never_valid() -> None:
-    result = scored(known("Turntable-2-wood"))
-    assert result.grade is Grade.DOUBTFUL and "nearly one colour" in result.reasons[0]
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("task", [task.id for task in video_tasks()])
 def test_intervals_hold_the_truth(task: str) -> None:
@@ -90,6 +85,7 @@ def test_intervals_hold_the_truth(task: str) -> None:
     assert inside >= 0.9 * count
 
 
+@pytest.mark.slow
 def test_a_wrong_frame_rate_changes_the_acceleration_by_its_square() -> None:
     one = known("SlopeSlider-2-wood")
     right, half = score(one.frames, 30.0, one.task), score(one.frames, 15.0, one.task)
@@ -108,6 +104,7 @@ def test_the_scale_follows_resolution_and_aspect() -> None:
         assert is_close("a_m_s2", result.metrics["a_m_s2"], one.truth["a_m_s2"])
 
 
+@pytest.mark.slow
 def test_an_object_that_vanishes_is_named() -> None:
     one = known("Pendulum-metal")
     empty = one.frames[0].copy()
