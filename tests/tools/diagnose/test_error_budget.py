@@ -598,6 +598,10 @@ def test_command_and_its_exit_codes(gauge, tmp_path, ball, unscored):
     alone = gauge("diagnose", "ball.json", "--json")
     assert alone.exit_code == 0
     assert [json.loads(line)["id"] for line in alone.stdout.splitlines()] == ["GAUGE/BouncingBall-rubber"]
+    write_result(near := run_episode(RunRequest(SLIDE)), tmp_path / "slide.json")
+    assert near.score.rmse_normalized < ball.score.rmse_normalized
+    ordered = gauge("diagnose", "slide.json", "ball.json", "--json")
+    assert [json.loads(line)["id"] for line in ordered.stdout.splitlines()] == [ball.id, near.id], "worst first"
     both = gauge("diagnose", "ball.json", "cradle.json", "order=rate,release,offset")
     assert both.exit_code == 0
     assert "is let go" in both.stdout
