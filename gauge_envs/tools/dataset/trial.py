@@ -150,7 +150,8 @@ def _pose(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -
     if not given:
         return PoseTrack(positions, None)
     quaternions = _table(name, asset, QUATERNION_KEYS, lengths)
-    norms = np.linalg.norm(quaternions, axis=1)
+    with np.errstate(over="ignore"):  # a component whose square is no float has an infinite norm
+        norms = np.linalg.norm(quaternions, axis=1)
     wrong = np.abs(norms - 1.0) > NORM_TOLERANCE
     if wrong.any():
         frame = int(wrong.argmax())

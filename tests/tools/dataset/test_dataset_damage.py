@@ -138,6 +138,7 @@ DAMAGES: dict[str, tuple[str, Change, str, str, str]] = {
     "huge": (SLIDER, setting("cube", "x", 4, to=10**400), "cube.x", "a number is too large", "finite numbers"),
     "far away": (SLIDER, setting("cube", "x", 4, to=1e9), "cube.x[4]", "it is 1e+09 mm", "a few metres"),
     "quaternion norm": (SLIDER, setting("cube", "qw", 3, to=0.9), "cube.q[3]", "norm is 0.9", "1 is expected"),
+    "quaternion overflow": (SLIDER, setting("cube", "qw", 3, to=1.4e154), "cube.q[3]", "norm is inf", "1 is expected"),
     "too short": (SLIDER, shortened, "(file)", "it has 5 frames", "9 or more"),
     "never captured": (SLIDER, never_captured, "cube", "it was never captured", "samples are expected"),
     "twice": (
