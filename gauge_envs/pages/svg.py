@@ -29,7 +29,7 @@ class CurvePanel:
 
     Attributes:
         title: Name and unit of the coordinate.
-        curves: Colour, label, times [s] and values of each curve.
+        curves: Stroke in CSS, label, times [s] and values of each curve.
         end_s: End of the time axis [s].
         times_s: Times of the real mean [s]; empty without a reference.
         mean: Real mean at those times; NaN is unknown.
@@ -81,11 +81,11 @@ def curve_panel(panel: CurvePanel) -> Html:
     if len(panel.times_s):
         parts += _band(panel, to_x, to_y)
     curves = []
-    for color, label, times_s, values in panel.curves:
+    for stroke, label, times_s, values in panel.curves:
         shown = (times_s <= panel.end_s + 1e-9) & np.isfinite(values)
         points = np.column_stack([to_x(times_s[shown]), np.clip(to_y(values[shown]), -HEIGHT, 2.0 * HEIGHT)])
         if len(points):
-            line = element("polyline", points=_points(simplified(points, SHOWN_PX)), stroke=color, class_="curve")
+            line = element("polyline", points=_points(simplified(points, SHOWN_PX)), style=stroke, class_="curve")
             curves.append(element("g", element("title", label), line))
     width, height = WIDTH - RIGHT - LEFT, HEIGHT - BOTTOM - TOP
     # An inner SVG cuts what leaves the frame.
@@ -208,7 +208,7 @@ def simplified(points: FloatArray, tolerance: float) -> FloatArray:
 ROW = 20.0
 MOST_WORDED = 3
 """Largest number of decades of an axis of scores with words below the 1."""
-LABELS, LONGEST_LABEL = 128.0, 19
+LABELS, LONGEST_LABEL = 134.0, 20
 """Room for the labels at the left, and the length of the longest [characters]."""
 VALUES = 52.0
 """Room for the scores at the right end, as 0.00032."""

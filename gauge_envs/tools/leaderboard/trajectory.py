@@ -19,12 +19,14 @@ from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import json_ready
+from gauge_envs.files import json_ready, versions
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -226,6 +228,20 @@ def rescored(result: Result, experiment: Experiment) -> Result:
         grade = BandGrade.NONE if band is None else band.grade
         score = Score(grade=grade.value, unit=experiment.score.observable.unit)
     return replace(result, score=score, wall_s=None, deformation=None)
+
+
+def false_scores(result: Result) -> list[str]:
+    """Return what a result of an engine states of its bundled experiment that its own trajectory does not give.
+
+    Nothing is compared with a result of another version of this package, whose scores may have other definitions.
+    """
+    is_bundled = result.dataset == BUNDLED_DATA and not result.asset and result.score.withheld is None
+    if not is_bundled or result.backend is None or result.outcome is not Outcome.FINISHED:
+        return []
+    if result.versions.get("gauge-envs") != versions()["gauge-envs"]:
+        return []
+    computed = rescored(result, recorded_experiment(result))
+    return [f"{key}: {reason}" for key, reason in differing_scores(result.score, computed.score)]
 
 
 def differing_scores(stated: Score, computed: Score) -> Iterator[tuple[str, str]]:

@@ -59,7 +59,7 @@ from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
 from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, first_result, first_results, score_cell, site_page
+from gauge_envs.tools.site.model import Site, cost_text, first_result, first_results, score_cell, site_page
 from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.reproduce import reproduce_page
 
@@ -258,10 +258,10 @@ def _scores(site: Site, index: int) -> Table:
     for one in site.comparison.experiments:
         cell = one.cells[index]
         if cell is not None:
-            result, cost = first_result(cell), cell.wall_s_per_sim_s
+            result = first_result(cell)
             convergence = None if result is None else discretization_text(result)
             name, score = site.experiment_link(one, site.family(one)[0]), score_cell(one, cell, one.primary)
-            rows.append((name, one.grade_name, score, "-" if cost is None else f"{cost:.2g}", convergence or "-"))
+            rows.append((name, one.grade_name, score, cost_text(cell), convergence or "-"))
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)
 
 

@@ -12,7 +12,15 @@ from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
+from gauge_envs.pages.text import (
+    COST_TITLE,
+    ENGINE_TITLES,
+    GRADE_NOTES,
+    interval_text,
+    quantity_text,
+    score_text,
+    with_unit,
+)
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Result
@@ -21,7 +29,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import Site, cost_text, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -80,11 +88,11 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
     replays: Parts = [*([] if replay is None else [replay]), *(Paragraph(note, Tone.WARNING) for note in replay_notes)]
     parts = [
         *_head(one, experiment, band),
-        *_causes(site, results),
         *_forest(site, one),
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
         *_curves(site, one.unit, results, band),
+        *_causes(site, results),
         *_pairs(site, one),
         *_distances(site, one),
         *_error_budgets(site, results),
@@ -161,10 +169,13 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
         note += " Real trials closer: share of the real trials that are closer to their mean."
         for row, percentile in zip(rows, percentiles, strict=True):
             row.append("-" if percentile is None else f"{percentile:.0f} %")
+    titles += ["physics", COST_TITLE]
+    for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
+        row += [configuration.physics or "-", cost_text(cell)]
     for engine, title in ENGINE_TITLES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *map(score_text, values), *([""] if has_trials else [])])
+            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (3 if has_trials else 2)])
     return section("Scores", grid(titles, rows), note)
 
 
@@ -174,7 +185,7 @@ def _causes(site: Site, results: Results) -> Parts:
         for index, result in results.items()
         for line in reality_lines(site.labels[index], result.score, result.backend)
     ]
-    return [listed(lines)] if lines else []
+    return [Heading("The distance in words"), listed(lines)] if lines else []
 
 
 def _pairs(site: Site, one: ExperimentComparison) -> Parts:
@@ -356,7 +367,7 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
     panels = [
         CurvePanel(
             title=f"{band.coordinates[column]} [{unit}]",
-            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
+            curves=[(site.stroke(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
             end_s=end_s,
             times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
             mean=band.mean[:, column],
@@ -380,7 +391,7 @@ def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tu
     panels = [
         CurvePanel(
             title=f"{name} [{unit}]",
-            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
+            curves=[(site.stroke(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
             end_s=end_s,
         )
         for column, name in enumerate(names)

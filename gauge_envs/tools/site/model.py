@@ -19,8 +19,8 @@ from gauge_envs.pages.text import score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
-COLOR_COUNT = 6
-"""Colours of configurations in the style of the pages; further ones repeat them."""
+COLOR_COUNT = 7
+"""Colours in the style of the pages: of configurations, or of engines where there are more configurations."""
 
 LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
@@ -96,8 +96,8 @@ class Site:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Label of each configuration."""
-        return self.comparison.labels
+        """Label of each configuration; a preset is known by its name alone."""
+        return tuple(label.replace("preset=", "") for label in self.comparison.labels)
 
     @cached_property
     def slugs(self) -> tuple[str, ...]:
@@ -137,14 +137,32 @@ class Site:
             for index, name in enumerate(names)
         )
 
-    @staticmethod
-    def color(index: int) -> str:
+    @cached_property
+    def headings(self) -> tuple[Html, ...]:
+        """Link of each configuration, with whose physics it is below."""
+        physics = (one.physics for one in self.comparison.configurations)
+        return tuple(join([link, below(text)]) for link, text in zip(self.links, physics, strict=True))
+
+    def _color(self, index: int) -> tuple[int, bool]:
+        """Return the number of the colour of a configuration, and whether its lines are dashed."""
+        if len(self.labels) <= COLOR_COUNT:
+            return index, False
+        engine, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
+        return engine % COLOR_COUNT, index != same[0]
+
+    def color(self, index: int) -> str:
         """Return the colour of a configuration in CSS."""
-        return f"var(--c{index % COLOR_COUNT})"
+        return f"var(--c{self._color(index)[0]})"
+
+    def stroke(self, index: int) -> str:
+        """Return the line of a configuration in CSS."""
+        return f"stroke:{self.color(index)}{';stroke-dasharray:5 3' if self._color(index)[1] else ''}"
 
     def swatch(self, index: int) -> Html:
-        """Return a piece of the colour of a configuration."""
-        return element("span", class_="swatch", style=f"background:{self.color(index)}")
+        """Return a piece of the line of a configuration."""
+        color = self.color(index)
+        dashed = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
+        return element("span", class_="swatch", style=f"background:{dashed if self._color(index)[1] else color}")
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
@@ -166,6 +184,12 @@ def first_result(cell: Cell | None) -> Result | None:
 def first_results(one: ExperimentComparison) -> dict[int, Result]:
     """Return the first result of each configuration that ran an experiment, by its index."""
     return {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+
+
+def cost_text(cell: Cell | None) -> str:
+    """Return the wall seconds of a simulated second."""
+    cost = None if cell is None else cell.wall_s_per_sim_s
+    return "-" if cost is None else f"{cost:.2g}"
 
 
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:

@@ -74,8 +74,9 @@ def overview_page(site: Site) -> str:
     answers += [line for grade in comparison.grades if grade.constants == DIFFERENT for line in _changes(site, grade)]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
-        element("div", *(element("p", answer) for answer in answers), class_="answer"),
         *_matrix(site),
+        Heading("Mean ranks, grade by grade"),
+        element("div", *(element("p", answer) for answer in answers), class_="answer"),
         *(part for grade in graded if len(grade.scores) > 1 for part in _ranking(site, grade)),
         Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
         *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
@@ -206,7 +207,7 @@ def _matrix(site: Site) -> list[Part]:
 
     columns = (
         Column("", link, html=partial(_matrix_cell, index), style=partial(standing, index))
-        for index, link in enumerate(site.links)
+        for index, link in enumerate(site.headings)
     )
     rows = list(_phenomena(site))
     if not rows:
@@ -260,7 +261,7 @@ def _scores_table(site: Site, title: str, rows: Iterable[MetricRow]) -> Table:
         [site.experiment_link(one, text), *(score_cell(one, cell, name) for cell in one.cells)]
         for one, name, text in rows
     )
-    return grid([title, *site.links], lines, look="matrix")
+    return grid([title, *site.headings], lines, look="matrix")
 
 
 def _events(site: Site) -> Iterator[MetricRow]:
