@@ -85,7 +85,7 @@ def link_pages(app: Sphinx, page: str, source: list[str]) -> None:
         depth = "../" * page.count("/")
         source[0] = source[0].replace(f"]({depth}{file}", f"]({depth}{target}")
     if page == "leaderboard" and BOARD.exists():
-        source[0] = source[0].replace("](../leaderboard/README.md)", "](path:_build/board/index.html)")
+        source[0] = re.sub(NOTES.pattern, r'<a href="board/index.html">\1</a>', source[0])
     source[0] = NOTES.sub(r"\1", source[0])
 
 
