@@ -20,7 +20,7 @@ from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
 COLOR_COUNT = 7
-"""Colours in the style of the pages: of configurations, or of engines where there are more configurations."""
+"""Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
 
 LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
@@ -145,8 +145,8 @@ class Site:
 
     def _color(self, index: int) -> tuple[int, bool]:
         """Return the number of the colour of a configuration, and whether its lines are dashed."""
-        if len(self.labels) <= COLOR_COUNT:
-            return index, False
+        if len(self.labels) <= COLOR_COUNT or max(map(len, self.engines.values())) > 2:
+            return index % COLOR_COUNT, False
         engine, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
         return engine % COLOR_COUNT, index != same[0]
 
