@@ -231,23 +231,23 @@ def rescored(result: Result, experiment: Experiment) -> Result:
 
 
 def false_scores(result: Result) -> list[str]:
-    """Return what a result of an engine states of its bundled experiment that its own trajectory does not give.
-
-    Nothing is compared with a result of another version of this package, whose scores may have other definitions.
-    """
+    """Return what a result of an engine states of its bundled experiment that its own trajectory does not give."""
     is_bundled = result.dataset == BUNDLED_DATA and not result.asset and result.score.withheld is None
     if not is_bundled or result.backend is None or result.outcome is not Outcome.FINISHED:
         return []
-    if result.versions.get("gauge-envs") != versions()["gauge-envs"]:
-        return []
     computed = rescored(result, recorded_experiment(result))
-    return [f"{key}: {reason}" for key, reason in differing_scores(result.score, computed.score)]
+    return [f"{key}: {reason}" for key, reason in differing_scores(result, computed.score)]
 
 
-def differing_scores(stated: Score, computed: Score) -> Iterator[tuple[str, str]]:
-    """Yield key and reason of each score that a file states and its trajectory does not give."""
+def differing_scores(result: Result, computed: Score) -> Iterator[tuple[str, str]]:
+    """Yield key and reason of each score that a file states and its trajectory does not give.
+
+    Scores of another version of this package, which may have other definitions, are not compared.
+    """
+    if result.versions.get("gauge-envs") != versions()["gauge-envs"]:
+        return
     ours: dict[str, Any] = json_ready(computed.to_dict())
-    theirs: dict[str, Any] = json_ready(stated.to_dict())
+    theirs: dict[str, Any] = json_ready(result.score.to_dict())
     for key, value in ours.items():
         if key in WRITTEN_ANEW or key.endswith("_95"):
             continue

@@ -12,15 +12,7 @@ from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import (
-    COST_TITLE,
-    ENGINE_TITLES,
-    GRADE_NOTES,
-    interval_text,
-    quantity_text,
-    score_text,
-    with_unit,
-)
+from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.runs.result import Result
@@ -29,7 +21,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import Site, cost_text, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import FACTS, Site, cost_text, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -73,14 +65,7 @@ Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
 
 
 def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, replay_notes: Sequence[str]) -> str:
-    """Return the page of an experiment.
-
-    Args:
-        site: The site.
-        one: The experiment.
-        replay: Element of the replay, or None.
-        replay_notes: Why configurations have no replay, a sentence each.
-    """
+    """Return the page of an experiment with its replay; the notes say why configurations have none."""
     results = first_results(one)
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
@@ -131,7 +116,10 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
     found = [(index, cell, cell.spread(one.primary, normalized=True)) for index, cell in enumerate(one.cells) if cell]
     rows = [
         ForestRow(
-            label=site.labels[index], color=site.color(index), value=spread.mean, interval=cell.interval_95(one.primary)
+            label=site.labels[index],
+            color=site.line(index)[0],
+            value=spread.mean,
+            interval=cell.interval_95(one.primary),
         )
         for index, cell, spread in found
         if spread is not None
@@ -169,13 +157,13 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
         note += " Real trials closer: share of the real trials that are closer to their mean."
         for row, percentile in zip(rows, percentiles, strict=True):
             row.append("-" if percentile is None else f"{percentile:.0f} %")
-    titles += ["physics", COST_TITLE]
+    titles += FACTS
     for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
         row += [configuration.physics or "-", cost_text(cell)]
     for engine, title in ENGINE_TITLES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (3 if has_trials else 2)])
+            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (len(FACTS) + has_trials)])
     return section("Scores", grid(titles, rows), note)
 
 
@@ -367,7 +355,7 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
     panels = [
         CurvePanel(
             title=f"{band.coordinates[column]} [{unit}]",
-            curves=[(site.stroke(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
+            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
             end_s=end_s,
             times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
             mean=band.mean[:, column],
@@ -391,7 +379,7 @@ def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tu
     panels = [
         CurvePanel(
             title=f"{name} [{unit}]",
-            curves=[(site.stroke(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
+            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
             end_s=end_s,
         )
         for column, name in enumerate(names)

@@ -15,9 +15,12 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
 from gauge_envs.pages.table import Table
-from gauge_envs.pages.text import score_text, with_unit
+from gauge_envs.pages.text import COST_TITLE, score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
+
+FACTS = ("physics", COST_TITLE)
+"""What a table states of each configuration beside its scores."""
 
 COLOR_COUNT = 7
 """Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
@@ -67,14 +70,7 @@ def section(title: str, table: Table, *notes: str) -> list[Part]:
 
 
 def site_page(title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()) -> str:
-    """Return a page of the site.
-
-    Args:
-        title: Its title.
-        parts: Its content.
-        here: Its file name, which the navigation marks.
-        scripts: Script files in the order in which they run.
-    """
+    """Return a page of the site; the navigation marks its file name, and its scripts run in their order."""
     pages = {"index.html": "Overview", "reproduce.html": "How to reproduce"}
     links = (
         element("a", text, href=file, aria_current="page" if file == here else None) for file, text in pages.items()
@@ -143,26 +139,19 @@ class Site:
         physics = (one.physics for one in self.comparison.configurations)
         return tuple(join([link, below(text)]) for link, text in zip(self.links, physics, strict=True))
 
-    def _color(self, index: int) -> tuple[int, bool]:
-        """Return the number of the colour of a configuration, and whether its lines are dashed."""
-        if len(self.labels) <= COLOR_COUNT or max(map(len, self.engines.values())) > 2:
-            return index % COLOR_COUNT, False
-        engine, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
-        return engine % COLOR_COUNT, index != same[0]
-
-    def color(self, index: int) -> str:
-        """Return the colour of a configuration in CSS."""
-        return f"var(--c{self._color(index)[0]})"
-
-    def stroke(self, index: int) -> str:
-        """Return the line of a configuration in CSS."""
-        return f"stroke:{self.color(index)}{';stroke-dasharray:5 3' if self._color(index)[1] else ''}"
+    def line(self, index: int) -> tuple[str, bool]:
+        """Return the colour of a configuration in CSS, and whether its lines are dashed."""
+        number, is_second = index, False
+        if len(self.labels) > COLOR_COUNT and max(map(len, self.engines.values())) <= 2:
+            number, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
+            is_second = index != same[0]
+        return f"var(--c{number % COLOR_COUNT})", is_second
 
     def swatch(self, index: int) -> Html:
         """Return a piece of the line of a configuration."""
-        color = self.color(index)
-        dashed = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
-        return element("span", class_="swatch", style=f"background:{dashed if self._color(index)[1] else color}")
+        color, is_dashed = self.line(index)
+        dashes = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
+        return element("span", class_="swatch", style=f"background:{dashes if is_dashed else color}")
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
