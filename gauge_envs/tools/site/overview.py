@@ -67,7 +67,7 @@ def overview_page(site: Site) -> str:
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
-        f"Scored in all configurations: {against or 'none'}."
+        f"Compared: {against or 'none'}."
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
