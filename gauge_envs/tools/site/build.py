@@ -245,7 +245,8 @@ def _means(site: Site, index: int) -> list[Html]:
         if score.configuration == index and score.mean_rank is not None and len(grade.scores) > 1
     ]
     places = [element("p", f"Mean rank: {'; '.join(ranks)}.")] if ranks else []
-    return [heading, element("p", f"Versions: {versions}. {counts}"), *places]
+    physics = f" Physics: {one.physics}." if one.physics else ""
+    return [heading, element("p", f"Versions: {versions}.{physics} {counts}"), *places]
 
 
 def _scores(site: Site, index: int) -> Table:

@@ -215,6 +215,7 @@ def test_lines_of_many_configurations_are_those_of_their_engines(results: dict[P
     drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text(encoding="utf-8")
     lines = re.findall(r'<polyline points="[^"]*" stroke="(.*?)"( stroke-dasharray="5 3")? class="curve"', drawn)
     assert len(set(lines)) == 8
+    assert "gauge-envs[drake,newton,rapier]'" in Page(tmp_path / "site" / "reproduce.html").text.replace(" ", "")
     assert {color for color, _ in lines} == {f"var(--c{number})" for number in range(4)}
 
 
