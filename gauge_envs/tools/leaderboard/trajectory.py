@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from gauge_envs.envs.episode import LATER_FRAMES
+from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.deviation import band_baseline
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
@@ -235,7 +236,10 @@ def false_scores(result: Result) -> list[str]:
     is_bundled = result.dataset == BUNDLED_DATA and not result.asset and result.score.withheld is None
     if not is_bundled or result.backend is None or result.outcome is not Outcome.FINISHED:
         return []
-    computed = rescored(result, recorded_experiment(result))
+    try:
+        computed = rescored(result, recorded_experiment(result))
+    except GaugeError as error:
+        return [str(error)]
     return [f"{key}: {reason}" for key, reason in differing_scores(result, computed.score)]
 
 
