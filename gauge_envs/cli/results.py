@@ -36,8 +36,7 @@ def loaded_results(
                 recorded_experiment(result)
             results[file] = result
         except GaugeError as error:
-            place = "" if isinstance(error, ResultFileError) else f"{file}: "
-            message(f"{place}{error}", "skipped")
+            message(f"{file}: {str(error).removeprefix(f'{file}: ')}", "skipped")
     skipped = len(files) - len(results)
     kept = {file: one for file, one in results.items() if corrected or RunConfiguration.of(one).physics != "corrected"}
     if len(kept) < len(results):

@@ -29,7 +29,7 @@ class CurvePanel:
 
     Attributes:
         title: Name and unit of the coordinate.
-        curves: Colour, label, times [s] and values of each curve.
+        curves: Colour in CSS and whether it is dashed, label, times [s] and values of each curve.
         end_s: End of the time axis [s].
         times_s: Times of the real mean [s]; empty without a reference.
         mean: Real mean at those times; NaN is unknown.
@@ -38,7 +38,7 @@ class CurvePanel:
     """
 
     title: str
-    curves: Sequence[tuple[str, str, FloatArray, FloatArray]]
+    curves: Sequence[tuple[tuple[str, bool], str, FloatArray, FloatArray]]
     end_s: float
     times_s: FloatArray = field(default_factory=lambda: np.zeros(0))
     mean: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -81,11 +81,13 @@ def curve_panel(panel: CurvePanel) -> Html:
     if len(panel.times_s):
         parts += _band(panel, to_x, to_y)
     curves = []
-    for color, label, times_s, values in panel.curves:
+    for (color, is_dashed), label, times_s, values in panel.curves:
         shown = (times_s <= panel.end_s + 1e-9) & np.isfinite(values)
         points = np.column_stack([to_x(times_s[shown]), np.clip(to_y(values[shown]), -HEIGHT, 2.0 * HEIGHT)])
         if len(points):
-            line = element("polyline", points=_points(simplified(points, SHOWN_PX)), stroke=color, class_="curve")
+            dashes = "5 3" if is_dashed else None
+            along = _points(simplified(points, SHOWN_PX))
+            line = element("polyline", points=along, stroke=color, stroke_dasharray=dashes, class_="curve")
             curves.append(element("g", element("title", label), line))
     width, height = WIDTH - RIGHT - LEFT, HEIGHT - BOTTOM - TOP
     # An inner SVG cuts what leaves the frame.
@@ -208,7 +210,7 @@ def simplified(points: FloatArray, tolerance: float) -> FloatArray:
 ROW = 20.0
 MOST_WORDED = 3
 """Largest number of decades of an axis of scores with words below the 1."""
-LABELS, LONGEST_LABEL = 128.0, 19
+LABELS, LONGEST_LABEL = 134.0, 20
 """Room for the labels at the left, and the length of the longest [characters]."""
 VALUES = 52.0
 """Room for the scores at the right end, as 0.00032."""

@@ -21,8 +21,9 @@ if TYPE_CHECKING:
     from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
     from gauge_envs.tools.leaderboard.reruns import Rerun
     from gauge_envs.tools.leaderboard.submission import Fault, Statement
+    from gauge_envs.tools.leaderboard.trajectory import false_scores
 
-__all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard"]
+__all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard", "false_scores"]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "submission", "reruns", "check")
+    __getattr__ = door(__name__, "submission", "reruns", "trajectory", "check")

@@ -224,8 +224,7 @@ def _checked_results(
             found = list(trajectory_faults(result, experiment))
             if not found:
                 computed = rescored(result, experiment)
-                if result.versions["gauge-envs"] == versions()["gauge-envs"]:
-                    found = list(differing_scores(result.score, computed.score))
+                found = list(differing_scores(result, computed.score))
                 results |= {} if found else {name: computed}
         faults += [Fault(file=name, key=key, reason=reason) for key, reason in found]
     return results, set(earlier), faults

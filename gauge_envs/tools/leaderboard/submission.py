@@ -272,6 +272,7 @@ def _file_fault(
         return Fault(file=name, reason="is not a regular file")
     if not (file.name in names or (suffix and file.suffix == suffix and not file.name.startswith("."))):
         expected = ", ".join(names) or f"result files *{suffix}"
+        expected += "; gauge report kept poses in it: delete it" if file.name.endswith(".replay.npz") else ""
         return Fault(file=name, reason=f"is unexpected here; expected: {expected}")
     if status.st_size > MOST_RESULT_BYTES:
         size, limit = status.st_size / MEGABYTE, MOST_RESULT_BYTES / MEGABYTE

@@ -14,17 +14,20 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from gauge_envs.envs.episode import LATER_FRAMES
+from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.deviation import band_baseline
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import json_ready
+from gauge_envs.files import json_ready, versions
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.imported import BUNDLED_DATA
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
+from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
 FloatArray = NDArray[np.float64]
@@ -228,10 +231,27 @@ def rescored(result: Result, experiment: Experiment) -> Result:
     return replace(result, score=score, wall_s=None, deformation=None)
 
 
-def differing_scores(stated: Score, computed: Score) -> Iterator[tuple[str, str]]:
-    """Yield key and reason of each score that a file states and its trajectory does not give."""
+def false_scores(result: Result) -> list[str]:
+    """Return what a result of an engine states of its bundled experiment that its own trajectory does not give."""
+    is_bundled = result.dataset == BUNDLED_DATA and not result.asset and result.score.withheld is None
+    if not is_bundled or result.backend is None or result.outcome is not Outcome.FINISHED:
+        return []
+    try:
+        computed = rescored(result, recorded_experiment(result))
+    except GaugeError as error:
+        return [str(error)]
+    return [f"{key}: {reason}" for key, reason in differing_scores(result, computed.score)]
+
+
+def differing_scores(result: Result, computed: Score) -> Iterator[tuple[str, str]]:
+    """Yield key and reason of each score that a file states and its trajectory does not give.
+
+    Scores of another version of this package, which may have other definitions, are not compared.
+    """
+    if result.versions.get("gauge-envs") != versions()["gauge-envs"]:
+        return
     ours: dict[str, Any] = json_ready(computed.to_dict())
-    theirs: dict[str, Any] = json_ready(stated.to_dict())
+    theirs: dict[str, Any] = json_ready(result.score.to_dict())
     for key, value in ours.items():
         if key in WRITTEN_ANEW or key.endswith("_95"):
             continue

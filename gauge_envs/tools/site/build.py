@@ -59,7 +59,7 @@ from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
 from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, first_result, first_results, score_cell, site_page
+from gauge_envs.tools.site.model import Site, cost_text, first_result, first_results, score_cell, site_page
 from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.reproduce import reproduce_page
 
@@ -197,7 +197,7 @@ def _replays(site: Site, one: ExperimentComparison, out: Path) -> tuple[Html | N
         key = f"{slug(one.name)}.{site.slugs[index]}"
         path = Path("data") / f"{key}.js"
         save_file(out / path, f"gaugeReplay({script_value(key)},{script_value(data)});\n")
-        entries.append({"key": key, "file": path.as_posix(), "label": label, "color": site.color(index)})
+        entries.append({"key": key, "file": path.as_posix(), "label": label, "color": site.line(index)[0]})
     return (_replay_element(entries, ghost_text(ghosts)) if entries else None), notes
 
 
@@ -208,7 +208,7 @@ def _replay(site: Site, index: int, result: Result) -> dict[str, Any]:
     replay = load_or_replay(result, file)
     experiment = replayed_experiment(result)
     band = reference_band(experiment, use_withheld=result.score.withheld is not None)
-    return replay_data(experiment, replay, band, label=site.labels[index], color=site.color(index))
+    return replay_data(experiment, replay, band, label=site.labels[index], color=site.line(index)[0])
 
 
 def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
@@ -225,12 +225,7 @@ def _replay_element(entries: Sequence[Mapping[str, str]], ghost: str) -> Html:
 
 
 def engine_page(site: Site, name: str) -> str:
-    """Return the page of an engine.
-
-    Args:
-        site: The site.
-        name: Name of the engine, or `file` for trajectory files.
-    """
+    """Return the page of an engine; `file` is the name for trajectory files."""
     parts: list[Part] = []
     for index in site.engines[name]:
         parts += [*_means(site, index), _scores(site, index), *_settings(site, index), *_reasons(site, index)]
@@ -250,7 +245,8 @@ def _means(site: Site, index: int) -> list[Html]:
         if score.configuration == index and score.mean_rank is not None and len(grade.scores) > 1
     ]
     places = [element("p", f"Mean rank: {'; '.join(ranks)}.")] if ranks else []
-    return [heading, element("p", f"Versions: {versions}. {counts}"), *places]
+    physics = f" Physics: {one.physics}." if one.physics else ""
+    return [heading, element("p", f"Versions: {versions}.{physics} {counts}"), *places]
 
 
 def _scores(site: Site, index: int) -> Table:
@@ -258,10 +254,10 @@ def _scores(site: Site, index: int) -> Table:
     for one in site.comparison.experiments:
         cell = one.cells[index]
         if cell is not None:
-            result, cost = first_result(cell), cell.wall_s_per_sim_s
+            result = first_result(cell)
             convergence = None if result is None else discretization_text(result)
             name, score = site.experiment_link(one, site.family(one)[0]), score_cell(one, cell, one.primary)
-            rows.append((name, one.grade_name, score, "-" if cost is None else f"{cost:.2g}", convergence or "-"))
+            rows.append((name, one.grade_name, score, cost_text(cell), convergence or "-"))
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)
 
 
@@ -396,15 +392,7 @@ def _solids(shape: Shape) -> list[dict[str, Any]]:
 
 
 def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, label: str, color: str) -> dict[str, Any]:
-    """Return a replay, JSON-ready.
-
-    Args:
-        experiment: The experiment with the scene and the start that ran.
-        replay: Poses and nodes.
-        band: Band of the experiment, or None; it becomes the ghost where it is of positions.
-        label: Name of the configuration.
-        color: Its colour in CSS.
-    """
+    """Return a replay of the experiment that ran, JSON-ready; a band of positions becomes the ghost."""
     # Quaternions are stored x y z w, the order of three.js.
     turns = np.rint(MOST * np.nan_to_num(replay.poses[..., [4, 5, 6, 3]])).clip(-MOST, MOST).astype(np.int16)
     return {

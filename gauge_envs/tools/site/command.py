@@ -12,7 +12,7 @@ from gauge_envs.cli import arguments
 from gauge_envs.cli.output import Progress, echo, message
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ResultFileError
-from gauge_envs.pages.text import counted
+from gauge_envs.pages.text import counted, shortened
 
 
 def report(
@@ -26,8 +26,9 @@ def report(
 
     It opens from the folder. For a replay the episode runs again; it is shown only if its g(t) is that of the result,
     bit for bit. corrected=false after the results leaves out engines whose physics this package corrects. Exit code 1
-    when a damaged file was skipped.
+    when a file was skipped: a damaged one, or one that states a score that its trajectory does not give.
     """
+    from gauge_envs.tools.leaderboard import false_scores
     from gauge_envs.tools.site import save_site
     from gauge_envs.tools.site.build import check_replaceable
 
@@ -35,17 +36,21 @@ def report(
     check_replaceable(out)
     files, details = arguments.split_details(sources, corrected=bool)
     results, skipped = loaded_results(files, with_scene=True, corrected=details.get("corrected", True))
+    false = {file: found for file, result in results.items() if (found := false_scores(result))}
+    for file, found in false.items():
+        message(f"{file}: {shortened(found)}", "skipped")
+        del results[file]
     if not results:
         raise ResultFileError("no result is left to report; gauge run writes them")
     words = ["gauge", "report", *(sources or ["results"]), "--out", str(out), *([] if replay else ["--no-replay"])]
     with Progress("pages", len({result.id for result in results.values()})) as progress:
         notes = save_site(results, out, replays=replay, command=shlex.join(words), progress=progress.advance)
-    reasons: dict[str, list[str]] = {}
+    reasons: dict[tuple[str, str], list[str]] = {}
     for one in notes:
-        reasons.setdefault(one.reason, []).append(f"{one.id.removeprefix('GAUGE/')} on {one.label}")
-    for reason, names in reasons.items():
-        message(f"{', '.join(names)}: {reason}", "no replay")
+        reasons.setdefault((one.label, one.reason), []).append(one.id.removeprefix("GAUGE/"))
+    for (label, reason), names in reasons.items():
+        message(f"{label}, {shortened(names)}: {reason}", "no replay")
     size = sum(file.stat().st_size for file in out.rglob("*") if file.is_file())
     message(f"{counted(len(results), 'result')}, {size / 1e6:.1f} MB")
     echo(out / "index.html")
-    return bool(skipped)
+    return bool(skipped or false)

@@ -21,7 +21,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import Site, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import FACTS, Site, cost_text, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -65,14 +65,7 @@ Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
 
 
 def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, replay_notes: Sequence[str]) -> str:
-    """Return the page of an experiment.
-
-    Args:
-        site: The site.
-        one: The experiment.
-        replay: Element of the replay, or None.
-        replay_notes: Why configurations have no replay, a sentence each.
-    """
+    """Return the page of an experiment with its replay; the notes say why configurations have none."""
     results = first_results(one)
     experiment = _experiment(results)
     withheld = any(result.score.withheld is not None for result in results.values())
@@ -80,11 +73,11 @@ def experiment_page(site: Site, one: ExperimentComparison, replay: Html | None, 
     replays: Parts = [*([] if replay is None else [replay]), *(Paragraph(note, Tone.WARNING) for note in replay_notes)]
     parts = [
         *_head(one, experiment, band),
-        *_causes(site, results),
         *_forest(site, one),
         *_scores(site, one),
         *([Heading("3D replay"), *replays] if replays else []),
         *_curves(site, one.unit, results, band),
+        *_causes(site, results),
         *_pairs(site, one),
         *_distances(site, one),
         *_error_budgets(site, results),
@@ -123,7 +116,10 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
     found = [(index, cell, cell.spread(one.primary, normalized=True)) for index, cell in enumerate(one.cells) if cell]
     rows = [
         ForestRow(
-            label=site.labels[index], color=site.color(index), value=spread.mean, interval=cell.interval_95(one.primary)
+            label=site.labels[index],
+            color=site.line(index)[0],
+            value=spread.mean,
+            interval=cell.interval_95(one.primary),
         )
         for index, cell, spread in found
         if spread is not None
@@ -161,10 +157,13 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
         note += " Real trials closer: share of the real trials that are closer to their mean."
         for row, percentile in zip(rows, percentiles, strict=True):
             row.append("-" if percentile is None else f"{percentile:.0f} %")
+    titles += FACTS
+    for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
+        row += [configuration.physics or "-", cost_text(cell)]
     for engine, title in ENGINE_TITLES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *map(score_text, values), *([""] if has_trials else [])])
+            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (len(FACTS) + has_trials)])
     return section("Scores", grid(titles, rows), note)
 
 
@@ -174,7 +173,7 @@ def _causes(site: Site, results: Results) -> Parts:
         for index, result in results.items()
         for line in reality_lines(site.labels[index], result.score, result.backend)
     ]
-    return [listed(lines)] if lines else []
+    return [Heading("The distance in words"), listed(lines)] if lines else []
 
 
 def _pairs(site: Site, one: ExperimentComparison) -> Parts:
@@ -356,7 +355,7 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
     panels = [
         CurvePanel(
             title=f"{band.coordinates[column]} [{unit}]",
-            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
+            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in projected],
             end_s=end_s,
             times_s=np.arange(len(band.mean)) / FRAME_RATE_HZ,
             mean=band.mean[:, column],
@@ -380,7 +379,7 @@ def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tu
     panels = [
         CurvePanel(
             title=f"{name} [{unit}]",
-            curves=[(site.color(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
+            curves=[(site.line(i), site.labels[i], times, values[:, column]) for i, times, values in alike],
             end_s=end_s,
         )
         for column, name in enumerate(names)

@@ -15,12 +15,15 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone, page
 from gauge_envs.pages.html import Html, below, element, join, slug
 from gauge_envs.pages.table import Table
-from gauge_envs.pages.text import score_text, with_unit
+from gauge_envs.pages.text import COST_TITLE, score_text, with_unit
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare import Cell, Comparison, ExperimentComparison
 
-COLOR_COUNT = 6
-"""Colours of configurations in the style of the pages; further ones repeat them."""
+FACTS = ("physics", COST_TITLE)
+"""What a table states of each configuration beside its scores."""
+
+COLOR_COUNT = 7
+"""Colours in the style of the pages: of configurations, or of engines with at most two each where these are more."""
 
 LOST = (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED)
 """Outcomes without a score."""
@@ -67,14 +70,7 @@ def section(title: str, table: Table, *notes: str) -> list[Part]:
 
 
 def site_page(title: str, parts: Iterable[Part], *, here: str, scripts: Sequence[str] = ()) -> str:
-    """Return a page of the site.
-
-    Args:
-        title: Its title.
-        parts: Its content.
-        here: Its file name, which the navigation marks.
-        scripts: Script files in the order in which they run.
-    """
+    """Return a page of the site; the navigation marks its file name, and its scripts run in their order."""
     pages = {"index.html": "Overview", "reproduce.html": "How to reproduce"}
     links = (
         element("a", text, href=file, aria_current="page" if file == here else None) for file, text in pages.items()
@@ -96,8 +92,8 @@ class Site:
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Label of each configuration."""
-        return self.comparison.labels
+        """Label of each configuration; a preset is known by its name alone."""
+        return tuple(label.replace("preset=", "") for label in self.comparison.labels)
 
     @cached_property
     def slugs(self) -> tuple[str, ...]:
@@ -137,14 +133,25 @@ class Site:
             for index, name in enumerate(names)
         )
 
-    @staticmethod
-    def color(index: int) -> str:
-        """Return the colour of a configuration in CSS."""
-        return f"var(--c{index % COLOR_COUNT})"
+    @cached_property
+    def headings(self) -> tuple[Html, ...]:
+        """Link of each configuration, with whose physics it is below."""
+        physics = (one.physics for one in self.comparison.configurations)
+        return tuple(join([link, below(text)]) for link, text in zip(self.links, physics, strict=True))
+
+    def line(self, index: int) -> tuple[str, bool]:
+        """Return the colour of a configuration in CSS, and whether its lines are dashed."""
+        number, is_second = index, False
+        if len(self.labels) > COLOR_COUNT and max(map(len, self.engines.values())) <= 2:
+            number, same = next((n, same) for n, same in enumerate(self.engines.values()) if index in same)
+            is_second = index != same[0]
+        return f"var(--c{number % COLOR_COUNT})", is_second
 
     def swatch(self, index: int) -> Html:
-        """Return a piece of the colour of a configuration."""
-        return element("span", class_="swatch", style=f"background:{self.color(index)}")
+        """Return a piece of the line of a configuration."""
+        color, is_dashed = self.line(index)
+        dashes = f"repeating-linear-gradient(90deg,{color} 0 .35rem,transparent .35rem .525rem)"
+        return element("span", class_="swatch", style=f"background:{dashes if is_dashed else color}")
 
     @staticmethod
     def family(one: ExperimentComparison) -> tuple[str, str]:
@@ -166,6 +173,12 @@ def first_result(cell: Cell | None) -> Result | None:
 def first_results(one: ExperimentComparison) -> dict[int, Result]:
     """Return the first result of each configuration that ran an experiment, by its index."""
     return {index: result for index, cell in enumerate(one.cells) if (result := first_result(cell)) is not None}
+
+
+def cost_text(cell: Cell | None) -> str:
+    """Return the wall seconds of a simulated second."""
+    cost = None if cell is None else cell.wall_s_per_sim_s
+    return "-" if cost is None else f"{cost:.2g}"
 
 
 def score_cell(one: ExperimentComparison, cell: Cell | None, metric: str) -> Html:

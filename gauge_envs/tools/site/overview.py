@@ -67,15 +67,16 @@ def overview_page(site: Site) -> str:
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
-        f"Scored in all configurations: {against or 'none'}."
+        f"Compared: {against or 'none'}."
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
     answers += [line for grade in comparison.grades if grade.constants == DIFFERENT for line in _changes(site, grade)]
     parts: list[Part] = [
         element("p", lead, class_="lead"),
-        element("div", *(element("p", answer) for answer in answers), class_="answer"),
         *_matrix(site),
+        Heading("Mean ranks, grade by grade"),
+        element("div", *(element("p", answer) for answer in answers), class_="answer"),
         *(part for grade in graded if len(grade.scores) > 1 for part in _ranking(site, grade)),
         Paragraph(MEAN_RANK_NOTE, Tone.NOTE),
         *section("Distance to a part of the motion", _scores_table(site, "experiment", _unscaled(site)), PARTIAL_NOTE),
@@ -206,7 +207,7 @@ def _matrix(site: Site) -> list[Part]:
 
     columns = (
         Column("", link, html=partial(_matrix_cell, index), style=partial(standing, index))
-        for index, link in enumerate(site.links)
+        for index, link in enumerate(site.headings)
     )
     rows = list(_phenomena(site))
     if not rows:
@@ -260,7 +261,7 @@ def _scores_table(site: Site, title: str, rows: Iterable[MetricRow]) -> Table:
         [site.experiment_link(one, text), *(score_cell(one, cell, name) for cell in one.cells)]
         for one, name, text in rows
     )
-    return grid([title, *site.links], lines, look="matrix")
+    return grid([title, *site.headings], lines, look="matrix")
 
 
 def _events(site: Site) -> Iterator[MetricRow]:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.backends import is_bundled
 from gauge_envs.experiments.experiment import AssetKind
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
@@ -120,10 +121,10 @@ def reproduce_page(site: Site, command: str) -> str:
                         result.created.partition(".")[0].replace("T", " ").removesuffix("+00:00"),
                     )
                 )
+    extras = ",".join(name for name in site.engines if is_bundled(name) and name != "mujoco")
+    install = f"pip install 'gauge-envs[{extras}]'" if extras else "pip install gauge-envs"
     steps = (
-        join(
-            [code("pip install 'gauge-envs[newton,physx,rapier,drake]'"), " with the versions that each page states."]
-        ),
+        join([code(install), " with the versions that each page states."]),
         "Run the command of a row. The file it writes into results/ has the same numbers, bit for bit, with the "
         "same versions on the same kind of processor. Wall times differ.",
         join([code("gauge compare results/"), " prints the scores, intervals, ranks and pairs of these pages."]),

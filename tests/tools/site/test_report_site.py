@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from base64 import b64decode
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
@@ -181,16 +181,43 @@ def test_hostile_texts_are_escaped(results: dict[Path, Result], tmp_path: Path) 
     assert EVIL in Page(out / "reproduce.html").text
 
 
-def test_a_damaged_file_is_named_and_skipped(results: dict[Path, Result], tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        (lambda text: text[:-40], "not a result file"),
+        (lambda text: text.replace('"rmse": 7.4', '"rmse": 0.4'), "score.rmse: the file states 0.4"),
+        (lambda text: re.sub(r'("samples": \[\[)[^,\]]+', r"\1null", text), "simulated is nan at frame 0"),
+        (lambda text: text.replace('"revision": 1', '"revision": 2'), "it has revision 2, and the installed package"),
+    ],
+    ids=["damaged", "forged", "not a number", "other revision"],
+)
+def test_a_wrong_file_is_named_and_left_out(
+    change: Callable[[str], str], reason: str, results: dict[Path, Result], tmp_path: Path
+) -> None:
     source = tmp_path / "results"
     source.mkdir()
-    good = next(iter(results))
+    good = next(file for file, result in results.items() if result.id == "GAUGE/SlopeSlider-2-wood")
     (source / good.name).write_bytes(good.read_bytes())
-    (source / "damaged.json").write_bytes(good.read_bytes()[:-40])
+    (source / "wrong.json").write_text(change(good.read_text()))
     run = CliRunner().invoke(app, ["report", str(source), "--out", str(tmp_path / "site"), "--no-replay"])
     assert run.exit_code == 1
-    assert "damaged.json" in run.stderr
-    assert (tmp_path / "site" / "index.html").is_file()
+    assert f"wrong.json: {reason}" in " ".join(run.stderr.split()).replace("GAUGE/SlopeSlider-2-wood: ", "")
+    assert "wrong.json" not in Page(tmp_path / "site" / "reproduce.html").text
+
+
+def test_lines_of_many_configurations_are_those_of_their_engines(results: dict[Path, Result], tmp_path: Path) -> None:
+    result = next(result for result in results.values() if result.id == "GAUGE/SlopeSlider-2-wood")
+    many = {
+        tmp_path / f"{engine}{preset}.json": replace(result, backend=engine, settings_given=preset)
+        for engine in ("drake", "mujoco", "newton", "rapier")
+        for preset in ({}, {"preset": "out_of_box"})
+    }
+    save_site(many, tmp_path / "site", replays=False)
+    drawn = (tmp_path / "site" / "experiment-SlopeSlider-2-wood.html").read_text(encoding="utf-8")
+    lines = re.findall(r'<polyline points="[^"]*" stroke="(.*?)"( stroke-dasharray="5 3")? class="curve"', drawn)
+    assert len(set(lines)) == 8
+    assert "gauge-envs[drake,newton,rapier]'" in Page(tmp_path / "site" / "reproduce.html").text.replace(" ", "")
+    assert {color for color, _ in lines} == {f"var(--c{number})" for number in range(4)}
 
 
 def test_an_empty_folder_is_an_error(tmp_path: Path) -> None:

@@ -6,6 +6,7 @@
 
 (function () {
   const MOST = 32767; // Largest component of a stored quaternion.
+  const STRIP = 28; // Height of the names above the pictures [px].
   const CROWD = 20; // Most bodies of one shape that are drawn one by one, with their edges.
   const waiting = {};
 
@@ -341,27 +342,27 @@
       const width = stage.clientWidth, count = Math.max(shown.length, 1);
       const columns = Math.min(count, width < 700 ? 2 : count === 4 ? 2 : 3);
       const cell = Math.floor(width / columns), rows = Math.ceil(count / columns);
-      const height = Math.round(Math.min(cell * (count === 1 ? 0.56 : 0.75), 520));
+      const height = Math.round(Math.min(cell * (count === 1 ? 0.56 : 0.75), 520)) + STRIP;
       // A new size, even an equal one, makes the browser allocate the picture anew.
       if (drawnSize !== `${width} ${rows * height}`) {
         drawnSize = `${width} ${rows * height}`;
         renderer.setSize(width, rows * height, false);
         canvas.style.height = rows * height + "px";
       }
-      return { columns, cell, height, rows };
+      return { columns, cell, height, rows, picture: height - STRIP };
     }
 
     function draw() {
       pending = false;
-      const { columns, cell, height, rows } = layout();
-      camera.aspect = cell / height;
+      const { columns, cell, height, rows, picture } = layout();
+      camera.aspect = cell / picture;
       camera.updateProjectionMatrix();
       renderer.setScissorTest(true);
       dotScale = Math.min(1, cell / 500);
       shown.forEach((one, index) => {
         const x = (index % columns) * cell, y = (rows - 1 - Math.floor(index / columns)) * height;
-        renderer.setViewport(x, y, cell - 2, height - 2);
-        renderer.setScissor(x, y, cell - 2, height - 2);
+        renderer.setViewport(x, y, cell - 2, picture - 2);
+        renderer.setScissor(x, y, cell - 2, picture - 2);
         if (one.built.real) one.built.real.visible = !ghosts || ghosts.checked;
         one.built.show(time);
         renderer.render(one.built.scene, camera);
@@ -381,7 +382,7 @@
       const view = home.camera, azimuth = (view.azimuth * Math.PI) / 180, elevation = (view.elevation * Math.PI) / 180;
       orbit.target.fromArray(view.target);
       // A narrow picture needs more distance to show the same width.
-      const { cell, height } = layout(), distance = (0.9 * view.distance) / Math.min(1, cell / height);
+      const { cell, picture } = layout(), distance = (0.9 * view.distance) / Math.min(1, cell / picture);
       const flat = Math.cos(elevation);
       one.set(flat * Math.cos(azimuth), flat * Math.sin(azimuth), Math.sin(elevation));
       camera.position.copy(orbit.target).addScaledVector(one, -distance);
@@ -398,7 +399,7 @@
         ...shown.map((one, index) => {
           const text = document.createElement("span");
           text.textContent = one.label + (one.built.end < end - 0.02 ? `, ended at ${one.built.end.toFixed(2)} s` : "");
-          text.style.cssText = `left:${(index % columns) * cell}px;top:${Math.floor(index / columns) * height}px;max-width:${cell - 20}px`;
+          text.style.cssText = `left:${(index % columns) * cell}px;top:${Math.floor(index / columns) * height}px;max-width:${cell - 12}px`;
           text.style.borderColor = one.color;
           return text;
         })
