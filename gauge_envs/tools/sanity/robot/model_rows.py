@@ -467,7 +467,9 @@ def _servo(robot: Robot) -> Finding:
     for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
         scaled = {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
         if growth(robot, robot.changed(option | scaled)[0]) <= 1.0 + 1e-3:
-            texts = ['<option integrator="implicitfast"/>'] * bool(option) + [f"kp and kv times {share:g}"] * (share < 1.0)
+            texts = ['<option integrator="implicitfast"/>'] * bool(option) + [f"kp and kv times {share:g}"] * (
+                share < 1.0
+            )
             remark = f"step {model.opt.timestep:g} s"
             return Finding(value=value, advice=" and ".join(texts), changes=option | scaled, remark=remark)
     return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
