@@ -349,7 +349,7 @@ def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
     props = "self.scene.robot.spawn.articulation_props"
     assert report.cure.line == (
         f"self.sim.physx.solver_type = 1; {props}.solver_position_iteration_count = 10; "
-        f"{props}.solver_velocity_iteration_count = 1: the one flag goes (from this package's recommendation)"
+        f"{props}.solver_velocity_iteration_count = 1: the one flag goes"
     )
 
 
