@@ -25,7 +25,7 @@ TASKS = ("HalfCheetah-v5", "Hopper-v5", "Walker2d-v5")
 SEEDS = (0, 1, 2, 3)
 ROUNDS, DIRECTIONS, BEST, STEP, NOISE, HORIZON = 60, 8, 4, 0.03, 0.05, 300
 EPISODES, EPISODE_STEPS = 10, 500
-ROWS = ("foot-*", "creep-*", "rest-height", "slide-*", "robot-*")
+ROWS = ("foot-*", "creep-*", "rest-height", "slide-*")
 
 
 @dataclass

@@ -190,7 +190,8 @@ class _Search:
     def _of_preset(self, name: str) -> Alternative:
         """Return the value of a setting in this package's preset of the scene."""
         preset = self.measurements.in_force(self.phenomenon.scenario, {})
-        return replace(self._best[name], value=preset[name], source=preset_label(preset))
+        value = _comparable(name, _stated(name, preset, None))
+        return replace(self._best[name], value=value, source=preset_label(preset))
 
     # --- changes ---
 

@@ -136,15 +136,17 @@ def _checked_files(out: Sequence[Path] | None) -> dict[str, Path]:
 
 
 def _print_report(report: Report, form: ReportFormat, files: Mapping[str, Path]) -> None:
-    from gauge_envs.pages.document import Document, Paragraph, save_file
+    from gauge_envs.pages.document import Document, Paragraph, Tone, save_file
     from gauge_envs.tools.sanity.formats import WRITERS
+    from gauge_envs.tools.sanity.model import UNREAD
     from gauge_envs.tools.sanity.words import is_clean, sanity_document, sanity_page, top_line
 
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
     shown = sanity_document(report)
     if form is ReportFormat.TEXT and is_clean(report):
         line = Paragraph(f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s")
-        shown = Document(parts=(line,), rows=shown.rows, markdown=shown.markdown)
+        unread = [Paragraph(f"note: {n}", Tone.WARNING) for n in report.configuration.notes if n.startswith(UNREAD)]
+        shown = Document(parts=(line, *unread), rows=shown.rows, markdown=shown.markdown)
     if form.value in WRITERS:
         echo(WRITERS[form.value](report))
         shown = Document(parts=(), rows=shown.rows, markdown=shown.markdown)

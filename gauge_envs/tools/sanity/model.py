@@ -15,6 +15,9 @@ from gauge_envs.files import json_ready
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.foot import FootGeometry
 
+UNREAD = "not known and not read"
+"""Start of a note on keys that may be mistakes, which is shown even where nothing is flagged."""
+
 INSIDE_WITHIN = 1.0
 """Largest deviation of the verdict `inside`, in half-widths of the interval of reality."""
 

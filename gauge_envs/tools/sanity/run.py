@@ -122,7 +122,9 @@ def find_cure(
             continue
         count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
         left = [name for name in flags if name not in mended]
-        shown = " and ".join([*_pasted(dialect, changes, own, configuration.robot), *texts])
+        said, settings = " ".join(texts), {n: v for n, v in changes.items() if "[" not in n and n != "gravity"}
+        unsaid = {n: v for n, v in settings.items() if n in own or dialect.assignment(n, v) not in said}
+        shown = " and ".join([*_pasted(dialect, unsaid, own, configuration.robot), *texts])
         parts = [f"{shown}: {count}{engine}"]
         parts += [f"left: {', '.join(left)}"] * bool(left) + [f"new flags: {', '.join(new)}"] * bool(new)
         cure = Cure(
@@ -137,10 +139,9 @@ def find_cure(
 
 
 def _pasted(
-    dialect: Dialect, changes: Mapping[str, Any], own: Mapping[str, Sequence[str]], robot: Robot | None
+    dialect: Dialect, settings: Mapping[str, Any], own: Mapping[str, Sequence[str]], robot: Robot | None
 ) -> list[str]:
     """Return the parts of a change as it is pasted; geoms that state an attribute themselves are named."""
-    settings = {n: v for n, v in changes.items() if "[" not in n and n != "gravity"}
     default = {n: v for n, v in settings.items() if n not in own or robot is None or robot.needs_default(n, v)}
     parts = [dialect.paste_text(default)] if default else []
     for name, geoms in own.items():

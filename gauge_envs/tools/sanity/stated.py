@@ -65,6 +65,7 @@ LEAST_TILT_DEG = 0.1
 
 EFFECTS = {
     "robot-torque": ("robot-damping", "robot-frictionloss"),
+    "robot-damping": ("robot-dry",),
     "robot-density": ("robot-armature", "robot-inertia"),
     "robot-bound": ("robot-inertia",),
 }

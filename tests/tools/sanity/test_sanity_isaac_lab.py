@@ -218,6 +218,18 @@ def test_other_engines_and_other_files_are_declined() -> None:
             isaac_lab_configuration(yaml_document(text), name="env.yaml", source="test")
 
 
+def test_keys_that_isaac_lab_ignores_are_shown_where_nothing_is_flagged(tmp_path: Path) -> None:
+    """Settings of IsaacGym in Isaac Lab's place never apply there; the file stays one of Isaac Lab."""
+    path = tmp_path / "env.yaml"
+    path.write_text(G1.read_text().replace("  physx:\n", "  physx:\n    num_position_iterations: 32\n", 1))
+    found = configuration(path)
+    assert found.language == configuration(yaml_document(path.read_bytes())).language == "isaac_lab"
+    assert found.settings == configuration(G1).settings
+    outcome = RUNNER.invoke(app, ["sanity", str(path), "--only", "gravity"])
+    assert outcome.exit_code == 0 and "No flags" in outcome.output
+    assert "not read: sim.physx.num_position_iterations; Isaac Lab ignores" in " ".join(outcome.output.split())
+
+
 def test_a_hydra_file_has_the_same_below_env(tmp_path: Path) -> None:
     run = tmp_path / "2026-01-01_g1"
     (run / ".hydra").mkdir(parents=True)
@@ -337,7 +349,7 @@ def test_changes_that_only_help_together_are_tried_as_a_whole() -> None:
     props = "self.scene.robot.spawn.articulation_props"
     assert report.cure.line == (
         f"self.sim.physx.solver_type = 1; {props}.solver_position_iteration_count = 10; "
-        f"{props}.solver_velocity_iteration_count = 1: the one flag goes (from this package's recommendation)"
+        f"{props}.solver_velocity_iteration_count = 1: the one flag goes"
     )
 
 

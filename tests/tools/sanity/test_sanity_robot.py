@@ -213,7 +213,8 @@ def test_friction_that_the_engine_switches_off_is_none() -> None:
     off = arm_xml('frictionloss="0.2" damping="0.1"').replace(
         "/><worldbody>", '><flag frictionloss="disable"/></option><worldbody>'
     )
-    assert row("robot-dry", off).configured == 0.0
+    found = row("robot-dry", off)
+    assert found.configured == 0.0 and found.cause.line.startswith('<flag frictionloss="enable"/> and frictionloss=')
 
 
 def test_the_half_of_a_step_takes_a_sixth_of_a_period_or_what_the_limit_allows() -> None:
@@ -296,14 +297,16 @@ def test_a_body_in_a_margin_is_read_after_it_has_settled_and_its_throw_is_a_row(
         ("solimp_from_zero", ["rest-height"], "<default><geom solimp="),
         ("gravcomp", ["robot-gravcomp"], 'gravcomp="0" for trunk'),
         ("foot_cannot_collide", ["robot-feet"], "contype and conaffinity of FL_foot"),
-        ("kp_diverges", ["robot-servo"], "kp and kv times"),
+        ("kp_diverges", ["robot-servo"], "^kp and kv times 0.1: the one flag goes"),
+        ("euler_without_eulerdamp", ["robot-servo"], '^<option integrator="implicitfast"/>: the one flag goes'),
+        ("damping_by_40", ["robot-damping", "robot-dry"], '^damping="3.3" for FL_hip and joints like it: 2 of 2 flags'),
         ("slippery_floor_loses", ["robot-floor-friction"], 'priority="1" for floor'),
     ],
 )
 def test_a_cure_is_applied_and_a_second_check_has_no_flag(name: str, rows: list[str], text: str) -> None:
     before = read(FAULTS[name].xml())
     report = check(before, only=rows)
-    assert report.cure is not None and text in report.cure.line
+    assert report.cure is not None and text in f"^{report.cure.line}"
     assert report.cure.mended_count == report.cure.flag_count
     after = check(applied(before, report.cure.changes)[0], only=rows)
     assert [one.phenomenon for one in after.rows if one.is_flag] == []

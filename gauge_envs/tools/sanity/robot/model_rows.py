@@ -462,13 +462,15 @@ def _servo(robot: Robot) -> Finding:
     if value <= facts("robot_rows")["robot-servo"]["interval"][1]:
         return Finding(value=value)
     arrays = [(key, a) for key in ("gainprm", "biasprm") for a in np.flatnonzero(servos(model))]
+    is_explicit = model.opt.integrator != mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    option = {"integrator": "implicitfast"} if is_explicit else {}
     for share in (1.0, 0.5, 0.25, 0.1, 0.05, 0.02, 0.01):
-        changes: dict[str, Any] = {"integrator": "implicitfast"}
-        changes |= {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
-        if growth(robot, robot.changed(changes)[0]) <= 1.0 + 1e-3:
-            texts = ['<option integrator="implicitfast"/>', f"kp and kv times {share:g}"]
-            advice = " and ".join(texts[: 2 if share < 1.0 else 1])
-            return Finding(value=value, advice=advice, changes=changes, remark=f"step {model.opt.timestep:g} s")
+        scaled = {f"actuator_{key}[{a}]": getattr(model, f"actuator_{key}")[a] * share for key, a in arrays}
+        if growth(robot, robot.changed(option | scaled)[0]) <= 1.0 + 1e-3:
+            texts = {'<option integrator="implicitfast"/>': is_explicit, f"kp and kv times {share:g}": share < 1.0}
+            advice = " and ".join(text for text, is_needed in texts.items() if is_needed)
+            remark = f"step {model.opt.timestep:g} s"
+            return Finding(value=value, advice=advice, changes=option | scaled, remark=remark)
     return Finding(value=value, remark=f"step {model.opt.timestep:g} s", advice="a shorter step, or more armature")
 
 

@@ -240,10 +240,15 @@ def _dry(robot: Robot) -> Finding:
         return Finding(declined="no hinge of the robot is driven")
     worst, few = min(shares, key=lambda dof: shares[dof]), [dof for dof in shares if shares[dof] < 0.01]
     name = joint_name(robot, worst)
+    bits = {
+        "constraint": mujoco.mjtDisableBit.mjDSBL_CONSTRAINT,
+        "frictionloss": mujoco.mjtDisableBit.mjDSBL_FRICTIONLOSS,
+    }
+    off = "".join(f'<flag {key}="enable"/> and ' for key, bit in bits.items() if robot.model.opt.disableflags & bit)
     return Finding(
         value=shares[worst],
         remark=f"{name} and {len(few) - 1} more of {len(shares)}" if few else name,
-        advice=f'frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`',
+        advice=f'{off}frictionloss="{losses[worst]:.2g}" or more for {name} and joints like it: `gauge recipe joint`',
         changes={f"dof_frictionloss[{dof}]": losses[dof] for dof in few},
     )
 

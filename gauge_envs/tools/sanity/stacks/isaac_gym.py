@@ -19,7 +19,10 @@ from gauge_envs.tools.sanity.stacks.physx import SOLVER, Material, PhysxValues, 
 from gauge_envs.tools.sanity.stacks.reader import Reader, named_content
 
 MARK = "num_position_iterations"
-"""Key that only this style has."""
+"""Key of this style."""
+
+ISAAC_LAB_MARK = "max_position_iteration_count"
+"""Key of Isaac Lab beside which `MARK` is a mistake that it ignores."""
 
 PHYSX, ASSET = "sim.physx", "asset"
 
@@ -178,16 +181,18 @@ def _plain(value: Any, depth: int = MOST_DEPTH) -> Any:
 
 def _matches(target: Any) -> bool:
     if isinstance(target, str | Path):
-        return MARK.encode() in named_content(target, (".yaml", ".yml"), MOST_YAML_BYTES)
+        content = named_content(target, (".yaml", ".yml"), MOST_YAML_BYTES)
+        return MARK.encode() in content and ISAAC_LAB_MARK.encode() not in content
     if isinstance(target, Mapping):
         return any(_has_mark(target, place) for place in PLACES)
-    return hasattr(getattr(getattr(target, "sim", None), "physx", None), MARK)
+    physx = getattr(getattr(target, "sim", None), "physx", None)
+    return hasattr(physx, MARK) and not hasattr(physx, ISAAC_LAB_MARK)
 
 
 def _has_mark(values: Any, place: str) -> bool:
     for part in (*place.split("."), "physx"):
         values = values.get(part) if isinstance(values, Mapping) else None
-    return isinstance(values, Mapping) and MARK in values
+    return isinstance(values, Mapping) and MARK in values and ISAAC_LAB_MARK not in values
 
 
 def _read(target: Any) -> TrainingConfiguration:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
+from gauge_envs.tools.sanity.model import UNREAD, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import Table, read_yaml
 from gauge_envs.tools.sanity.stacks.physx import (
@@ -204,7 +204,8 @@ def _take_scene(sim: Table, physx: Table, dialect: Dialect, values: PhysxValues)
             values.notes.append(f"{physx.name(key)} is not carried over: SAPIEN does not expose {effect}")
     unknown = [key for key in physx.values if key not in KNOWN_PHYSX and not str(key).startswith(BUFFERS)]
     if unknown:
-        values.notes.append(f"not known and not read: {', '.join(physx.name(str(key))[:80] for key in unknown[:4])}")
+        keys = ", ".join(physx.name(str(key))[:80] for key in unknown[:4])
+        values.notes.append(f"{UNREAD}: {keys}; Isaac Lab ignores keys that its PhysxCfg lacks")
     if str(sim.value("device") or "").startswith("cuda"):
         values.notes.append("training ran PhysX on the GPU; here it runs on the CPU")
 
