@@ -32,7 +32,10 @@ class BackendGenesis(BundledBackend):
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+    features = JOINT_FEATURES | {
+        *(Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH),
+        *(Feature.TORSION, Feature.ROLLING),
+    }
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(

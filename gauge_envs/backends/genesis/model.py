@@ -23,6 +23,9 @@ PAIR_LIMIT = 150
 DISTANCE_CELL_M = 5e-4
 """Edge of the cells of a body's distance field [m], of which Genesis makes at most 128 along an edge."""
 
+TURNING = ("torsion_m", "rolling_m")
+"""Frictions of a contact that resist turning."""
+
 NEIGHBOURS = 8
 """Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
@@ -96,6 +99,10 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
     lease = EngineLease(settings.precision)
     gs = engine()
     part = _part(scene, settings)
+    turning = {name: max((getattr(one, name) for one in scene.contacts), default=0.0) for name in TURNING}
+    if any(turning.values()):
+        # Genesis 1.4 keeps geoms by shape and sliding friction, and gives them the other frictions of an earlier scene.
+        gs.utils.cache.clear_caches()
     with patient("building a scene"):
         built = gs.Scene(
             show_viewer=False,
@@ -114,6 +121,9 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         inner = solver.constraint_solver
         kept = {"tolerance": inner.tolerance, "line_search_iterations": inner.ls_iterations, "timestep_s": built.sim.dt}
         check_kept("Genesis", settings.model_dump(), kept)
+    if any(turning.values()):
+        read = (solver.get_geoms_friction_torsional, solver.get_geoms_friction_rolling)
+        check_kept("Genesis", turning, {name: float(one().max()) for name, one in zip(TURNING, read, strict=True)})
     return Model(
         key=key,
         lease=lease,
@@ -170,6 +180,7 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
     gs = engine()
     layers = layers_of_bodies(scene, settings)
     collides = bool(layers) or bool(scene.deformables)
+    turns = any(getattr(one, name) for one in scene.contacts for name in TURNING)
     pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.
@@ -186,6 +197,9 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         friction_cone=getattr(gs.friction_cone, settings.friction_cone),
         contact_resolution=getattr(gs.contact_resolution, settings.contact_resolution),
         impratio=settings.impratio,
+        # One set of kernels serves both: a coefficient of 0 has no effect.
+        enable_torsional_friction=turns,
+        enable_rolling_friction=turns,
         contact_pruning_tolerance=settings.pruning_tolerance,
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,
