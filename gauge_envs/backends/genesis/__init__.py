@@ -31,6 +31,7 @@ class BackendGenesis(BundledBackend):
         "an impact is a damped spring that is fitted to the restitution, of which Genesis has no coefficient",
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
+        "a cache that gives geoms the torsional and rolling friction of an earlier scene is emptied",
     )
     features = JOINT_FEATURES | {
         *(Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH),

@@ -107,7 +107,7 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         built = gs.Scene(
             show_viewer=False,
             sim_options=gs.options.SimOptions(dt=settings.timestep_s, gravity=(0.0, 0.0, -scene.gravity_m_per_s2)),
-            rigid_options=_rigid_options(scene, settings),
+            rigid_options=_rigid_options(scene, settings, any(turning.values())),
             **part.scene_options() if part else {},
         )
         entity = _add_bodies(built, scene, settings, part)
@@ -176,11 +176,10 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, part: Defor
     )
 
 
-def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
+def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     gs = engine()
     layers = layers_of_bodies(scene, settings)
     collides = bool(layers) or bool(scene.deformables)
-    turns = any(getattr(one, name) for one in scene.contacts for name in TURNING)
     pieces = sum(len(getattr(scene.body(name).shape, "pieces_m", (None,))) for name in layers)
     return gs.options.RigidOptions(
         # Scenes without contact then advance in fewer kernels.

@@ -76,6 +76,7 @@ class ContactGroup:
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
         is_held: Whether a hand holds a body with these constants, and grasps run with them.
+        is_point: Whether the fingertips that hold it are round, and touch it at one point each.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -84,6 +85,7 @@ class ContactGroup:
     constants: Mapping[str, Any]
     is_used: bool = False
     is_held: bool = False
+    is_point: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -50,6 +50,13 @@ LIMITS = ("njmax", "naconmax")
 """Changes that belong to the memory for contacts, not to the model."""
 
 
+POINT_NOTE = (
+    "{}: round fingertips touch at points, which with condim 3 hold no torque: what two hold turns freely about the line "
+    "between them (gauge recipe torsion_m= gives condim 4 and its coefficient)"
+)
+"""Note on a hand whose fingertips have one contact each."""
+
+
 def applied(
     configuration: TrainingConfiguration, changes: Mapping[str, Any]
 ) -> tuple[TrainingConfiguration, dict[str, list[str]]]:
@@ -239,7 +246,14 @@ def check(
         versions={**engine.versions, **versions()},
         wall_s=time.perf_counter() - started,
         cure=cure,
-        notes=(f"the time limit, {time_limit_s} s, is reached: the check is incomplete",) if run.is_cut_short else (),
+        notes=(
+            *([f"the time limit, {time_limit_s} s, is reached: the check is incomplete"] if run.is_cut_short else []),
+            *(
+                POINT_NOTE.format(one.geoms)
+                for one in configuration.contact_groups
+                if one.is_point and one.constants["condim"] == 3 and "grasp-torsion" in chosen
+            ),
+        ),
         asked=tuple(name for name in chosen if name in only),
     )
 
