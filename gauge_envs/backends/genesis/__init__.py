@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
@@ -33,10 +33,7 @@ class BackendGenesis(BundledBackend):
         "a string is a spring that this package computes",
         "a cache that gives geoms the torsional and rolling friction of an earlier scene is emptied",
     )
-    features = JOINT_FEATURES | {
-        *(Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH),
-        *(Feature.TORSION, Feature.ROLLING),
-    }
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(

@@ -23,9 +23,6 @@ PAIR_LIMIT = 150
 DISTANCE_CELL_M = 5e-4
 """Edge of the cells of a body's distance field [m], of which Genesis makes at most 128 along an edge."""
 
-TURNING = ("torsion_m", "rolling_m")
-"""Frictions of a contact that resist turning."""
-
 NEIGHBOURS = 8
 """Pairs that each convex piece of a scene with many bodies may form at a time. Genesis raises an error beyond it."""
 
@@ -99,9 +96,10 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
     lease = EngineLease(settings.precision)
     gs = engine()
     part = _part(scene, settings)
-    turning = {name: max((getattr(one, name) for one in scene.contacts), default=0.0) for name in TURNING}
+    of_contacts = [(one.torsion_m, one.rolling_m) for one in scene.contacts]
+    turning = dict(zip(("torsion_m", "rolling_m"), np.max([(0.0, 0.0), *of_contacts], axis=0).tolist(), strict=True))
     if any(turning.values()):
-        # Genesis 1.4 keeps geoms by shape and sliding friction, and gives them the other frictions of an earlier scene.
+        # The key of Genesis 1.4's cache of MJCF geoms lacks these two: a scene would get those of an earlier one.
         gs.utils.cache.clear_caches()
     with patient("building a scene"):
         built = gs.Scene(
@@ -123,7 +121,7 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         check_kept("Genesis", settings.model_dump(), kept)
     if any(turning.values()):
         read = (solver.get_geoms_friction_torsional, solver.get_geoms_friction_rolling)
-        check_kept("Genesis", turning, {name: float(one().max()) for name, one in zip(TURNING, read, strict=True)})
+        check_kept("Genesis", turning, {name: float(one().max()) for name, one in zip(turning, read, strict=True)})
     return Model(
         key=key,
         lease=lease,

@@ -143,7 +143,7 @@ def _print_report(report: Report, form: ReportFormat, files: Mapping[str, Path])
     writers = {".html": lambda file: save_file(file, sanity_page(report))}
     shown = sanity_document(report)
     if form is ReportFormat.TEXT and is_clean(report):
-        line = Paragraph("; ".join((f"{report.configuration.name}: {top_line(report)}", *report.notes, f"{report.wall_s:.0f} s")))
+        line = Paragraph(f"{report.configuration.name}: {top_line(report)}; {report.wall_s:.0f} s")
         shown = Document(parts=(line,), rows=shown.rows, markdown=shown.markdown)
     if form.value in WRITERS:
         echo(WRITERS[form.value](report))

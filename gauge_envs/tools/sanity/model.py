@@ -237,6 +237,13 @@ class TrainingConfiguration:
     trains_on: str = ""
     robot: Any = field(default=None, compare=False)
 
+    def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
+        """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
+        if not any(one.is_held for one in self.contact_groups):
+            return self
+        held = [replace(one, is_used=one.is_held and not (is_flat and one.is_point)) for one in self.contact_groups]
+        return replace(self, contact_groups=tuple(held)) if any(one.is_used for one in held) else None
+
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:
         """Settings for each set of contact constants that is judged, by its geoms; one without name if unknown."""

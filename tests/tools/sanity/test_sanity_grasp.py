@@ -155,7 +155,7 @@ def test_round_fingertips_without_torsional_friction_are_named(pad: str, spins: 
     model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
     verdicts, report = checked(model)
     assert verdicts["grasp-torsion"] is Verdict.DECLINED and not any(one.is_off for one in verdicts.values())
-    assert ["turns freely" in note for note in report.notes] == [True] * spins
+    assert ["holds no torque" in note for note in report.notes] == [True] * spins
     model.opt.gravity[:] = 0.0
     data = mujoco.MjData(model)
     data.ctrl[:] = 5.0, -5.0
