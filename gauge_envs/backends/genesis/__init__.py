@@ -31,7 +31,7 @@ class BackendGenesis(BundledBackend):
         "an impact is a damped spring that is fitted to the restitution, of which Genesis has no coefficient",
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
-        "a cache that gives geoms the torsional and rolling friction of an earlier scene is emptied",
+        "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
     features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
