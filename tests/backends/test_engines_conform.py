@@ -85,7 +85,7 @@ ENGINES = (
     Engine(
         name="genesis",
         module="genesis.version",
-        lacks=("air", "hinged", "rope", "rod", *TURNING),
+        lacks=("air", "hinged", "rope", "rod"),
         quick=("free-fall", "slide"),
     ),
 )

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation, Worlds
+from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
@@ -31,8 +31,9 @@ class BackendGenesis(BundledBackend):
         "an impact is a damped spring that is fitted to the restitution, of which Genesis has no coefficient",
         "kernels of this package bend cloth and rub it against bodies",
         "a string is a spring that this package computes",
+        "its cache of geoms, whose key lacks torsional and rolling friction, is emptied",
     )
-    features = JOINT_FEATURES | {Feature.BODY_HINGES, Feature.STATED_INERTIA, Feature.BACKLASH}
+    features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(

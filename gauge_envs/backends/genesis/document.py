@@ -79,11 +79,13 @@ class Constants:
         friction: Coulomb's coefficient.
         solref: Time constant [s] and damping ratio.
         solimp: Impedance: least, greatest, width [m], midpoint, power.
+        turning: Torsional and rolling friction [m].
     """
 
     friction: float
     solref: tuple[float, float]
     solimp: tuple[float, ...]
+    turning: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass
@@ -123,7 +125,7 @@ def _constants(scene: Scene, contact: Contact, settings: SettingsGenesis) -> Con
         damping = damping_ratio(contact.restitution, settings.impact_steps, weight)
         frequency = pi / (settings.impact_steps * settings.timestep_s)
         solref, impedance = (1.0 / (damping * frequency), damping), (*(settings.impact_impedance,) * 2, 0.001)
-    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE))
+    return Constants(contact.friction, solref, (*impedance, *IMPEDANCE_SHAPE), (contact.torsion_m, contact.rolling_m))
 
 
 @cache
@@ -347,7 +349,8 @@ def _add_geoms(
                 quat=pose.quaternion,
                 contype=layer.offers,
                 conaffinity=layer.accepts,
-                friction=(constants.friction, 0.0, 0.0),
+                friction=(constants.friction, *constants.turning),
+                condim=6 if constants.turning[1] else 4 if constants.turning[0] else 3,
                 solref=constants.solref,
                 solimp=constants.solimp,
                 # Geoms of this group are not rendered.

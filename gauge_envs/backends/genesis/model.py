@@ -96,11 +96,16 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
     lease = EngineLease(settings.precision)
     gs = engine()
     part = _part(scene, settings)
+    of_contacts = [(one.torsion_m, one.rolling_m) for one in scene.contacts]
+    turning = dict(zip(("torsion_m", "rolling_m"), np.max([(0.0, 0.0), *of_contacts], axis=0).tolist(), strict=True))
+    if any(turning.values()):
+        # The key of Genesis 1.4's cache of MJCF geoms lacks these two: a scene would get those of an earlier one.
+        gs.utils.cache.clear_caches()
     with patient("building a scene"):
         built = gs.Scene(
             show_viewer=False,
             sim_options=gs.options.SimOptions(dt=settings.timestep_s, gravity=(0.0, 0.0, -scene.gravity_m_per_s2)),
-            rigid_options=_rigid_options(scene, settings),
+            rigid_options=_rigid_options(scene, settings, any(turning.values())),
             **part.scene_options() if part else {},
         )
         entity = _add_bodies(built, scene, settings, part)
@@ -114,6 +119,9 @@ def _new_model(scene: Scene, settings: SettingsGenesis, key: tuple[Any, ...], wo
         inner = solver.constraint_solver
         kept = {"tolerance": inner.tolerance, "line_search_iterations": inner.ls_iterations, "timestep_s": built.sim.dt}
         check_kept("Genesis", settings.model_dump(), kept)
+    if any(turning.values()):
+        read = (solver.get_geoms_friction_torsional, solver.get_geoms_friction_rolling)
+        check_kept("Genesis", turning, {name: float(one().max()) for name, one in zip(turning, read, strict=True)})
     return Model(
         key=key,
         lease=lease,
@@ -166,7 +174,7 @@ def _add_bodies(built: Any, scene: Scene, settings: SettingsGenesis, part: Defor
     )
 
 
-def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
+def _rigid_options(scene: Scene, settings: SettingsGenesis, turns: bool) -> Any:
     gs = engine()
     layers = layers_of_bodies(scene, settings)
     collides = bool(layers) or bool(scene.deformables)
@@ -186,6 +194,9 @@ def _rigid_options(scene: Scene, settings: SettingsGenesis) -> Any:
         friction_cone=getattr(gs.friction_cone, settings.friction_cone),
         contact_resolution=getattr(gs.contact_resolution, settings.contact_resolution),
         impratio=settings.impratio,
+        # One set of kernels serves both: a coefficient of 0 has no effect.
+        enable_torsional_friction=turns,
+        enable_rolling_friction=turns,
         contact_pruning_tolerance=settings.pruning_tolerance,
         enable_multi_contact=settings.multi_contact,
         box_box_detection=settings.box_box_detection,

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from types import MappingProxyType
 from typing import Any
 
-from gauge_envs.backends.base import JOINT_FEATURES, Feature, Simulation
+from gauge_envs.backends.base import Feature, Simulation
 from gauge_envs.backends.pybullet.contacts import surfaces, turning_shares
 from gauge_envs.backends.pybullet.settings import settings_for
 from gauge_envs.backends.shared.attachments import attached_ends, attachment_problems, rigid_attachments
@@ -47,12 +47,7 @@ class BackendPyBullet(BundledBackend):
         "a servo is a torque that this package computes in each step, because Bullet's gains are not in SI units",
     )
     # Bullet's joints have no inertia of their own.
-    features = (JOINT_FEATURES - {Feature.ARMATURE}) | {
-        Feature.BODY_HINGES,
-        Feature.STATED_INERTIA,
-        Feature.TORSION,
-        Feature.ROLLING,
-    }
+    features = frozenset(Feature) - {Feature.AIR, Feature.ARMATURE, Feature.BACKLASH}
 
     def failed_import(self, module: str) -> ImportError:
         """Return the failed import, with the way to PyBullet on this version of Python."""

@@ -321,10 +321,10 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
             return replace(subject, inapplicable=configuration.inapplicable[need])
-    if phenomenon.id in GRASP and any(group.is_held for group in configuration.contact_groups):
-        groups = tuple(replace(group, is_used=group.is_held) for group in configuration.contact_groups)
-        configuration = replace(configuration, contact_groups=groups)
-    sets: dict[str, Mapping[str, Any]] = dict(configuration.contact_sets)
+    held = configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion") if phenomenon.id in GRASP else configuration
+    if held is None:
+        return replace(subject, inapplicable="round fingertips: their torsional friction alone holds a torque")
+    sets: dict[str, Mapping[str, Any]] = dict(held.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:

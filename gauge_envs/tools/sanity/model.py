@@ -79,6 +79,7 @@ class ContactGroup:
         constants: Effective constants of a contact by MuJoCo's names: `condim`, `friction`, `solref`, ...
         is_used: Whether the experiments run with these constants.
         is_held: Whether a hand holds a body with these constants, and grasps run with them.
+        is_point: Whether the fingertips that hold it are round, and touch it at one point each.
         settings: Settings of the backend that give all contacts these constants.
     """
 
@@ -87,6 +88,7 @@ class ContactGroup:
     constants: Mapping[str, Any]
     is_used: bool = False
     is_held: bool = False
+    is_point: bool = False
     settings: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -237,6 +239,13 @@ class TrainingConfiguration:
     capacity: ContactCapacity | None = None
     trains_on: str = ""
     robot: Any = field(default=None, compare=False)
+
+    def of_hand(self, *, is_flat: bool) -> TrainingConfiguration | None:
+        """Return this with the contacts of a hand alone in use, if there is one; of its flat pads, or None without."""
+        if not any(one.is_held for one in self.contact_groups):
+            return self
+        held = [replace(one, is_used=one.is_held and not (is_flat and one.is_point)) for one in self.contact_groups]
+        return replace(self, contact_groups=tuple(held)) if any(one.is_used for one in held) else None
 
     @property
     def contact_sets(self) -> dict[str, dict[str, Any]]:

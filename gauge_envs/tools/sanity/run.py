@@ -49,6 +49,9 @@ WARP_S = 1.1
 LIMITS = ("njmax", "naconmax")
 """Changes that belong to the memory for contacts, not to the model."""
 
+POINT_NOTE = "{}: a round fingertip has one contact, which with condim 3 holds no torque: see gauge recipe torsion_m="
+"""Note on a hand between whose fingertips a body turns freely."""
+
 
 def applied(
     configuration: TrainingConfiguration, changes: Mapping[str, Any]
@@ -234,13 +237,17 @@ def check(
         if refused and any(row.default is not None for row in simulated):
             raise ParameterError(f"{configuration.name}: {engine.name} refuses these settings: {simulated[0].remark}")
         cure = run.cure(rows) if explain else None
+    points = [one.geoms for one in configuration.contact_groups if one.is_point and one.constants["condim"] == 3]
     return Report(
         configuration=configuration,
         rows=tuple(rows),
         versions={**engine.versions, **versions()},
         wall_s=time.perf_counter() - started,
         cure=cure,
-        notes=(f"the time limit, {time_limit_s} s, is reached: the check is incomplete",) if run.is_cut_short else (),
+        notes=(
+            *([f"the time limit, {time_limit_s} s, is reached: the check is incomplete"] if run.is_cut_short else []),
+            *(POINT_NOTE.format(geoms) for geoms in points if "grasp-torsion" in chosen),
+        ),
         asked=tuple(name for name in chosen if name in only),
     )
 

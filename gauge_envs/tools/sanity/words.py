@@ -98,7 +98,7 @@ def top_line(report: Report) -> str:
             f" and {len(missing) - MOST_NAMED} more" * (len(missing) > MOST_NAMED)
         )
         return f"Incomplete: {len(missing)} of {measured + len(missing)} rows were not measured: {named}"
-    return f"No flags: {counted(measured, 'row')} measured, nothing to change"
+    return "; ".join((f"No flags: {counted(measured, 'row')} measured, nothing to change", *report.notes))
 
 
 def is_clean(report: Report) -> bool:

@@ -106,7 +106,7 @@ def test_an_engine_without_torsional_friction_says_so() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("engine", ["newton", "pybullet"])
+@pytest.mark.parametrize("engine", ["newton", "pybullet", "genesis"])
 def test_torsional_and_rolling_friction_of_other_engines(engine: str) -> None:
     pytest.importorskip(engine)
     for asked in ({"torsion_m": 0.002}, {"torsion_m": 0.002, "rolling_m": 0.001}):

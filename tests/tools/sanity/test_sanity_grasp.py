@@ -29,17 +29,22 @@ MUJOCO = Measurements(backend("mujoco"))
 GOOD = {"option": 'cone="elliptic" impratio="100"', "geom": 'solref="0.004 1" solimp=".95 .95 .001"'}
 
 
-def hand(option: str = "", geom: str = "", pad: str = "", motors: str = "left right") -> mujoco.MjModel:
+BOX = "type='box' size='.005 .01 .02'"
+
+
+def hand(
+    option: str = "", geom: str = "", pad: str = "", motors: str = "left right", tip: str = BOX, held_m: float = 0.03
+) -> mujoco.MjModel:
     """Return a gripper above a cube on a floor."""
     fingers = "".join(
         f"<body name='{name}' pos='{place} 0 .1'><joint name='{name}' type='slide' axis='1 0 0'/>"
-        f"<geom name='{name}_pad' type='box' size='.005 .01 .02' mass='.02' {pad}/></body>"
+        f"<geom name='{name}_pad' {tip} mass='.02' {pad}/></body>"
         for name, place in (("left", -0.04), ("right", 0.04))
     )
     driven = "".join(f"<motor joint='{name}'/>" for name in motors.split())
     return mujoco.MjModel.from_xml_string(
         f"<mujoco><option {option}/><default><geom {geom}/></default><worldbody>"
-        "<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 .03'><freejoint/>"
+        f"<geom name='floor' type='plane' size='2 2 .1'/><body pos='0 0 {held_m}'><freejoint/>"
         f"<geom name='cube' type='box' size='.02 .02 .03' mass='.1'/></body>{fingers}</worldbody>"
         f"<actuator>{driven}</actuator></mujoco>"
     )
@@ -142,6 +147,28 @@ def test_grasps_are_measured_without_being_named_where_there_is_a_hand() -> None
         for motors in ("left", "")
     )
     assert with_hand - without == set(GRASP)
+
+
+@pytest.mark.parametrize(("pad", "spins"), [("", True), ('condim="4" friction="1 .002 0"', False)])
+def test_round_fingertips_without_torsional_friction_are_named(pad: str, spins: bool) -> None:
+    """What is said is what MuJoCo does: 5 N on two tips hold 2 mm of arm each, so 20 mN m, or nothing."""
+    model = hand(**GOOD, pad=f'priority="1" {pad}', tip="size='.01'", held_m=0.1)
+    verdicts, report = checked(model)
+    assert verdicts["grasp-torsion"] is Verdict.DECLINED and not any(one.is_off for one in verdicts.values())
+    assert ["holds no torque" in note for note in report.notes] == [True] * spins
+    model.opt.gravity[:] = 0.0
+    data = mujoco.MjData(model)
+    data.ctrl[:] = 5.0, -5.0
+    mujoco.mj_step(model, data, 200)
+    data.xfrc_applied[1, 3] = 0.018
+    mujoco.mj_step(model, data, 100)
+    # I = m (4 a^2 + 4 b^2) / 12 about the line between the tips, with half edges of 20 and 30 mm.
+    free = 0.2 * 0.018 / (0.1 * 4.0 * (0.02**2 + 0.03**2) / 12.0)
+    assert data.qvel[3] == pytest.approx(free if spins else 0.0, rel=0.01, abs=1e-2 * free)
+
+
+def test_flat_pads_are_not_named() -> None:
+    assert checked(hand(**GOOD))[1].notes == ()
 
 
 def test_a_good_hand_has_no_flag() -> None:

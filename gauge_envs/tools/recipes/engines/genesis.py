@@ -78,10 +78,12 @@ def rigid_options():  # gs.Scene(rigid_options=rigid_options(), ...)
         friction_cone=gs.friction_cone.{friction_cone},
         contact_resolution=gs.contact_resolution.{contact_resolution},
         impratio={impratio},
+        enable_torsional_friction={turns},
+        enable_rolling_friction={turns},
     )
 
 def material():  # of both entities
-    return gs.materials.Rigid(friction={friction})
+    return gs.materials.Rigid(friction={friction}, friction_torsional={torsion_m}, friction_rolling={rolling_m})
 
 def set_contact(scene):  # after scene.build()
     scene.rigid_solver.set_global_sol_params(({sol_params}))
@@ -131,6 +133,10 @@ def set_contact(scene):  # after scene.build()
             contact_resolution="signorini",
             impratio=100.0,
         )
+
+    def texts(self) -> dict[str, str]:
+        """Return the values of the template, of which Genesis needs to know whether a contact resists turning."""
+        return super().texts() | {"turns": str(bool(self.torsion_m or self.rolling_m))}
 
     def further(self, mass_kg: float) -> Mapping[str, Any]:
         """Return the constants of sustained contacts, in double precision."""

@@ -29,7 +29,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
-from gauge_envs.tools.sanity.robot.robot import Robot, held_rows, never_touches
+from gauge_envs.tools.sanity.robot.robot import Robot, held_kinds, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
@@ -169,8 +169,8 @@ def _groups(
 
     Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
     """
-    is_held = all_on_ground & np.isin(np.arange(len(pairs.geoms)), held_rows(model, pairs))
-    keys = np.column_stack([pairs.kinds, is_held, pairs.constants])
+    held = all_on_ground * held_kinds(model, pairs)
+    keys = np.column_stack([pairs.kinds, held, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
     for number in range(inverse.max() + 1):
@@ -185,7 +185,8 @@ def _groups(
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
             is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
-            is_held=bool(is_held[rows[0]]),
+            is_held=bool(held[rows[0]]),
+            is_point=bool(held[rows[0]] == 2),
             settings=contact_settings(model, constants),
         )
         groups.append((kind, -len(rows), number, group))

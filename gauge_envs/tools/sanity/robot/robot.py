@@ -115,7 +115,7 @@ class Robot:
     @cached_property
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
-        rows = [*ground_rows(self.pairs), *held_rows(self.model, self.pairs)]
+        rows = [*ground_rows(self.pairs), *np.flatnonzero(held_kinds(self.model, self.pairs))]
         return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def needs_default(self, name: str, value: Any) -> bool:
@@ -184,14 +184,17 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def held_rows(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.intp]:
-    """Return the pairs of a part whose joints have motors and a free body without: what a hand can hold."""
+def held_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
+    """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
     roots = model.body_rootid
     motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]
     driven = np.isin(roots, roots[model.jnt_bodyid[motors]])
     free = np.isin(roots, model.jnt_bodyid[model.jnt_type == int(mujoco.mjtJoint.mjJNT_FREE)]) & ~driven
     bodies = model.geom_bodyid[pairs.geoms]
-    return np.flatnonzero(driven[bodies].any(axis=1) & free[bodies].any(axis=1))
+    round_geoms = np.isin(model.geom_type, [int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtGeom.mjGEOM_ELLIPSOID)])
+    at_point = (driven[bodies] & round_geoms[pairs.geoms]).any(axis=1)
+    kinds: NDArray[np.int_] = (driven[bodies].any(axis=1) & free[bodies].any(axis=1)) * (1 + at_point)
+    return kinds
 
 
 def never_touches(robot: Robot, poses: int = 200) -> bool:
