@@ -37,7 +37,8 @@ class BackendGenesis(BundledBackend):
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
     configurations = MappingProxyType(
-        {"CG": {"constraint_solver": "CG"}} | {name: {"preset": name} for name in ("out_of_box", "paper")}
+        {"CG": {"constraint_solver": "CG", "contact_resolution": "convex"}}
+        | {name: {"preset": name} for name in ("out_of_box", "paper")}
     )
 
     def unsupported(self, scene: Scene) -> Iterator[str]:
