@@ -149,7 +149,7 @@ def test_markers_start_where_the_scene_has_them() -> None:
 
 
 def test_rigid_scenes_have_neither_nodes_nor_markers() -> None:
-    rollout = run_scenario(MUJOCO, replace(one("creep-wood").scenario, seconds=0.02), {})
+    rollout = run_scenario(MUJOCO, replace(one("creep-wood").scenario, seconds=0.1), {})
     assert (rollout.nodes_m, rollout.markers_m.size) == ({}, 0)
 
 
