@@ -19,6 +19,9 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
+FEWEST_SAMPLES = 10
+"""A scene with fewer samples shows no motion."""
+
 TRIAL_VARIANT = "BouncingBall-rubber"
 """Settings are checked on the scene of this variant, which builds fast."""
 
@@ -90,12 +93,15 @@ def run_scenario(backend: Backend, scenario: Scenario, settings: Mapping[str, An
         settings: Settings of the backend; the backend's default for the scene completes them.
     """
     with closing(_built(backend, scenario, settings)) as simulation:
+        interval_s = float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S))
+        if interval_s > scenario.seconds / FEWEST_SAMPLES:
+            raise DeclinedError((f"a step of {interval_s:g} s is too long for a scene of {scenario.seconds:g} s",))
         simulation.reset(0)
         return record(
             simulation,
             scenario.scene_with(settings),
             scenario.seconds,
-            interval_s=float(simulation.settings.get("drive_interval_s", SAMPLE_INTERVAL_S)),
+            interval_s=interval_s,
             nodes_of=scenario.nodes_of,
             speed_limit_m_per_s=scenario.scene.speed_limit_m_per_s,
         )

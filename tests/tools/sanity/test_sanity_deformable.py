@@ -149,7 +149,7 @@ def test_markers_start_where_the_scene_has_them() -> None:
 
 
 def test_rigid_scenes_have_neither_nodes_nor_markers() -> None:
-    rollout = run_scenario(MUJOCO, replace(one("creep-wood").scenario, seconds=0.02), {})
+    rollout = run_scenario(MUJOCO, replace(one("creep-wood").scenario, seconds=0.1), {})
     assert (rollout.nodes_m, rollout.markers_m.size) == ({}, 0)
 
 
@@ -227,3 +227,9 @@ def test_the_cone_that_lets_cloth_slip_away_is_found() -> None:
     cause = find_cause(measurements, carry, settings, configured, default)
     assert cause is not None
     assert cause.settings == ("cone",)
+
+
+def test_a_step_as_long_as_the_scene_is_declined() -> None:
+    """Nothing can be fitted to one sample."""
+    with pytest.raises(DeclinedError, match="a step of 2 s is too long for a scene of"):
+        run_scenario(MUJOCO, one("creep-wood").scenario, {"timestep_s": 2.0})
