@@ -154,6 +154,8 @@ def check_json_size(content: bytes) -> None:
 def json_document(content: bytes) -> Any:
     """Return the value of a JSON document."""
     check_json_size(content)
+    if not content.strip():
+        raise ValueError("it is empty")
     try:
         return json.loads(content.removeprefix(b"\xef\xbb\xbf"))
     except RecursionError:

@@ -144,10 +144,12 @@ class Progress:
         self._done += 1
         self.show(text, self._done)
         now_s = time.monotonic()
+        if self._done == self._first + 1:
+            self._start_s = now_s  # The first step also loads the engine.
         if self._interval_s is not None and now_s - self._line_s >= self._interval_s:
             self._line_s = now_s
-            left_s = ((self._total or 0) - self._done) * (now_s - self._start_s) / (self._done - self._first)
-            left = f", about {left_s / 60.0:.1f} min left" if self._interval_s else ""
+            left_s = ((self._total or 0) - self._done) * (now_s - self._start_s) / max(self._done - self._first - 1, 1)
+            left = f", about {left_s / 60.0:.1f} min left" if self._interval_s and left_s else ""
             self.line(f"{self._done}/{self._total} {text}{left}")
 
     def line(self, text: str) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.text import number_text, quantity_text, short_id, value_text, with_unit
+from gauge_envs.pages.text import quantity_text, score_text, short_id, value_text, with_unit
 from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
@@ -133,14 +133,14 @@ def model_text(score: Score, backend: str | None) -> str:
     """Return how well an engine solves the model, and the same without its own part in the reference."""
 
     def amount(error: float) -> str:
-        text = with_unit(number_text(error), score.unit)
+        text = with_unit(score_text(error), score.unit)
         if not score.rmse_normalized or not score.rmse:
             return text
         return f"{text}, {percent_text(error / score.rmse * score.rmse_normalized)} % of the scatter of real trials"
 
     text = f"solves the model to {amount(score.rmse or 0.0)}"
     if score.rmse_95 is not None:
-        ends = " to ".join(number_text(end) for end in score.rmse_95)
+        ends = " to ".join(score_text(end) for end in score.rmse_95)
         text += f" (95 % interval {with_unit(ends, score.unit)})"
     if backend is not None and backend in score.rmse_without:
         *first, last = sorted(set(score.rmse_without) - {backend})
@@ -178,11 +178,11 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
         yield f"{name}: could it have been a real trial? By its distance {'yes' if farther else 'no'}: {answer}."
     error = getattr(score, score.primary)
     causes = [
-        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {number_text(error - one.left)}"
+        f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {score_text(error - one.left)}"
         for one in (score.explained or ())[:MOST_CAUSES]
     ]
     if causes:
-        whole = with_unit(number_text(error), score.unit)
+        whole = with_unit(score_text(error), score.unit)
         yield f"{name}: of {whole}, each alone can explain: {', '.join(causes)}."
 
 

@@ -251,7 +251,7 @@ def forest(title: str, rows: Sequence[ForestRow]) -> Html:
         if row.value >= LEAST_SCORE:
             parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
         parts.append(element("text", score_text(row.value), x=WIDTH - 2, y=f"{y + 4:.1f}", text_anchor="end"))
-    values = "; ".join(f"{row.label} {interval_text(row.value, row.interval, score_text)}" for row in rows)
+    values = "; ".join(f"{row.label} {interval_text(row.value, row.interval)}" for row in rows)
     box, label = f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", f"{title}: {values}"
     drawing = element("svg", *parts, viewBox=box, role="img", aria_label=label, class_="plot")
     if any(row.value < LEAST_SCORE for row in rows):

@@ -86,19 +86,15 @@ def counted(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def number_text(value: float | None) -> str:
-    """Return a score to two decimals; a dash for None."""
-    # Adding 0.0 makes a rounded -0.00 plain zero.
-    return "-" if value is None else f"{round(value, 2) + 0.0:.2f}" if abs(value) < 100 else f"{value:.3g}"
-
-
 def score_text(value: float | None) -> str:
-    """Return a score to two decimals, or to two digits below 0.1."""
-    return f"{value:.2g}" if value is not None and abs(value) < 0.1 else number_text(value)
+    """Return a score to two decimals, or to two digits below 0.1; a dash for None."""
+    if value is None:
+        return "-"
+    return f"{value:.2f}" if 0.1 <= abs(value) < 100 else f"{value:.2g}" if abs(value) < 0.1 else f"{value:.3g}"
 
 
 def interval_text(
-    value: float | None, interval: Sequence[float] | None, text: Callable[[float | None], str] = number_text
+    value: float | None, interval: Sequence[float] | None, text: Callable[[float | None], str] = score_text
 ) -> str:
     """Return a score with its 95 % interval, `0.41 [0.17, 1.43]`; a dash for None."""
     ends = "" if value is None or interval is None else f" [{text(interval[0])}, {text(interval[1])}]"

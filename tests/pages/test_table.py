@@ -13,7 +13,7 @@ from rich.console import Console
 
 from gauge_envs.pages.document import Shown, Terminal, as_markdown, as_rows
 from gauge_envs.pages.table import Column, Facts, Place, Table
-from gauge_envs.pages.text import number_text
+from gauge_envs.pages.text import score_text
 
 ROWS = (
     {"id": "GAUGE/A-1", "grade": "trials", "scores": {"first": 1.0, "second": None}, "note": "one"},
@@ -25,8 +25,8 @@ TABLE = Table(
     columns=(
         Column("id", "experiment", place=Place.HEADING),
         Column("grade", "grade", place=Place.HEADING),
-        Column("scores.first", "first", number_text, is_number=True, unit="mm"),
-        Column("scores.second", "second", number_text, is_number=True, wide_only=True),
+        Column("scores.first", "first", score_text, is_number=True, unit="mm"),
+        Column("scores.second", "second", score_text, is_number=True, wide_only=True),
         Column("note", "note", place=Place.BELOW),
     ),
     rows=ROWS,

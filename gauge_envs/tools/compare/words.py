@@ -241,7 +241,7 @@ def _score_cell(index: int, row: Mapping[str, Any]) -> str:
     # A score without a baseline to divide by stands in its own unit.
     if spread := normalized or one["raw"]:
         scatter = "" if spread["std"] is None else f" +- {score_text(spread['std'])} ({spread['count']})"
-        text = interval_text(spread["mean"], normalized and one["normalized_95"], score_text) + scatter
+        text = interval_text(spread["mean"], normalized and one["normalized_95"]) + scatter
         texts.append(text if normalized else with_unit(text, row["unit"]))
     for outcome in (Outcome.DIVERGED, Outcome.FAILED, Outcome.DECLINED):
         if count := outcomes.count(outcome.value):
@@ -404,7 +404,7 @@ def _pair_tables(comparison: Comparison) -> tuple[Table, Table]:
         return "{} : {}".format(*of.counts)
 
     def text(of: ExperimentDifference) -> str:
-        return interval_text(of.difference, of.difference_95, score_text)
+        return interval_text(of.difference, of.difference_95)
 
     order = {one.id: place for place, one in enumerate(comparison.experiments)}
     names, verdict = Column("between", "first : second"), Column("of.distinguishable", "at 5 %", verdict_text)

@@ -23,7 +23,7 @@ from gauge_envs.pages.text import (
     GRADE_NOTES,
     NORMALIZED_NOTE,
     interval_text,
-    number_text,
+    score_text,
     short_id,
     shortened,
     with_unit,
@@ -74,9 +74,9 @@ def _score_table(results: Sequence[Result]) -> Table:
             Column("percentile", "real trials closer", is_number=True),
             Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED else ""),
             Column("normalized", "over real trials", is_number=True),
-            *(Column(f"engines.{key}", title, number_text, is_number=True) for key, title in ENGINE_TITLES.items()),
+            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in ENGINE_TITLES.items()),
             Column("extrapolated", "extrapolated", lambda x: f"{100.0 * x:.0f} %", is_number=True, wide_only=True),
-            Column("z", "|z|", number_text, is_number=True, wide_only=True),
+            Column("z", "|z|", score_text, is_number=True, wide_only=True),
             Column("convergence", "discretization", place=Place.BELOW),
             Column("shift", "shift", lambda shift_s: f"{shift_s:+.3f} s", is_number=True, wide_only=True),
         ),
@@ -166,8 +166,8 @@ def _deformation_table(results: Sequence[Result]) -> Table:
                 Column(key, title, lambda value: f"{round(value, 4) + 0.0:.4f}", is_number=True)
                 for key, title in numbers.items()
             ),
-            Column("z", "z", number_text, is_number=True),
-            Column("z_rms", "z rms", number_text, is_number=True),
+            Column("z", "z", score_text, is_number=True),
+            Column("z_rms", "z rms", score_text, is_number=True),
         ),
         rows=[
             {"id": result.id, "label": result_label(result), **asdict(statistic)}

@@ -180,7 +180,7 @@ def _pairs(site: Site, one: ExperimentComparison) -> Parts:
     rows = [
         (
             *(join([site.swatch(index), site.labels[index]]) for index in (pair.first, pair.second)),
-            interval_text(found.difference, found.difference_95, score_text),
+            interval_text(found.difference, found.difference_95),
             p_text(found.p_holm),
             verdict_text(found.distinguishable),
         )

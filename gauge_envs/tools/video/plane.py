@@ -289,7 +289,7 @@ def read_camera(path: Path | str) -> PlaneView:
     except ValidationError as error:
         raise VideoError("{}: {}: {}".format(path, *first_fault(error))) from None
     except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
+        raise VideoError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     except ValueError as error:
         raise VideoError(f"{path}: is no {'JSON' if is_json else 'TOML'}: {error}") from None
     motion, lens = file.motion, file.lens

@@ -99,7 +99,7 @@ def read_track(path: Path | str, *, fps: float, size_px: tuple[int, int] = REFER
     try:
         text = read_regular(path, MOST_TRACK_BYTES).decode("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:
-        raise VideoError(f"{path}: cannot be read as text: {getattr(error, 'strerror', None) or error}") from None
+        raise VideoError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from None
     found: dict[int, tuple[float, float, float]] = {}
     for number, row in enumerate(_rows(path, text), start=2):
         frame = _number(path, number, "frame", row["frame"])
