@@ -12,9 +12,9 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 88_842, 57_245
+MOST_LINES, MOST_CODE_LINES = 88_936, 57_339
 """Of the package with its instruments."""
-MOST_CORE_LINES = 44_804
+MOST_CORE_LINES = 44_816
 """Of the package without `tools/`."""
 MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""
