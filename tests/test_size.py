@@ -12,7 +12,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 88_936, 57_339
+MOST_LINES, MOST_CODE_LINES = 88_937, 57_339
 """Of the package with its instruments."""
 MOST_CORE_LINES = 44_816
 """Of the package without `tools/`."""

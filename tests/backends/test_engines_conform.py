@@ -78,7 +78,7 @@ ENGINES = (
     Engine(
         name="newton",
         module="newton",
-        lacks=("air", "tether"),
+        lacks=("air",),
         quick=(*CORE, "cloth-stretch", "cloth-slide"),
     ),
     Engine(name="drake", module="pydrake", lacks=(*DEFORMABLE, *TURNING), quick=CORE),

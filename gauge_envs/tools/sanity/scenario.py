@@ -19,7 +19,7 @@ from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
-FEWEST_SAMPLES = 10
+FEWEST_SAMPLES = 5
 """A scene with fewer samples shows no motion."""
 
 TRIAL_VARIANT = "BouncingBall-rubber"

@@ -233,3 +233,8 @@ def test_a_step_as_long_as_the_scene_is_declined() -> None:
     """Nothing can be fitted to one sample."""
     with pytest.raises(DeclinedError, match="a step of 2 s is too long for a scene of"):
         run_scenario(MUJOCO, one("creep-wood").scenario, {"timestep_s": 2.0})
+
+
+def test_a_fall_of_two_samples_has_the_height_of_the_release() -> None:
+    rollout = run_scenario(MUJOCO, one("rebound").scenario, {"timestep_s": 0.15, "drive_interval_s": 0.15})
+    assert np.isfinite(one("rebound").value(rollout))

@@ -74,7 +74,8 @@ def test_plain_mujoco_gives_the_numbers_of_the_check(tmp_path: Path) -> None:
 def test_every_row_of_plain_mujoco_is_that_of_the_check(tmp_path: Path) -> None:
     judged = simulated(tmp_path / "engine", World)
     checked = check("mujoco")
-    others = [row for row in checked.rows if row.applies]
+    # In files a body starts where it touches: a release has no scene of its own.
+    others = [row for row in checked.rows if row.applies and row.phenomenon != "release"]
     assert [row.phenomenon for row in judged.rows[1:]] == [row.phenomenon for row in others]
     for row, other in zip(judged.rows[1:], others, strict=True):
         assert row.configured == pytest.approx(other.configured, rel=1e-9, abs=1e-12), row.phenomenon

@@ -58,7 +58,7 @@ def test_the_recommended_model_passes(tmp_path: Path) -> None:
     path.write_text(model_xml())
     outcome = RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "wrong"])
     assert outcome.exit_code == 0, outcome.output
-    assert outcome.stdout.startswith("No flags: nothing to change")
+    assert outcome.stdout.startswith("recommended.xml: No flags: ")
     assert RUNNER.invoke(app, ["sanity", str(path), "--fail-on", "visible"]).exit_code == 0
 
 

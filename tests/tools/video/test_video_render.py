@@ -136,12 +136,14 @@ def test_films_of_random_episodes(task: str) -> None:
         # A file that states 24 frames per second, although they were filmed at 30, is scored with --fps 30.
         result = score(processed(one, rng), 30.0, task)
         if task == "Pendulum-metal":  # the rod of the metadata is 8 mm shorter than that of the first frame
-            assert len(result.reasons) == 1 and "known first frame" in result.reasons[0], (seed, result.reasons)
+            assert result.grade is Grade.INVALID and "known first frame" in result.reasons[-1], (seed, result.reasons)
+        elif task == "NewtonsCradle-metal":  # balls of other masses swing out beside the last one
+            assert all("second object" in reason for reason in result.reasons), (seed, result.reasons)
         else:
             assert result.grade is Grade.VALID, (seed, result.reasons)
         for name, truth in truths(one, parameters).items():
             value, interval = result.metrics[name], result.uncertainty[name]
-            if name == "r2":
+            if name in ("r2", "form"):
                 continue
             assert value is not None and interval is not None
             scale = truth if name in ("a_m_s2", "pd_s") else 1.0

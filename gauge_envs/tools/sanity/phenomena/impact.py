@@ -86,7 +86,8 @@ def _rebound_ratio(rollout: Rollout, name: str) -> float:
     fall, *bounces = (
         _top_mm(rollout, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
     )
-    return float(np.sqrt(bounces[0] / fall)) if bounces else 0.0
+    # A fall of fewer than three samples has the height from which the ball was let go.
+    return float(np.sqrt(bounces[0] / (fall or height[0]))) if bounces else 0.0
 
 
 def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
