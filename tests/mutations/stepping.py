@@ -186,8 +186,8 @@ FAULTS: dict[str, Fault] = dict(
         fault(
             "drive-acceleration",
             "acceleration of driven bodies ignored",
-            "carry-line",
-            "drive() gives is ignored",
+            "driven-flick",
+            "acceleration that drive() gives",
             simulation=_NoAcceleration,
         ),
         fault(
