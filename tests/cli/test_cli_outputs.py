@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
-from gauge_envs.cli.output import echo
+from gauge_envs.cli.output import Progress, echo
 
 
 def gauge(*arguments: Any) -> Any:
@@ -70,3 +70,15 @@ def test_a_name_of_a_file_reaches_the_terminal_as_text(capsys: pytest.CaptureFix
 def test_a_law_uses_a_finite_share_of_its_limit(fraction: str) -> None:
     result = gauge("transfer", "envelope", "Pendulum-Limit-metal", "samples=2", "--policy", f"law:fraction={fraction}")
     assert result.exit_code == 2 and isinstance(result.exception, SystemExit)
+
+
+def test_the_time_left_is_told_without_the_step_that_loads_the_engine(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seconds = iter([0.0, 60.0, 72.0])  # the start, and the ends of two steps of 12 s, of which the first also loads
+    progress = Progress("checks", 12, line_interval_s=1.0)
+    monkeypatch.setattr("gauge_envs.cli.output.time.monotonic", lambda: next(seconds))
+    progress._start_s = progress._line_s = next(seconds)
+    progress.advance("first")
+    progress.advance("second")
+    assert capsys.readouterr().err.splitlines() == ["1/12 first", "2/12 second, about 2.0 min left"]
