@@ -16,7 +16,6 @@ import gymnasium
 import numpy as np
 import pytest
 from hostile import install
-from places import ROOT
 
 import gauge_envs
 from gauge_envs import files
@@ -34,11 +33,10 @@ def pytest_configure() -> None:
 
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
     the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
-    kept, also where the environment forbids to write it beside the sources: hundreds of processes import the package.
+    kept, also where the environment forbids it: hundreds of processes import the package.
     There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
     gc.disable()
-    sys.pycache_prefix = os.environ["PYTHONPYCACHEPREFIX"] = str(ROOT / ".pytest_cache" / "bytecode")
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")

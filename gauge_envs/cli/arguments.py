@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from gauge_envs.cli.output import Format
-from gauge_envs.errors import ParameterError, UnknownNameError, first_fault
+from gauge_envs.errors import ParameterError, UnknownNameError, first_fault, nearest
 
 if TYPE_CHECKING:
     from gauge_envs.pages.table import Table
@@ -174,7 +174,7 @@ def split_details(words: Sequence[str] | None, **known: Any) -> tuple[list[str],
             continue
         name, text = found.groups()
         if name not in known:
-            raise UnknownNameError("detail", name, known)
+            raise ParameterError(f"unknown detail {name!r}; {nearest(name, known)}; other values have options: --help")
         convert = known[name] if isfunction(known[name]) else TypeAdapter(known[name]).validate_python
         try:
             values[name] = convert(text)

@@ -69,11 +69,7 @@ ENGINES = (
         name="pybullet",
         module="pybullet",
         lacks=("cloth", "air", "rod", "joint-armature", "joint-backlash"),
-        long=(
-            *LONG,
-            *("restore-*", "reset-*", "copy", "swing-*", "foam-*"),
-            "rest-lying-cylinder",
-        ),
+        quick=(*CORE, "rope-period", "torsion", "rolling"),
     ),
     Engine(
         name="newton",

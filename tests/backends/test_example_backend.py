@@ -407,15 +407,16 @@ def test_conformance_kit_finds_nothing(measured: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_the_whole_conformance_kit_finds_nothing(environment: dict[str, str], tmp_path: Path) -> None:
-    run = gauge(environment, ["backend", "check", "point", "--json"], tmp_path)
+@pytest.mark.parametrize("name", ["point", "marbles"])
+def test_the_whole_conformance_kit_finds_nothing(name: str, environment: dict[str, str], tmp_path: Path) -> None:
+    run = gauge(environment, ["backend", "check", name, "--json"], tmp_path)
     assert run.returncode == 0, run.stdout + run.stderr
     assert statuses(run.stdout) == {"pass", "declined"}
 
 
 # --- worlds in arrays ------------------------------------------------------------------------------------------------
 
-CONTACTS = ("rebound-*", "oblique-*", "roll-ball", "rest-sphere", "start-velocity*", "restore", "free-fall")
+CONTACTS = ("rebound-0.5", "rebound-of-pair", "oblique-*", "roll-ball", "rest-sphere", "start-velocity*", "free-fall")
 
 
 def measure_marbles() -> dict[str, Any]:
@@ -423,12 +424,12 @@ def measure_marbles() -> dict[str, Any]:
     engine = backend("marbles")
     results = {one.check: one.status.value for one in run_checks("marbles", only=CONTACTS)}
     scenes = [
-        ball_on_plane(tilt_deg=20, drop_m=0.05 * drop, friction=0.1 * drop, restitution=0.2 * drop) for drop in range(5)
+        ball_on_plane(tilt_deg=20, drop_m=0.05 * drop, friction=0.1 * drop, restitution=0.2 * drop) for drop in range(4)
     ]
     worlds = engine.build_worlds(scenes)
     alone = [engine.build(scene) for scene in scenes]
     apart = 0.0
-    for _ in range(90):
+    for _ in range(60):
         for one in (worlds, *alone):
             one.advance(SAMPLE_INTERVAL_S)
         single = np.array([one.body_states(["ball"]) for one in alone])
@@ -438,7 +439,7 @@ def measure_marbles() -> dict[str, Any]:
 
 def test_the_engine_in_arrays_obeys_the_laws_and_its_worlds_do_not_touch(measured: dict[str, Any]) -> None:
     assert set(measured["marbles"]["results"].values()) == {"pass", "declined"}
-    assert list(measured["marbles"]["results"].values()).count("pass") > 14
+    assert list(measured["marbles"]["results"].values()).count("pass") > 9
     assert measured["marbles"]["apart"] == 0.0
 
 

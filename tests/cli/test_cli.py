@@ -175,6 +175,7 @@ def test_a_damaged_result_is_reported_on_resume(gauge, tmp_path):
         (["run"], "give ids, or patterns as '*'"),
         (["run", "SlopeSlider-2-gold"], "did you mean SlopeSlider-2-wood"),
         (["run", "SlopSlider-2-woo*"], "did you mean SlopeSlider-2-wood"),
+        (["run", "Sloper*"], "did you mean SlopeSlider-*, SlopeContact-*"),
         (["run", "GAUGE/SlopeSlider-9-wood"], "unknown experiment"),
         (["show", "SlopeSlider"], "unknown experiment"),
         (["list", "X*"], "unknown experiment"),

@@ -171,6 +171,7 @@ def test_an_option_that_is_a_detail_now_is_answered(old: str, new: str) -> None:
         (["list", "backends", "mujoko"], "unknown backend 'mujoko'; did you mean mujoco"),
         (["list", "materials", "satn"], "unknown material 'satn'; did you mean satin"),
         (["run", "SlopeSlider-2-wood", "sed=3"], "unknown detail 'sed'; did you mean seed"),
+        (["run", "SlopeSlider-2-wood", "timestep_s=1"], "other values have options: --help"),
         (["run", "SlopeSlider-2-wood", "seed=x"], "seed: Input should be a valid integer"),
         (["run", "SlopeSlider-2-wood", "repeats=0"], "repeats: Input should be greater than 0"),
         (["run", "SlopeSlider-2-wood", "jitter=1"], "jitter '1': expected numbers with units, as 1mm,0.5deg"),

@@ -19,8 +19,11 @@ from trial_worlds import CHOSEN_ON, HELD_OUT, WORLDS
 from gauge_envs.evaluation import uncertainty
 from gauge_envs.tools.compare import draws
 
-FAST = [("drop, skewed release", 5), ("drop, release correlated 0.4", 22)]
-"""Worlds and numbers of trials in which intervals of a plain bootstrap fail."""
+FAILING = [
+    ("drop, skewed release", 5, "raw pair"),
+    pytest.param("drop, release correlated 0.4", 22, "raw mm", marks=pytest.mark.slow),
+]
+"""Worlds, numbers of trials, and the quantity of which intervals of a plain bootstrap fail there."""
 
 
 def pooled(rows: list[Row], quantity: str) -> float:
@@ -33,15 +36,20 @@ def pooled(rows: list[Row], quantity: str) -> float:
     )
 
 
-@pytest.mark.parametrize(("name", "count"), FAST)
-def test_intervals_hold_the_truth(name: str, count: int) -> None:
+@pytest.mark.parametrize(("name", "count", "worst"), FAILING)
+def test_intervals_hold_the_truth(name: str, count: int, worst: str) -> None:
     rows = coverage(name, count, realities=60, seeds=(21, 22))
-    for quantity in sorted({row.quantity for row in rows}):
+    quantities = sorted({row.quantity for row in rows})
+    assert worst in quantities
+    for quantity in quantities:
         # Of 120 realities, a true 95 % gives at least 89 % in 99 of 100 runs.
         assert pooled(rows, quantity) >= 89.0, quantity
 
 
-def test_a_plain_bootstrap_is_found_to_miss_the_truth(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("name", "count", "worst"), FAILING)
+def test_a_plain_bootstrap_is_found_to_miss_the_truth(
+    name: str, count: int, worst: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Resampled trials, with the tails of a normal and as if they were independent, as an earlier version had it."""
 
     @cache
@@ -52,8 +60,7 @@ def test_a_plain_bootstrap_is_found_to_miss_the_truth(monkeypatch: pytest.Monkey
     monkeypatch.setattr(uncertainty, "_trial_weights", resampled)
     for module in (uncertainty, draws):
         monkeypatch.setattr(module, "widening", lambda series: 1.0)
-    for (name, count), quantity in zip(FAST, ("raw pair", "raw mm"), strict=True):
-        assert pooled(coverage(name, count, realities=60, seeds=(21, 22)), quantity) < 89.0, name
+    assert pooled(coverage(name, count, realities=60, seeds=(21, 22)), worst) < 89.0
 
 
 def test_the_table_is_whole_and_holds_as_the_note_says() -> None:

@@ -84,7 +84,7 @@ def checks_table(checks: Sequence[Check]) -> Table:
 
 
 def findings_document(findings: Sequence[CheckResult]) -> Document:
-    """Return results: one row per check, one column per backend; diagnoses, what was declined, versions and settings.
+    """Return results: one row per check, one column per backend; what was declined, versions, settings; diagnoses.
 
     Markdown, for a README, has titles of the checks beside their ids.
     """
@@ -128,11 +128,6 @@ def _backends(findings: Sequence[CheckResult]) -> list[str]:
 
 def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """Yield the titles and lines below the table."""
-    bad = [finding for finding in findings if finding.is_bad]
-    if bad:
-        own = [one for one in bad if not one.reported_by]
-        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in own]
-        yield "Diagnoses", lines + list(_same_fault_lines(bad))
     declined: dict[str, list[str]] = {}
     for one in findings:
         if one.status is Status.DECLINED:
@@ -143,6 +138,12 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
         own = [finding for finding in findings if finding.backend == name]
         versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
+    # Last, as the end of a long output is what a terminal shows.
+    bad = [finding for finding in findings if finding.is_bad]
+    if bad:
+        own = [one for one in bad if not one.reported_by]
+        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in own]
+        yield "Diagnoses", lines + list(_same_fault_lines(bad))
 
 
 def _what(finding: CheckResult) -> str:
