@@ -126,11 +126,8 @@ class VideoError(GaugeError, ValueError):
 def nearest(name: str, known: Iterable[str]) -> str:
     """Return a sentence that offers the known names nearest to an unknown one, or some of all."""
     names = sorted(known)
-    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, names, n=3, cutoff=0.5)
-    if not near and "*" in name:
-        # A pattern: as `Sloper*` for all whose first word is near to `Sloper`.
-        heads = get_close_matches(name.split("*")[0].rstrip("-"), {n.partition("-")[0] for n in names}, cutoff=0.5)
-        near = [f"{head}-*" for head in heads]
+    heads = {f"{n.partition('-')[0]}-*" for n in names} if "*" in name else ()
+    near = [n for n in names if n.startswith(name)][:6] or get_close_matches(name, [*names, *heads], n=3, cutoff=0.5)
     more = f" and {len(names) - 12} more" if len(names) > 12 else ""
     return f"did you mean {', '.join(near)}?" if near else f"known: {', '.join(names[:12]) or 'none'}{more}"
 

@@ -14,7 +14,7 @@ DOCS = ROOT / "docs"
 
 MOST_LINES, MOST_CODE_LINES = 88_937, 57_339
 """Of the package with its instruments."""
-MOST_CORE_LINES = 44_816
+MOST_CORE_LINES = 44_817
 """Of the package without `tools/`."""
 MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""

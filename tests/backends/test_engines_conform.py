@@ -63,8 +63,8 @@ LONG = (
 
 ENGINES = (
     Engine(name="mujoco", module="mujoco"),
-    Engine(name="rapier", module="rapier3d", lacks=(*DEFORMABLE, *TURNING), long=LONG),
-    Engine(name="physx", module="sapien", lacks=(*DEFORMABLE, *TURNING), long=LONG),
+    Engine(name="rapier", module="rapier3d", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
+    Engine(name="physx", module="sapien", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
     Engine(
         name="pybullet",
         module="pybullet",

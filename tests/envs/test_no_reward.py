@@ -75,6 +75,7 @@ def test_make_says_where_a_reference_ends() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_class_itself_and_runs_are_silent() -> None:
     assert warnings_of(lambda: gauge_envs.GaugeEnv("RopeWinding-rubber")) == []
     assert warnings_of(lambda: run_episode(RunRequest("RopeWinding-rubber"))) == []

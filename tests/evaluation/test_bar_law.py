@@ -70,7 +70,7 @@ def test_the_decay_of_a_clamp_is_the_first_root_of_its_equation() -> None:
 
 
 @pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ["FoamStretching-soft", "FoamCompressing-hard"])
+@pytest.mark.parametrize("name", ["FoamStretching-soft", pytest.param("FoamCompressing-hard", marks=pytest.mark.slow)])
 def test_two_engines_strain_with_the_law(name: str, engine: str) -> None:
     band = band_of(name)
     apart = np.linalg.norm(frames_of(name, engine) - band.mean, axis=1)

@@ -209,6 +209,7 @@ def foam():
     return played(FOAM)
 
 
+@pytest.mark.slow
 def test_default_settings_are_as_far_off_as_their_refinement_says(foam):
     score, sidecar = foam[0]["score"], solved_model(FOAM).sidecar
     own = next(one for one in sidecar.engines if one.engine == "mujoco")

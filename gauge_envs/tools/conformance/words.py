@@ -127,7 +127,7 @@ def _backends(findings: Sequence[CheckResult]) -> list[str]:
 
 
 def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
-    """Yield the titles and lines below the table."""
+    """Yield the titles and lines below the table; diagnoses last, where a terminal shows the end of a long output."""
     declined: dict[str, list[str]] = {}
     for one in findings:
         if one.status is Status.DECLINED:
@@ -138,11 +138,9 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
         own = [finding for finding in findings if finding.backend == name]
         versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
-    # Last, as the end of a long output is what a terminal shows.
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
-        own = [one for one in bad if not one.reported_by]
-        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in own]
+        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in bad if not one.reported_by]
         yield "Diagnoses", lines + list(_same_fault_lines(bad))
 
 

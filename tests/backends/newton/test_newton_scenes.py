@@ -371,9 +371,8 @@ def test_reset_and_restore_repeat_bit_for_bit(name: str, settings: Mapping[str, 
     assert (everything(simulation, scene) == end).all()
 
 
-@pytest.mark.parametrize(
-    "name", ["TableclothPulling-metal", pytest.param("RotatingBall-satin", marks=pytest.mark.slow)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["TableclothPulling-metal", "RotatingBall-satin"])
 def test_worlds_equal_their_single_runs(name: str) -> None:
     scenes = [jittered(load_experiment(name).scene, Jitter(), seed=seed) for seed in (0, 1)]
     worlds = backend("newton").build_worlds(scenes)

@@ -149,6 +149,7 @@ def test_a_spent_rod_moves_on_and_an_end_of_the_stroke_loses(env: FlingLimit) ->
     assert play(env, lambda _: np.zeros(1)).ending is Ending.MISSED
 
 
+@pytest.mark.slow
 def test_chance_stays_below_what_a_training_must_reach(env: FlingLimit) -> None:
     random = np.random.default_rng(0)
     ratios = [play_paid(env, lambda _: random.uniform(-1.0, 1.0, 1))[0] for _ in range(10)]

@@ -750,6 +750,7 @@ def write(folder, *results):
         write_result(result, folder / "results" / result_file_name(result))
 
 
+@pytest.mark.slow
 def test_two_settings_of_a_real_engine(gauge, tmp_path):
     fine, coarse = (run_episode(RunRequest(SLIDER, settings=given)) for given in (None, {"timestep_s": 1 / 900}))
     write(tmp_path, fine, coarse, run_episode(RunRequest("Turntable-3-wood")), replace(fine, backend="newton", seed=4))

@@ -214,6 +214,7 @@ def swing(period_s, *, amplitude_mm=150.0, late_s=0.0, centre):
     return motion_at
 
 
+@pytest.mark.slow
 @QUICK
 @given(period=st.floats(0.8, 1.25), amplitude=st.floats(0.7, 1.4), late_s=st.floats(0.0, 0.1))
 @example(period=1.0 / 1.08, amplitude=1.0, late_s=0.0)

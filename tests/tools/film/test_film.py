@@ -115,7 +115,8 @@ def test_an_mp4_has_the_frames_and_the_clock_of_the_episode(results: dict[Path, 
 
 
 @needs_opengl
-@pytest.mark.parametrize("suffix", [".webp", pytest.param(".gif", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", [".webp", ".gif"])
 def test_other_formats_have_the_length_of_the_film(results: dict[Path, Result], tmp_path: Path, suffix: str) -> None:
     out = tmp_path / f"ball{suffix}"
     save_film(results, out, FilmOptions(**SIZE, fps=24, speed=1.0, to_s=0.25, hold_s=0.5))

@@ -115,7 +115,7 @@ def test_an_object_that_vanishes_is_named() -> None:
     assert any("is lost in" in reason for reason in result.reasons), result.reasons
 
 
-@pytest.mark.parametrize("move", ["zoom", "shake"])
+@pytest.mark.parametrize("move", [pytest.param("zoom", marks=pytest.mark.slow), "shake"])
 def test_the_motion_of_a_camera_is_subtracted(move: str) -> None:
     one, rng = known("SlopeSlider-2-wood"), np.random.default_rng(2)
     height, width = one.frames[0].shape[:2]
