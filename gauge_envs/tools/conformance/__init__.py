@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         stretch_stiffness,
     )
     from gauge_envs.tools.conformance.contacts import turning_scene
-    from gauge_envs.tools.conformance.grasp import HELD, TURNED, grasp_creep, grasp_sink, grasp_turn
+    from gauge_envs.tools.conformance.grasp import HANDS, SQUEEZED
     from gauge_envs.tools.conformance.lab import Lab
     from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
     from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
@@ -47,8 +47,8 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BENT_FREE_M",
-    "HELD",
-    "TURNED",
+    "HANDS",
+    "SQUEEZED",
     "Check",
     "CheckResult",
     "Lab",
@@ -61,9 +61,6 @@ __all__ = [
     "check",
     "checks",
     "friction_of_slide",
-    "grasp_creep",
-    "grasp_sink",
-    "grasp_turn",
     "hanging_strip",
     "hann_mean",
     "pendulum_period_s",

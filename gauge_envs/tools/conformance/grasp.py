@@ -5,7 +5,7 @@ Its pad presses with N = torque / length to 0.5 %, wherever on its face: rigid b
 holds 2 mu N, and pads with a face hold a torque about their axis too, as a soft finger does; balls hold none.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import replace
 from typing import Any
@@ -18,9 +18,9 @@ from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import Rollout, states_now
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.geometry import vector
-from gauge_envs.scene.motors import TorqueMotor
+from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, box, contact, push, ramp
+from gauge_envs.tools.conformance.lab import Lab, body, box, contact, fixed_box, push, ramp
 from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, box_inertia_kg_m2, mean_period_s, pendulum_period_s
 from gauge_envs.tools.conformance.model import Measurement, recorded, rollout_of
 
@@ -134,12 +134,34 @@ _spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
 HELD, TURNED = _grasp(2.0 * WEIGHT_N, 1.5), _grasp(2.0 * WEIGHT_N, 0.15, held=_spun, gravity=0.0)
 """The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
 
+_asked, _at = ramp(0.3, start_s=0.0, duration_s=1e-6, ramp_s=0.0), 0.017 + 0.5 * THICK_M
+_servo = Servo(command=_asked, kp_n_m_per_rad=17.8, kv_n_m_s_per_rad=0.6, torque_limit_n_m=1.0)
+_cube, _palm = (
+    box("object", (0.0, 0.0, 1.0), (0.034,) * 3, mass_kg=0.025),
+    fixed_box("palm", (-_at, 0.0, 1.0), PAD.size_m),
+)
+SQUEEZED = Scene(
+    bodies=(_cube, _palm, body("jaw", PAD, Pose(position_m=(_at, 0.0, 1.0)), mass_kg=0.012)),
+    joints=(Hinge(body="jaw", anchor_m=(0.017, -0.1, 1.0), axis=(0.0, 0.0, 1.0), motor=_servo),),
+    contacts=(contact("object", ("palm", "jaw"), friction=FRICTION),),
+    duration_s=1.0,
+)
+"""A wooden cube in a gripper of about the SO-101's size, whose servo asks its light jaw to go on by 30 mm."""
+
 
 def grasp_turn(rollout: Rollout) -> Measurement:
     """Return the same of a box that spins between its pads, from its loss of energy."""
     spin = rollout.angular_velocity("object")[:, 0]
     lost = 0.5 * box_inertia_kg_m2(OBJECT)[0] * float(spin[0] ** 2 - spin[-1] ** 2)
     return _share(lost / float(np.trapezoid(spin, rollout.times_s)))
+
+
+HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], Measurement]]] = {
+    "grasp-creep": (HELD, grasp_creep),
+    "grasp-sink": (HELD, grasp_sink),
+    "grasp-torsion": (TURNED, grasp_turn),
+}
+"""Scene and reading of what a robot's hand is judged by, by id of the check that has its law."""
 
 
 _tilt = Rotation.from_euler("x", RELEASE_RAD)

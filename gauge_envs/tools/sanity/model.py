@@ -67,6 +67,7 @@ class Need(StrEnum):
     FOOT = "foot"
     SPACE = "space"
     """Motion in space, not in a plane along an axis of the world."""
+    SERVO = "servo"
 
 
 @dataclass(frozen=True, kw_only=True)

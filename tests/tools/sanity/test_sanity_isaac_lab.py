@@ -15,11 +15,13 @@ import yaml
 from places import ROOT
 from typer.testing import CliRunner
 
+from gauge_envs.backends import backend
 from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity import Verdict, check, configuration
 from gauge_envs.tools.sanity.against import Change, compare
+from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.phenomena import phenomenon, rigid
 from gauge_envs.tools.sanity.stacks import dialect
@@ -30,6 +32,7 @@ pytest.importorskip("sapien")
 
 G1 = Path(__file__).parent / "data" / "isaac_lab_g1_flat.yaml"
 DUMPED = yaml_document(G1.read_bytes())
+ITERATIONS = "scene__robot__spawn__articulation_props__solver_position_iteration_count"
 EXAMPLES = ROOT / "examples" / "sanity"
 RUNNER = CliRunner()
 
@@ -155,7 +158,7 @@ def test_iterations_of_the_robot_are_clamped(limits: tuple[int, int], own: int |
     found = read(
         sim__physx__min_position_iteration_count=limits[0],
         sim__physx__max_position_iteration_count=limits[1],
-        scene__robot__spawn__articulation_props__solver_position_iteration_count=own,
+        **{ITERATIONS: own},
     )
     assert found.settings["position_iterations"] == used
     assert ("clamped" in found.origins["position_iterations"]) == (used not in (8, 16))
@@ -180,6 +183,17 @@ def test_what_the_engine_cannot_represent_is_noted_or_declined() -> None:
     assert scaled.settings["tolerance_length_m"] == pytest.approx(0.1)
     springs = read(scene__terrain__physics_material__compliant_contact_stiffness=1e4)
     assert "compliant_contact_stiffness makes contacts springs" in springs.inapplicable[Need.CONTACT]
+    last = read(sim__physx__solve_articulation_contact_last=True)
+    assert last.inapplicable == {Need.SERVO: "SAPIEN does not expose sim.physx.solve_articulation_contact_last"}
+    assert Need.SERVO in phenomenon("grasp-servo").needs and Need.SERVO not in phenomenon("grasp-sink").needs
+
+
+def test_a_light_jaw_sinks_in_after_few_iterations() -> None:
+    """Its drive is solved after contacts, so that only iterations stop it, as users of Isaac Lab's grippers report."""
+    row, measure = phenomenon("grasp-servo"), Measurements(backend("physx")).measure
+    depths_mm = [measure(row, read(sim__dt=0.01, **{ITERATIONS: count}).settings).value for count in (4, 16)]
+    # The servo asks for 30 mm. What is between a rigid jaw and a rigid palm stops it.
+    assert depths_mm == [pytest.approx(30.0, abs=0.5), pytest.approx(0.0, abs=0.1)]
 
 
 @pytest.mark.parametrize(

@@ -229,7 +229,7 @@ def test_interval_covers_further_trials() -> None:
 
 def test_reality_is_known() -> None:
     chosen = phenomena(include_deformables=True)
-    assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 12
+    assert len({p.id for p in chosen}) == len(chosen) == len(phenomena()) + 13
     for phenomenon in chosen:
         reality = phenomenon.reality
         assert np.isfinite(reality.value) and reality.tolerance > 0.0, phenomenon.id

@@ -12,6 +12,7 @@ from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_do
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.motors import Servo
 from gauge_envs.tools.sanity.model import Need, Reality
 from gauge_envs.tools.sanity.scenario import Scenario
 
@@ -75,9 +76,15 @@ class Phenomenon:
     @property
     def needs(self) -> tuple[Need, ...]:
         """What a target must have for the phenomenon to apply."""
-        contact = (Need.CONTACT,) * bool(self.scenario.scene.contacts)
-        friction = (Need.FRICTION,) * self.needs_friction
-        return (Need.GRAVITY, *contact, *friction, *(Need.FOOT,) * self.needs_foot, *(Need.SPACE,) * self.needs_space)
+        scene = self.scenario.scene
+        needed = {
+            Need.CONTACT: bool(scene.contacts),
+            Need.FRICTION: self.needs_friction,
+            Need.FOOT: self.needs_foot,
+            Need.SPACE: self.needs_space,
+            Need.SERVO: any(isinstance(motor, Servo) for _, motor in scene.motors),
+        }
+        return (Need.GRAVITY, *(need for need, is_needed in needed.items() if is_needed))
 
 
 RECORDINGS = "scoring/facts/recordings/recordings.toml"

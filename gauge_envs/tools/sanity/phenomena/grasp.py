@@ -10,9 +10,9 @@ from typing import Any
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
-from gauge_envs.tools.conformance import HELD, TURNED, checks, grasp_creep, grasp_sink, grasp_turn, turning_scene
+from gauge_envs.tools.conformance import HANDS, SQUEEZED, checks, turning_scene
 from gauge_envs.tools.sanity.model import Reality
-from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
 
 MIDDLE = 0.545
@@ -37,13 +37,23 @@ def _row(name: str, scene: Scene, value: Callable[[Rollout], float], **texts: An
 
 def held(id: str, quantity: str) -> Phenomenon:
     """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check."""
-    (known,) = checks([id])
-    measure = {"grasp-creep": grasp_creep, "grasp-sink": grasp_sink}.get(id, grasp_turn)
-    name, scene, law = (id, TURNED, MIDDLE) if measure is grasp_turn else ("grasp", HELD, 0.0)
+    (known,), (scene, measure) = checks([id]), HANDS[id]
+    name, law = (id, MIDDLE) if id == "grasp-torsion" else ("grasp", 0.0)
     source, allowed = f"{known.source}: {known.law}", known.tolerance
     real = Reality.law(law, tolerance=allowed.width(law), source=source, rationale=allowed.rationale)
     texts = {"title": known.title, "quantity": quantity, "unit": known.unit, "reality": real}
     return _row(name, scene, lambda rollout: measure(rollout).measured, **texts)
+
+
+def servo() -> Phenomenon:
+    """Return the depth of a light jaw in a cube, while its position servo presses with the largest torque."""
+
+    def depth_mm(rollout: Rollout) -> float:
+        settled = rollout.times_s > 0.5 * SQUEEZED.duration_s
+        return -1e3 * float(rollout.displacement("jaw")[settled, 0].mean())
+
+    title, real = "jaw of a servo sinks into a cube", rigid_law("rigid bodies: no depth", 1.0, "a cube of 34 mm")
+    return _row("grasp-servo", SQUEEZED, depth_mm, title=title, quantity="depth", unit="mm", reality=real)
 
 
 def rolling() -> Phenomenon:

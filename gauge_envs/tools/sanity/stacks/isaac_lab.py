@@ -171,7 +171,7 @@ def isaac_lab_configuration(cfg: Mapping[str, Any], *, name: str, source: str) -
         gravity_m_per_s2=sim.numbers("gravity", 3),
         frame_skip=table.whole("decimation"),
         foot_contact=combined(ground, foot),
-        inapplicable=_inapplicable(table, ground, foot),
+        inapplicable=_inapplicable(table, physx, ground, foot),
     )
 
 
@@ -270,7 +270,7 @@ def _iterations(physx: Table, kind: str, stated: int | None, origin: str, values
     return used, origin if used == count else f"{origin}, clamped to {physx.path}"
 
 
-def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, str]:
+def _inapplicable(table: Table, physx: Table, ground: Material, foot: Material) -> dict[Need, str]:
     """Return what the engine cannot represent and what then cannot be judged."""
     for key in ("scene.terrain.physics_material", "terrain.physics_material", "sim.physics_material"):
         material = table.table(key)
@@ -278,7 +278,8 @@ def _inapplicable(table: Table, ground: Material, foot: Material) -> dict[Need, 
         if material is not None and is_used and (material.number("compliant_contact_stiffness") or 0.0) > 0.0:
             name = material.name("compliant_contact_stiffness")
             return {Need.CONTACT: f"{name} makes contacts springs, which SAPIEN does not expose"}
-    return {}
+    last = "solve_articulation_contact_last"
+    return {Need.SERVO: f"SAPIEN does not expose {physx.name(last)}"} if physx.flag(last) else {}
 
 
 # --- materials -------------------------------------------------------------------------------------------------------
