@@ -62,7 +62,7 @@ LONG = (
 """Checks that take a quarter of a second or more, each beside a shorter one of the same law or contract."""
 
 ENGINES = (
-    Engine(name="mujoco", module="mujoco"),
+    Engine(name="mujoco", module="mujoco", long=(*LONG, "foam-start", "foam-poisson")),
     Engine(name="rapier", module="rapier3d", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
     Engine(name="physx", module="sapien", lacks=(*DEFORMABLE, *TURNING), quick=(*CORE, "joint-*"), long=LONG),
     Engine(

@@ -35,7 +35,7 @@ def frames_of(name: str, engine: str, parameters: str | dict[str, float] = "cali
     return result.trajectory.arrays()[1][::6][: result.frames]
 
 
-@pytest.mark.parametrize("foam", ["soft", "hard"])
+@pytest.mark.parametrize("foam", ["soft", pytest.param("hard", marks=pytest.mark.slow)])
 @pytest.mark.parametrize(("family", "sign"), [("FoamStretching", 1.0), ("FoamCompressing", -1.0)])
 def test_areas_are_those_of_a_uniform_strain(family: str, sign: float, foam: str) -> None:
     """A face lies in the plane of the axis and one lateral direction: its area has the product of both stretches."""

@@ -97,7 +97,7 @@ COMMANDS = (
 )
 
 
-@pytest.mark.parametrize("width", [80, 120])
+@pytest.mark.parametrize("width", [80, pytest.param(120, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
 def test_a_table_fits_the_terminal_and_breaks_no_word(
     gauge: Print, unlimited: dict[tuple[str, ...], set[str]], command: tuple[str, ...], width: int

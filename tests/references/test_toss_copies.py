@@ -37,7 +37,7 @@ def laid_elsewhere(corners: Any, *, turn: Any = None, mirrored: bool = False, sh
     return moved[:, np.random.default_rng(0).permutation(moved.shape[1])]
 
 
-@pytest.mark.parametrize("name", [CUBE, BLOCKS])
+@pytest.mark.parametrize("name", [CUBE, pytest.param(BLOCKS, marks=pytest.mark.slow)])
 def test_the_files_name_all_copies(corners_m: dict[str, list[Any]], name: str) -> None:
     assert copies(corners_m[name]) == shots_of(name).copies
     assert len(shots_of(name).copies) == {CUBE: 25, BLOCKS: 0}[name]
