@@ -12,7 +12,7 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 88_975, 57_367
+MOST_LINES, MOST_CODE_LINES = 88_999, 57_387
 """Of the package with its instruments."""
 MOST_CORE_LINES = 44_817
 """Of the package without `tools/`."""

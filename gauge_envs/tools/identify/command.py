@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.output import Format, Progress, echo, print_document
+from gauge_envs.cli.output import Format, Progress, echo, note, print_document
 from gauge_envs.errors import ParameterError
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ def recipe_joint(
     identified. test=LOG,LOG: logs to predict. part_s=: longest part that is simulated at once. timestep_s= of the
     engine.
 
-    Exit code 1 when the logs leave a setting open.
+    Exit code 1 when the logs leave a setting open, or the engine does not follow a fitted one.
     """
     from gauge_envs.backends import backend
     from gauge_envs.tools.identify import identify, read_log
@@ -46,6 +46,9 @@ def recipe_joint(
     logs, tests = (
         [read_log(Path(name)) for name in some if name] for some in (names, details.pop("test", "").split(","))
     )
+    for log in (*logs, *tests):
+        if (reach_rad := float(abs(log.position_rad).max())) > 6.2832:
+            note(f"{log.name}: angles reach {reach_rad:.3g} rad, {reach_rad / 6.2832:.2g} turns: are they in degrees?")
     wanted = details.pop("fit", ",".join(SERVO if logs[0].command_rad is not None else PASSIVE)).split(",")
     part_s = details.pop("part_s", None)
     settings = {name: details.pop(name) for name in ("timestep_s",) if name in details}
@@ -63,7 +66,9 @@ def recipe_joint(
     print_document(identified_document(found), form)
     if form is not Format.JSON:
         echo(f"\npaste\n{snippet(found)}", nl=False)
-    return any(one.unknown for one in found.settings)
+    for name in found.lost:
+        note(f"{name}: {engine} does not follow it, do not use these settings: is a column, the load or a unit wrong?")
+    return any(one.unknown for one in found.settings) or bool(found.lost)
 
 
 def _scene(scene: str | None = None, **load: float) -> Scene:

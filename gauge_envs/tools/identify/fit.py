@@ -76,6 +76,7 @@ class Identified:
         joints: All numbers of each joint by name, also those that the scene states; 0 is none.
         error_rad: Root mean square error of each log that was fitted [rad], by its name, shape [J] each.
         held_out_rad: The same of logs that were not.
+        motion_rad: Standard deviation of the measured angles of each log [rad].
         simulations: Number of simulated parts of logs.
     """
 
@@ -84,7 +85,14 @@ class Identified:
     joints: Sequence[Mapping[str, float]]
     error_rad: Mapping[str, FloatArray]
     held_out_rad: Mapping[str, FloatArray] = field(default_factory=dict)
+    motion_rad: Mapping[str, FloatArray] = field(default_factory=dict)
     simulations: int = 0
+
+    @property
+    def lost(self) -> list[str]:
+        """Names of the fitted logs of which the error is above a third of the motion, and above 0.01 rad."""
+        motion = self.motion_rad
+        return [name for name, error in self.error_rad.items() if (error > np.maximum(motion[name] / 3.0, 0.01)).any()]
 
 
 @dataclass
@@ -313,6 +321,11 @@ def identify(
     stages = []
     first_s, long_s = SERVO_PARTS_S if servo else FREE_PARTS_S
     part_s = part_s or long_s
+    for log in logs:
+        apart_s = float(np.median(np.diff(log.times_s)))
+        if 10.0 * apart_s > first_s:
+            reason = f"samples are {apart_s:.3g} s apart, and at least 10 in {first_s:g} s are needed"
+            raise ParameterError(f"{log.name}: {reason}; time_s is in seconds")
     for longest_s, free in ((first_s, False), (part_s, not servo)):
         parts = [part for log in logs for part in log.pieces(longest_s) if len(part.times_s) >= 10]
         stages.append(problem(parts, [part.start() for part in parts], free_starts=free))
@@ -331,6 +344,7 @@ def identify(
         joints=numbers(with_terms(scene, long.unknowns(unknowns)[0], logs[0], np.zeros(long.joints))),
         error_rad=_errors(long, unknowns),
         held_out_rad=_held_out(problem, held_out, part_s, long, unknowns) if held_out else {},
+        motion_rad={log.name: log.position_rad.std(axis=0) for log in (*logs, *held_out)},
         simulations=short.simulations + long.simulations,
     )
 

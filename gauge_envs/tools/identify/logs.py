@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterator
+import io
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -21,7 +22,7 @@ class Log:
     """What was measured at the joints of a machine, with N samples of J joints.
 
     Attributes:
-        name: Name of the file, or of the file and the part.
+        name: The file, or the file and the part.
         times_s: Times of the samples, ascending [s], shape [N].
         position_rad: Measured angles [rad], shape [N, J].
         command_rad: Commanded angles of position servos [rad], shape [N, J]; None without servos.
@@ -62,52 +63,55 @@ def read_log(path: Path) -> Log:
 
     A CSV file has a header with `time_s`, `position_rad` and one of `command_rad` and `torque_n_m`, or none of both for
     a joint that swings freely. Several joints have columns with a name behind a dot each, as `position_rad.elbow`. An
-    NPZ file has arrays of these names, shape [N] or [N, J].
+    NPZ file has arrays of these names, shape [N] or [N, J]. Other columns do not matter to a joint with a motor.
 
     Raises:
-        AssetError: The file cannot be read, a column is missing or unknown, numbers are not finite, or times do not
-            ascend.
+        AssetError: The file cannot be read, a column is missing, numbers are not finite, times do not ascend, or
+            the log of a free swing has an unknown column.
     """
     try:
-        columns = _npz(path) if path.suffix == ".npz" else _csv(path)
+        named = _npz(path) if path.suffix == ".npz" else _csv(path)
     except (OSError, ValueError, KeyError) as error:
         raise AssetError(path, "log", f"cannot be read as CSV or NPZ: {error}") from None
-    for name in ("time_s", POSITION):
-        if name not in columns:
-            raise AssetError(path, name, f"the column is missing; the file has {', '.join(columns) or 'none'}")
-    if COMMAND in columns and TORQUE in columns:
-        raise AssetError(path, TORQUE, f"a log states {COMMAND} of servos or {TORQUE} of motors, not both: remove one")
-    times_s, shape = columns["time_s"][:, 0], columns[POSITION].shape
-    for name, values in columns.items():
-        if not np.isfinite(values).all():
-            row = int(np.argwhere(~np.isfinite(values))[0][0])
+    kinds = {name: name.split(".")[0] for name in named}
+    motors = [kind for kind in (COMMAND, TORQUE) if kind in kinds.values()]
+    joints = [name.removeprefix(POSITION) for name, kind in kinds.items() if kind == POSITION] or [""]
+    for name in ("time_s", *(kind + joint for kind in (POSITION, *motors) for joint in joints)):
+        if name not in named:
+            raise AssetError(path, name, f"the column is missing; the file has {', '.join(named) or 'none'}")
+        if not np.isfinite(named[name]).all():
+            row = int(np.argwhere(~np.isfinite(named[name]))[0][0])
             raise AssetError(path, name, f"row {row + 1} is not a finite number")
-        if name != "time_s" and values.shape != shape:
-            raise AssetError(path, name, f"{values.shape} numbers, where {POSITION} has {shape}")
+    if len(motors) > 1:
+        raise AssetError(path, TORQUE, f"a log states {COMMAND} of servos or {TORQUE} of motors, not both: remove one")
+    if not motors and (strange := [name for name, kind in kinds.items() if kind not in ("time_s", POSITION)]):
+        free = f"without {COMMAND} of a servo or {TORQUE} of a motor, a joint swings freely"
+        raise AssetError(path, strange[0], f"{free}: rename this column, or remove it")
+    columns = {kind: np.hstack([named[kind + joint] for joint in joints]) for kind in (POSITION, *motors)}
+    _check(path, named["time_s"][:, 0], columns)
+    return Log(str(path), named["time_s"][:, 0], columns[POSITION], columns.get(COMMAND), columns.get(TORQUE))
+
+
+def _check(path: Path, times_s: FloatArray, columns: Mapping[str, FloatArray]) -> None:
+    for name, values in columns.items():
+        if values.shape != (shape := (len(times_s), columns[POSITION].shape[1])):
+            raise AssetError(path, name, f"{values.shape} numbers, where time_s and {POSITION} have {shape}")
     if len(times_s) < 20:
         raise AssetError(path, "time_s", f"{len(times_s)} samples: 20 or more are needed")
     late = np.flatnonzero(np.diff(times_s) <= 0.0)
     if len(late):
         raise AssetError(path, "time_s", f"row {late[0] + 2} is not later than the row before it")
-    return Log(path.name, times_s, columns[POSITION], columns.get(COMMAND), columns.get(TORQUE))
-
-
-KNOWN = ("time_s", POSITION, COMMAND, TORQUE)
 
 
 def _npz(path: Path) -> dict[str, FloatArray]:
     with np.load(path, allow_pickle=False) as data:
-        columns = {name: np.asarray(data[name], dtype=np.float64) for name in KNOWN if name in data}
-    return {name: values.reshape(len(values), -1) for name, values in columns.items()}
+        return {name: np.asarray(data[name], dtype=np.float64).reshape(len(data[name]), -1) for name in data}
 
 
 def _csv(path: Path) -> dict[str, FloatArray]:
-    with path.open(newline="", encoding="utf-8") as file:
-        names = next(csv.reader(file), [])
-    table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
-    kinds = [name.strip().split(".")[0] for name in names]
-    return {
-        kind: table[:, [column for column, one in enumerate(kinds) if one == kind]]
-        for kind in dict.fromkeys(kinds)
-        if kind in KNOWN
-    }
+    """Return the columns by name, NaN where there is no number; spreadsheets write semicolons and decimal commas."""
+    header, _, rows = path.read_text(encoding="utf-8-sig").partition("\n")
+    if ";" in header:
+        header, rows = header.replace(";", ","), rows.replace(",", ".").replace(";", ",")
+    table = np.genfromtxt(io.StringIO(rows or "nan"), delimiter=",", ndmin=2)
+    return {name.strip(): table[:, [place]] for place, name in enumerate(next(csv.reader([header]), []))}

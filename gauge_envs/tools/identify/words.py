@@ -32,10 +32,10 @@ def identified_document(found: Identified) -> Document:
         notes=("low and high are the ends of the 95 % interval.", *([KV_NOTE] if has_kv else []), ""),
     )
     rows = [
-        {"log": name, "used": used, "joint": joint, "error": 1e3 * float(error)}
+        {"log": name, "used": used, "joint": joint, "error": 1e3 * float(error), "motion": 1e3 * float(motion)}
         for used, errors in (("fitted", found.error_rad), ("held out", found.held_out_rad))
         for name, values in errors.items()
-        for joint, error in enumerate(values)
+        for joint, (error, motion) in enumerate(zip(values, found.motion_rad[name], strict=True))
     ]
     errors = Table(
         columns=(
@@ -43,6 +43,7 @@ def identified_document(found: Identified) -> Document:
             Column("used", ""),
             Column("joint", "joint"),
             number("error", "rms error [mrad]"),
+            number("motion", "rms motion [mrad]"),
         ),
         rows=rows,
     )

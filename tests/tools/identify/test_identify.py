@@ -115,6 +115,7 @@ def test_gains_and_delay_of_a_servo_are_found() -> None:
     )
     kp, kv, delay_s = (one.value for one in found.settings)
     # The log states a step of the command as a ramp of 5 ms, whose middle is half of that early.
+    assert found.lost == []
     assert kp == pytest.approx(0.8, rel=0.02)
     assert kv == pytest.approx(0.02, rel=0.04)
     assert delay_s == pytest.approx(0.0525, abs=0.0015)
@@ -239,8 +240,12 @@ HEADER = "time_s,position_rad,command_rad\n"
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("time_s,angle\n0,0\n", "position_rad: the column is missing"),
-        (HEADER + "0,x,0\n", "cannot be read"),
+        ("time_s,angle\n0,0\n", "position_rad: the column is missing; the file has time_s, angle"),
+        ("", "time_s: the column is missing; the file has none"),
+        (HEADER + "0,x,0\n", "row 1 is not a finite number"),
+        (HEADER + "0,0\n1,0,0\n", "cannot be read"),
+        ("time_s,position_rad,cmd\n" + "".join(f"{n},0,0\n" for n in range(30)), "cmd: .* swings freely: rename"),
+        ("time_s,position_rad.a,position_rad.b,command_rad.a\n0,0,0,0\n", "command_rad.b: the column is missing"),
         (HEADER + "".join(f"{n},0,0\n" for n in range(5)), "5 samples: 20 or more"),
         (HEADER + "".join(f"{n % 15},0,0\n" for n in range(30)), "row 16 is not later"),
         (HEADER + "".join(f"{n},{'nan' if n == 3 else 0},0\n" for n in range(30)), "row 4 is not a finite number"),
@@ -265,6 +270,56 @@ def test_a_log_of_two_joints_has_two_columns(tmp_path: Path) -> None:
     play = replace(scene.hinges[0], dynamics=JointDynamics(armature_kg_m2=0.01, backlash_rad=0.01))
     with pytest.raises(ParameterError, match="backlash_rad, which is not identified"):
         identify(backend("mujoco"), replace(scene, joints=(play,)), [log], [DRY])
+
+
+@pytest.mark.parametrize("form", ["spreadsheet", "order", "npz"])
+def test_a_log_in_another_form_is_the_same(tmp_path: Path, form: str) -> None:
+    times_s = np.arange(30) / 50
+    angles, commands = (np.column_stack([turn(times_s), turn(2 * times_s)]) for turn in (np.sin, np.cos))
+    path = tmp_path / f"log.{'npz' if form == 'npz' else 'csv'}"
+    if form == "npz":
+        np.savez(path, time_s=times_s, position_rad=angles, command_rad=commands)
+    else:
+        kinds = ("position_rad.a", "position_rad.b", "command_rad.b", "command_rad.a", "state")
+        header = ",".join(("time_s", *kinds))
+        rows = [
+            f"{t!r},{a!r},{b!r},{d!r},{c!r},on"
+            for t, (a, b), (c, d) in zip(times_s.tolist(), angles.tolist(), commands.tolist(), strict=True)
+        ]
+        text = "\n".join((header, *rows, ""))
+        if form == "spreadsheet":
+            text = text.replace(",", ";").replace("\n", "\r\n")
+            text = "\ufeff" + text.partition("\n")[0] + "\n" + text.partition("\n")[2].replace(".", ",")
+        path.write_bytes(text.encode())
+    log = read_log(path)
+    assert log.command_rad is not None
+    assert np.array_equal(log.times_s, times_s)
+    assert np.array_equal(log.position_rad, angles)
+    assert np.array_equal(log.command_rad, commands)
+
+
+@pytest.mark.slow
+def test_a_servo_without_its_commands_is_not_followed() -> None:
+    log = replace(servo_log(kp=0.8, kv=0.02, delay_s=0.05), command_rad=None)
+    assert found_in(log, DRY, VISCOUS, ARMATURE).lost == [log.name]
+
+
+def test_an_error_below_the_encoder_or_a_third_of_the_motion_is_followed() -> None:
+    errors = {"swing": 0.03, "still": 0.002, "lost": 0.04}
+    motion = {"swing": 0.1, "still": 0.002, "lost": 0.1}
+    error_rad, motion_rad = ({name: np.array([one]) for name, one in some.items()} for some in (errors, motion))
+    found = Identified(engine="mujoco", settings=(), joints=(), error_rad=error_rad, motion_rad=motion_rad)
+    assert found.lost == ["lost"]
+
+
+def test_a_log_in_milliseconds_or_degrees_is_doubted(tmp_path: Path) -> None:
+    path = tmp_path / "log.csv"
+    path.write_text("time_s,position_rad\n" + "".join(f"{20 * n},{30 * np.cos(0.1 * n)}\n" for n in range(200)))
+    result = CliRunner().invoke(app, ["recipe", "joint", str(path), "mass_kg=1", "length_m=0.2"])
+    assert result.exit_code == 2, result.output
+    said = " ".join(result.stderr.split())
+    assert "samples are 20 s apart, and at least 10 in 0.6 s are needed; time_s is in seconds" in said
+    assert "angles reach 30 rad, 4.8 turns: are they in degrees?" in said
 
 
 def test_a_wrong_request_is_refused(tmp_path: Path) -> None:
