@@ -45,9 +45,6 @@ def contents_sha256(contents: Sequence[bytes]) -> str:
     return hashlib.sha256(b"".join(hashlib.sha256(content).digest() for content in contents)).hexdigest()
 
 
-# --- the scene of a variant, from a file -----------------------------------------------------------------------------
-
-
 def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
     """Return an experiment with the scene of a file.
 

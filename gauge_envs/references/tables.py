@@ -79,9 +79,6 @@ def read_toml(file: Path, model: type[Model]) -> Model:
         return model.model_validate(toml_document(read_content(file)))
 
 
-# --- CSV -------------------------------------------------------------------------------------------------------------
-
-
 def csv_header(file: Path) -> list[str]:
     """Return the names of the columns of a CSV file."""
     return next(_csv_rows(file), (1, []))[1]

@@ -70,9 +70,6 @@ def _preset_name(scene: Scene) -> str:
     return "impact" if all(contact.mode is ContactMode.IMPACT for contact in scene.contacts) else "default"
 
 
-# --- support ----------------------------------------------------------------------------------------------------------
-
-
 def unsupported_features(scene: Scene, settings: SettingsGenesis) -> Iterator[str]:
     """Yield one sentence for each kind of unsupported feature of a scene."""
     hinges = Counter(joint.body for joint in scene.joints if isinstance(joint, Hinge))

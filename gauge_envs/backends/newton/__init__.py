@@ -86,9 +86,6 @@ def _start_quietly() -> None:
     warp.config.log_level = warp.LOG_WARNING
 
 
-# --- support ----------------------------------------------------------------------------------------------------------
-
-
 def _check_preset(scene: Scene, settings: SettingsNewton) -> None:
     """Raise an error if the solver of settings does not simulate the kinds of body in a scene."""
     has_cloth = any(isinstance(body, Cloth) for body in scene.deformables)

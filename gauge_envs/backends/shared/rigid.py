@@ -109,9 +109,6 @@ def tether_pull(
     return size * along if size > 0.0 else None
 
 
-# --- driven motion ---------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
 class DrivenMotion:
     """Uniformly accelerated motion of a driven body, with the arguments of `World.drive`.

@@ -63,9 +63,6 @@ def experiment_stage(experiment: TaskExperiment, *, samples_per_frame: int = 1, 
     return stage
 
 
-# --- MJCF -------------------------------------------------------------------------------------------------------------
-
-
 def write_mjcf(experiment: TaskExperiment, path: Path) -> None:
     """Write the MuJoCo model of a variant as a self-contained file in full precision.
 

@@ -114,8 +114,6 @@ def _carry_slip(lab: Lab) -> Measurement:
     return Measurement(measured=measured, expected=0.05 * G)
 
 
-# --- collisions ------------------------------------------------------------------------------------------------------
-
 # The contract has no start velocities, so a driven plate accelerates the first ball, then brakes and loses contact.
 
 LEFT_KG, RIGHT_KG, RESTITUTION = 0.1, 0.2, 0.6

@@ -142,8 +142,6 @@ def _reported_hint(reported: NDArray[np.float64]) -> str:
     return "; ".join(found)
 
 
-# --- limits of speed -------------------------------------------------------------------------------------------------
-
 SPIN_RAD_PER_S, SLOW_M_PER_S = 200.0, 0.003
 
 

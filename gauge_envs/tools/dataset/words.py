@@ -117,9 +117,6 @@ def _spread(mean: float | None, std: float | None) -> str:
     return f"{mean:.4g}" if std is None else f"{mean:.4g} ({std:.3g})"
 
 
-# --- state of the dataset --------------------------------------------------------------------------------------------
-
-
 def status_rows(variants: Iterable[Variant]) -> list[dict[str, Any]]:
     """Return one JSON-ready row per variant.
 

@@ -20,7 +20,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
 from gauge_envs.tools.video.frames import Frames, Picture, cv2
 from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
-from gauge_envs.tools.video.scoring import VideoScore, noise_px, score_track
+from gauge_envs.tools.video.scoring import Grade, VideoScore, noise_px, score_track
 from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
 from gauge_envs.tools.video.track import Track
 from gauge_envs.tools.video.tracker import track_object
@@ -52,6 +52,9 @@ LEAST_FALL, REACH = 0.05, 4
 
 DRAWS = 40
 """Simulated tracks from which the interval of a material's constant is taken."""
+
+MOST_GRAVITY = 0.2
+"""Largest share by which the gravity of a fall or a swing differs: a swing of a radian takes 0.12."""
 
 LEAST_FLIGHT = 5
 """Fewest frames of a flight between two impacts."""
@@ -216,9 +219,6 @@ def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, i
     return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
-# --- score and material ----------------------------------------------------------------------------------------------
-
-
 def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None) -> VideoScore:
     """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
 
@@ -229,7 +229,8 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
         angle_deg: Slope of a slide or roll [degrees]; that of its motion in the plane if None.
 
     Returns:
-        The result; its track is on the grid of the frontal film.
+        The result; its track is on the grid of the frontal film. It is invalid if it has another gravity than the
+        Earth's, or a constant that no material has.
     """
     task = film.task(motion, box_px)
     inertia = film.camera.inertia_factor
@@ -240,14 +241,31 @@ def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_
     result = score_track(seen, task, name=film.name, camera=film.camera)
     if result.interval_frames is None:
         return replace(result, track=track)
+    plane = frontal_task(film.camera, seen, task)
     if task.motion is Motion.SLIDE:
         name = "friction" if inertia is None else "rolling_resistance"
-        value, interval = resistance(result, frontal_task(film.camera, seen, task), angle_deg, inertia or 0.0)
+        value, interval = resistance(result, plane, angle_deg, inertia or 0.0)
     else:
         name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
         value, interval = _drawn(seen, task, film.camera, result)
-    metrics, uncertainty = {**result.metrics, name: value}, {**result.uncertainty, name: interval}
-    return replace(result, track=track, metrics=metrics, uncertainty=uncertainty)
+    gravity = result.metrics["a_m_s2"] if task.motion is Motion.FALL else laws.GRAVITY_M_PER_S2
+    if plane.pivot_px is not None and (period_s := result.metrics["pd_s"]):
+        arms_px = np.subtract(frontal_track(film.camera, seen, plane).points_px[seen.is_found], plane.pivot_px)
+        gravity = (2.0 * math.pi / period_s) ** 2 * plane.scale_m_per_px * float(np.linalg.norm(arms_px, axis=1).mean())
+    faults = [f"{name} is below 0"] if interval and interval[1] < 0.0 else []
+    if gravity is not None and abs(gravity / laws.GRAVITY_M_PER_S2 - 1.0) > MOST_GRAVITY:
+        faults.append(f"gravity is {gravity:.3g} m/s^2")
+    reasons = [
+        f"{one}: give fps= of the camera if the film is in slow motion, and check the camera file" for one in faults
+    ]
+    return replace(
+        result,
+        track=track,
+        grade=Grade.INVALID if faults else result.grade,
+        reasons=(*reasons, *result.reasons),
+        metrics={**result.metrics, name: value},
+        uncertainty={**result.uncertainty, name: interval},
+    )
 
 
 def swing_log(film: FrontalFilm, result: VideoScore) -> str:

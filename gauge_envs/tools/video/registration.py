@@ -71,7 +71,7 @@ def registration_by_outline(picture: NDArray[np.uint8], task: VideoTask) -> Regi
         task: The task.
     """
     size = (picture.shape[1], picture.shape[0])
-    if task.id in tuple(Motion):
+    if not task.real:
         # A film of one's own has no known first frame: it is on the grid already.
         return stretched(size)
     scene = _Scene(picture, task)

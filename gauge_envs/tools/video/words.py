@@ -27,6 +27,7 @@ TITLES = {
     "de_n": "dynamic error [N]",
     "form": "form",
     "friction": "friction",
+    "rolling_resistance": "rolling resistance",
     "restitution": "restitution",
     "damping_per_s": "damping [1/s]",
 }

@@ -24,6 +24,7 @@ from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, sc
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
 from gauge_envs.tools.video.own import FrontalFilm, charuco, resistance, restitution  # noqa: E402
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
+from gauge_envs.tools.video.words import TITLES  # noqa: E402
 
 sys.path.insert(0, str(ROOT / "studies" / "handheld"))
 from handheld import SIZE_PX, shot  # noqa: E402
@@ -105,6 +106,33 @@ def test_three_films_hold_the_truth(motion: str, tmp_path: Path) -> None:
         outcome = run("video", "score", one.video, "--id", motion, "--camera", one.camera, f"object={box}", "--json")
         low, high = json.loads(outcome.stdout)["uncertainty"][one.name]
         assert low <= one.truth <= high, (seed, one.truth, low, high)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("motion", "fault", "reason"),
+    [
+        ("fall", "slow", r"gravity is (2\.[345]\d) m/s\^2: give fps= of the camera"),
+        ("pendulum", "slow", r"gravity is (2\.[345]\d?) m/s\^2: give fps= of the camera"),
+        ("slide", "millimetres", "friction is below 0: .* check the camera file"),
+        ("roll", "millimetres", "rolling_resistance is below 0: .* check the camera file"),
+    ],
+)
+def test_slow_motion_and_a_board_in_millimetres_are_invalid(
+    motion: str, fault: str, reason: str, tmp_path: Path
+) -> None:
+    one = shot(motion, 335, tmp_path, fps=30.0)
+    box = ",".join(f"{value:.0f}" for value in one.box_px)
+    words = ["video", "score", one.video, "--id", motion, f"object={box}", "--camera"]
+    sound = run(*words, one.camera)
+    assert "invalid" not in sound.output
+    assert TITLES[one.name] in sound.output
+    wrong = tmp_path / "wrong.toml"
+    text = one.camera.read_text()
+    wrong.write_text(text.replace("square_m = 0.035", "square_m = 35") if fault == "millimetres" else text)
+    outcome = run(*words, wrong, *(["fps=15"] if fault == "slow" else []))
+    assert f"invalid for {motion}" in outcome.output
+    assert re.search(reason, " ".join(outcome.output.split())), outcome.output
 
 
 def test_a_film_without_the_board_says_how_many_frames_lack_it() -> None:
