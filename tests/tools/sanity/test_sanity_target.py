@@ -378,6 +378,12 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
         ("a.json", GENESIS % ("0.01", "[3]"), "rigid.integrator is a list, and a number is expected"),
         ("a.json", GENESIS.replace("9.81", '"down"') % ("0.01", "0"), "sim.gravity is 'down', and a number"),
         ("a.xml", "<mujoco><option speed='3'/></mujoco>", "MuJoCo cannot load it: .*speed"),
+        (
+            "a.urdf",
+            "<robot name='a'><link name='b'><collision><geometry><mesh filename='package://a/b.stl'/></geometry>"
+            "</collision></link></robot>",
+            "MuJoCo cannot load it: .*; state files of package:// relative to this one",
+        ),
     ],
 )
 def test_a_wrong_file_is_named_with_its_key(tmp_path, name: str, text: str, message: str) -> None:

@@ -91,7 +91,8 @@ def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfigu
         spec = mujoco.MjSpec.from_file(str(path))
         model = spec.compile()
     except ValueError as error:
-        raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}") from None
+        hint = "; state files of package:// relative to this one" if "package:/" in str(error) else ""
+        raise TargetError(f"{path}: MuJoCo cannot load it: {' '.join(str(error).split())}{hint}") from None
     return mujoco_configuration(model, name=path.name, source=f"model file {path}", pair=pair, spec=spec)
 
 
