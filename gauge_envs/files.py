@@ -162,6 +162,13 @@ def json_document(content: bytes) -> Any:
         raise ValueError("its objects and lists are nested too deeply") from None
 
 
+def csv_text(content: bytes) -> io.StringIO:
+    """Return CSV in UTF-8 with commas; spreadsheets write a byte-order mark, or semicolons and decimal commas."""
+    text = content.decode("utf-8-sig")
+    header = next((line for line in text.splitlines() if not line.startswith("#")), "")
+    return io.StringIO(text.replace(",", ".").replace(";", ",") if ";" in header else text, newline="")
+
+
 def toml_document(content: bytes) -> dict[str, Any]:
     """Return the tables of a TOML document."""
     if len(content) > MOST_TOML_BYTES:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from pathlib import Path
 from typing import Literal
@@ -10,7 +11,7 @@ import pytest
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import first_fault
-from gauge_envs.files import write_whole
+from gauge_envs.files import csv_text, write_whole
 
 
 def test_a_failed_write_leaves_the_old_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -83,3 +84,16 @@ def test_the_noun_of_a_field_can_be_chosen() -> None:
     with pytest.raises(ValidationError) as caught:
         Drawing.model_validate({"name": "a", "colour": 1})
     assert first_fault(caught.value, noun="setting") == ("colour", "unknown setting")
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"# 1; 2\nframe,mean.x\n0,1.5\n",
+        b"\xef\xbb\xbf# 1; 2\r\nframe,mean.x\r\n0,1.5\r\n",
+        b"# 1; 2\nframe;mean.x\n0;1.5\n",
+        b"\xef\xbb\xbf# 1; 2\r\nframe;mean.x\r\n0;1,5\r\n",
+    ],
+)
+def test_csv_of_a_spreadsheet_is_read(content: bytes) -> None:
+    assert [row for row in csv.reader(csv_text(content)) if row[0][0] != "#"] == [["frame", "mean.x"], ["0", "1.5"]]

@@ -15,7 +15,6 @@ frame is not shifted to earlier times. Later ones are not used.
 """
 
 import csv
-import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +27,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import TrajectoryFileError
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.files import MEGABYTE, json_document, npz_arrays, npz_names, os_errors, read_regular
+from gauge_envs.files import MEGABYTE, csv_text, json_document, npz_arrays, npz_names, os_errors, read_regular
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -207,7 +206,7 @@ def _csv_rows(layout: _FileLayout) -> tuple[list[tuple[str, list[str]]], list[st
     rows: list[tuple[str, list[str]]] = []
     header: list[str] | None = None
     try:
-        reader = csv.reader(io.StringIO(_bytes(layout.file).decode("utf-8-sig"), newline=""))
+        reader = csv.reader(csv_text(_bytes(layout.file)))
         for fields in reader:
             if not any(field.strip() for field in fields):
                 continue

@@ -1,7 +1,6 @@
 """Read the CSV, TOML and JSON files of reference data, each row and table checked by a pydantic model."""
 
 import csv
-import io
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
@@ -12,7 +11,7 @@ import numpy as np
 from pydantic import AfterValidator, BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from gauge_envs.errors import ReferenceFileError, first_fault
-from gauge_envs.files import MEGABYTE, data_folder, read_regular, toml_document
+from gauge_envs.files import MEGABYTE, csv_text, data_folder, read_regular, toml_document
 from gauge_envs.scene.geometry import FloatArray, Vector
 
 MOST_TABLE_BYTES = 16 * MEGABYTE
@@ -88,7 +87,7 @@ def _csv_rows(file: Path) -> Iterator[tuple[int, list[str]]]:
     """Yield the line number and the fields of each row; lines that start with `#` are notes."""
     line = 0
     try:
-        reader = csv.reader(io.StringIO(read_content(file).decode("utf-8"), newline=""))
+        reader = csv.reader(csv_text(read_content(file)))
         for fields in reader:
             line = reader.line_num
             if not (fields and fields[0].startswith("#")):

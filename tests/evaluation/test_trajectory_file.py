@@ -121,7 +121,7 @@ FLAWED_CSV = {
     "header only": ("cube.x,cube.y,cube.z\n", ["0 rows", "19 frames are needed"]),
     "two columns": ("1,2\n3,4\n", ["line 1", "2 columns", "expected 3 columns", "cube.x [mm]", "cube.z [mm]"]),
     "time without header": ("0,1,2,3\n", ["line 1", "4 columns", "header that names it time_s"]),
-    "semicolons": ("1;2;3\n", ["line 1", "separated by commas"]),
+    "tabs": ("1\t2\t3\n", ["line 1", "separated by commas"]),
     "ragged": ("1,2,3\n1,2\n", ["line 2", "2 columns"]),
     "nan": (broken(4, 1, "nan"), ["line 6", "cube.y", "'nan'", "finite number [mm]"]),
     "infinite": (broken(4, 2, "-inf"), ["line 6", "cube.z", "finite"]),

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gauge_envs.errors import AssetError
+from gauge_envs.files import csv_text
 from gauge_envs.scene.geometry import FloatArray
 
 POSITION, COMMAND, TORQUE = "position_rad", "command_rad", "torque_n_m"
@@ -109,9 +110,7 @@ def _npz(path: Path) -> dict[str, FloatArray]:
 
 
 def _csv(path: Path) -> dict[str, FloatArray]:
-    """Return the columns by name, NaN where there is no number; spreadsheets write semicolons and decimal commas."""
-    header, _, rows = path.read_text(encoding="utf-8-sig").partition("\n")
-    if ";" in header:
-        header, rows = header.replace(";", ","), rows.replace(",", ".").replace(";", ",")
+    """Return the columns by name, NaN where there is no number."""
+    header, _, rows = csv_text(path.read_bytes()).read().partition("\n")
     table = np.genfromtxt(io.StringIO(rows or "nan"), delimiter=",", ndmin=2)
     return {name.strip(): table[:, [place]] for place, name in enumerate(next(csv.reader([header]), []))}

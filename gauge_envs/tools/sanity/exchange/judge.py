@@ -7,7 +7,6 @@ Example:
 """
 
 import csv
-import io
 import math
 import time
 from collections.abc import Iterable, Mapping, Sequence
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.errors import TargetError, TrajectoryFileError
-from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
+from gauge_envs.files import MEGABYTE, csv_text, json_document, os_errors, read_regular, versions
 from gauge_envs.runs.rollout import DivergedError, Rollout
 from gauge_envs.scene import Box, Motion, Pose, RigidBody, Sphere
 from gauge_envs.scene.geometry import FloatArray, vector
@@ -343,7 +342,7 @@ class _Motion:
         with os_errors(lambda cause: self.error(f"cannot be read: {cause}")):
             content = read_regular(self.file, MOST_BYTES)
         try:
-            rows = list(csv.reader(io.StringIO(content.decode("utf-8-sig"), newline="")))
+            rows = list(csv.reader(csv_text(content)))
         except (UnicodeDecodeError, csv.Error) as error:
             raise self.error(f"is no CSV file in UTF-8: {error}") from None
         if len(rows) < 2:
