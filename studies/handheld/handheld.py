@@ -16,6 +16,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.errors import VideoError
 from gauge_envs.tools.video import FileFrames, read_camera
 from gauge_envs.tools.video.own import SQUARES, FrontalFilm, charuco, score_own
 
@@ -283,7 +284,7 @@ def _picture(
 
 
 def main() -> None:
-    """Score films of new seeds, print a line for each, and write `handheld.csv`."""
+    """Score films of new seeds and write `handheld.csv`; a film that is refused is printed with the cause."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs=2, default=(300, 320), metavar=("FIRST", "END"))
     parser.add_argument("--motions", nargs="*", default=["slide", "roll", "fall", "pendulum"])
@@ -297,8 +298,13 @@ def main() -> None:
         for motion in given.motions:
             for seed in range(*given.seeds):
                 one = shot(motion, seed, given.folder, fps=30.0 if motion == "pendulum" else 60.0)
-                film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
-                found = score_own(film, one.motion, one.box_px)
+                try:
+                    film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
+                    found = score_own(film, one.motion, one.box_px)
+                except VideoError as error:
+                    print(error)
+                    rows.writerow([motion, seed, f"{one.truth:.4f}", *["nan"] * 3, "False", "refused"])
+                    continue
                 low, high = found.uncertainty.get(one.name) or (math.nan, math.nan)
                 value = found.metrics.get(one.name) or math.nan
                 numbers = [f"{number:.4f}" for number in (one.truth, value, low, high)]
