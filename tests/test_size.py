@@ -12,9 +12,9 @@ from places import ROOT
 PACKAGE = ROOT / "gauge_envs"
 DOCS = ROOT / "docs"
 
-MOST_LINES, MOST_CODE_LINES = 88_997, 57_407
+MOST_LINES, MOST_CODE_LINES = 89_000, 57_409
 """Of the package with its instruments."""
-MOST_CORE_LINES = 44_807
+MOST_CORE_LINES = 44_811
 """Of the package without `tools/`."""
 MOST_WORDS, MOST_WORDS_OF_A_PAGE = 50_000, 3_000
 """Of the guides, without generated pages."""

@@ -33,7 +33,7 @@ from gauge_envs.scene.geometry import (
     Sphere,
     Vector,
 )
-from gauge_envs.scene.meshes import mass_properties
+from gauge_envs.scene.meshes import body_mass_properties, mass_properties
 from gauge_envs.scene.scene import GRAVITY_M_PER_S2, Scene
 
 __all__ = [
@@ -68,5 +68,6 @@ __all__ = [
     "Sphere",
     "Tether",
     "Vector",
+    "body_mass_properties",
     "mass_properties",
 ]

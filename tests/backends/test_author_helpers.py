@@ -109,6 +109,7 @@ def combined(values: Mapping[str, float], pair: tuple[str, str], rule: Combinati
     return {
         Combination.PRODUCT: one * other,
         Combination.MAX: max(one, other),
+        Combination.MIN: min(one, other),
         Combination.MEAN: 0.5 * (one + other),
         Combination.GEOMETRIC: float(np.sqrt(one * other)),
     }[rule]
@@ -122,6 +123,7 @@ def combined(values: Mapping[str, float], pair: tuple[str, str], rule: Combinati
         (Combination.MEAN, {("a", "b"): 0.2, ("b", "c"): 0.3, ("a", "c"): 0.3}),
         (Combination.MEAN, {("a", "b"): 0.5, ("b", "c"): 0.1}),
         (Combination.MAX, {("a", "b"): 0.2, ("b", "c"): 0.6, ("a", "c"): 0.6}),
+        (Combination.MIN, {("a", "b"): 0.2, ("b", "c"): 0.2, ("a", "c"): 0.6}),
         (Combination.PRODUCT, {("a", "b"): 0.0, ("b", "c"): 0.3}),
         (Combination.PRODUCT, {}),
     ],
@@ -138,6 +140,7 @@ def test_values_of_bodies_give_those_of_pairs(rule: Combination, pairs: dict[tup
     [
         ("product", {("a", "b"): 0.0, ("b", "c"): 0.3, ("a", "c"): 0.3}, "'a' and 'b'"),
         ("max", {("a", "b"): 0.9, ("b", "c"): 0.3, ("a", "c"): 0.3}, "'a' and 'b'"),
+        ("min", TRIANGLE, "'a' and 'b'"),
         ("mean", {("a", "b"): 0.9, ("b", "c"): 0.1, ("a", "c"): 0.1}, "pair '"),
         (
             "geometric",

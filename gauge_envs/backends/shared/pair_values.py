@@ -25,6 +25,8 @@ class Combination(StrEnum):
     """a b."""
     MAX = "max"
     """The larger of a and b."""
+    MIN = "min"
+    """The smaller of a and b."""
     MEAN = "mean"
     """(a + b) / 2."""
     GEOMETRIC = "geometric"
@@ -49,8 +51,9 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
     """
     rule = Combination(rule)
     names = list(dict.fromkeys(name for pair in pairs for name in pair))
-    if rule is Combination.MAX:
-        found = {name: min(value for pair, value in pairs.items() if name in pair) for name in names}
+    if rule in (Combination.MAX, Combination.MIN):
+        limit = min if rule is Combination.MAX else max
+        found = {name: limit(value for pair, value in pairs.items() if name in pair) for name in names}
     elif rule is Combination.MEAN:
         found = _solved(names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0)
     else:
@@ -81,8 +84,8 @@ def _solved(names: list[str], sums: Mapping[Pair, float], *, lowest: float) -> d
 
 
 def _combined(one: float, other: float, rule: Combination) -> float:
-    if rule is Combination.MAX:
-        return max(one, other)
+    if rule in (Combination.MAX, Combination.MIN):
+        return max(one, other) if rule is Combination.MAX else min(one, other)
     if rule is Combination.MEAN:
         return 0.5 * (one + other)
     return one * other if rule is Combination.PRODUCT else float(np.sqrt(one * other))

@@ -128,20 +128,21 @@ def _backends(findings: Sequence[CheckResult]) -> list[str]:
 
 def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     """Yield the titles and lines below the table; diagnoses last, where a terminal shows the end of a long output."""
-    declined: dict[str, list[str]] = {}
-    for one in findings:
-        if one.status is Status.DECLINED:
-            declined.setdefault(f"{one.backend}: {'; '.join(one.missing)}", []).append(one.check)
-    if declined:
-        yield "Declined", [f"{reason} ({', '.join(ids)})" for reason, ids in declined.items()]
+    left = [one for one in findings if one.status is Status.DECLINED]
+    if declined := _checks_by(left, lambda one: "; ".join(one.missing)):
+        yield "Declined", [f"{name}: {reason} ({', '.join(ids)})" for (name, reason), ids in declined.items()]
     for name in _backends(findings):
         own = [finding for finding in findings if finding.backend == name]
         versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
         yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
-        lines = [f"{one.backend}, {one.check}: {_what(one)}{one.diagnosis}" for one in bad if not one.reported_by]
-        yield "Diagnoses", lines + list(_same_fault_lines(bad))
+        told = _checks_by([one for one in bad if not one.reported_by], lambda one: f"{_what(one)}{one.diagnosis}")
+        more = _checks_by([one for one in bad if one.reported_by], lambda one: one.reported_by)
+        lines = [f"{name}, {', '.join(ids)}: {text}" for (name, text), ids in told.items()]
+        for (name, first), ids in more.items():
+            lines.append(f"{name}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}")
+        yield "Diagnoses", lines
 
 
 def _what(finding: CheckResult) -> str:
@@ -151,14 +152,12 @@ def _what(finding: CheckResult) -> str:
     return f"{with_unit(text, finding.of.unit)} ({finding.of.measures}). "
 
 
-def _same_fault_lines(bad: Sequence[CheckResult]) -> Iterator[str]:
-    """Yield one line for the checks that fail for a reason that an earlier check reports."""
+def _checks_by(findings: Sequence[CheckResult], text: Callable[[CheckResult], str]) -> dict[tuple[str, str], list[str]]:
+    """Return the checks of each backend that have a text in common."""
     groups: dict[tuple[str, str], list[str]] = {}
-    for one in bad:
-        if one.reported_by:
-            groups.setdefault((one.backend, one.reported_by), []).append(one.check)
-    for (backend, first), ids in groups.items():
-        yield f"{backend}: {len(ids)} more are not finite, see {first}: {', '.join(ids)}"
+    for one in findings:
+        groups.setdefault((one.backend, text(one)), []).append(one.check)
+    return groups
 
 
 def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:

@@ -290,6 +290,17 @@ def test_checks_that_fail_for_the_same_reason_have_one_line() -> None:
     assert "more are not finite, see finite: free-fall" in text
 
 
+def test_a_backend_that_cannot_build_has_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    def broken(*_: Any) -> Any:
+        raise TypeError("no mass")
+
+    engine = Changed(FAULTS["nan-mass"])
+    monkeypatch.setattr(engine, "build", broken)
+    text = as_markdown(findings_document(list(run_checks(engine, only=["time", "free-fall"]))))
+    assert text.count("no mass") == 1
+    assert ", time, free-fall: " in text
+
+
 def test_bars_in_laws_do_not_break_the_markdown_table() -> None:
     finding = next(run_checks("mujoco", only=["hinge-radius"]))
     assert isinstance(finding, CheckResult)

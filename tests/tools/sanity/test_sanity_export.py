@@ -171,6 +171,7 @@ def test_constants_of_bodies_give_those_of_the_pairs(manifest: dict[str, Any]) -
         "product": lambda a, b: a * b,
         "mean": lambda a, b: 0.5 * (a + b),
         "max": max,
+        "min": min,
         "geometric": lambda a, b: (a * b) ** 0.5,
     }
     checked = 0
