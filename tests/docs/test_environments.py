@@ -34,6 +34,7 @@ from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
 
 PAGES = ROOT / "docs" / "environments"
 VARIANTS = (*variants(), *beyond_variants())
+ONE_EACH = {one.family: one.name for one in VARIANTS}.values()
 MOST_LINES, WIDTH = 60, 100
 
 
@@ -58,7 +59,13 @@ def test_every_registered_experiment_has_a_page_that_names_it() -> None:
     assert absent == []
 
 
-@pytest.mark.parametrize("name", [*(one.name for one in VARIANTS), *(task.name for task in control_tasks())])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *(pytest.param(one.name, marks=[] if one.name in ONE_EACH else [pytest.mark.slow]) for one in VARIANTS),
+        *(task.name for task in control_tasks()),
+    ],
+)
 def test_an_id_is_shown_on_a_page(name: str) -> None:
     lines = shown(name).splitlines()
     assert len(lines) <= MOST_LINES

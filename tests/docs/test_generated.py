@@ -13,13 +13,18 @@ from generated import with_part
 from places import ROOT
 
 ENTRIES = check_generated.entries()
+SLOW = "scoring/bands/events.toml"
 
 
 def named(entry: Mapping[str, Any]) -> set[Path]:
     return {file for pattern in entry["files"] for file in ROOT.glob(pattern)}
 
 
-@pytest.mark.parametrize("entry", ENTRIES, ids=lambda entry: f"{entry['script']}-{entry['files'][0]}")
+@pytest.mark.parametrize(
+    "entry",
+    [pytest.param(one, marks=[pytest.mark.slow] if one["files"][0] == SLOW else []) for one in ENTRIES],
+    ids=lambda entry: f"{entry['script']}-{entry['files'][0]}",
+)
 def test_generated_files_are_current(entry: Mapping[str, Any]) -> None:
     assert check_generated.faults(entry) == []
     assert sum(key in entry for key in ("check", "inputs", "measured")) == 1

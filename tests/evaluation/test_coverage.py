@@ -46,6 +46,7 @@ def test_intervals_hold_the_truth(name: str, count: int, worst: str) -> None:
         assert pooled(rows, quantity) >= 89.0, quantity
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "count", "worst"), FAILING)
 def test_a_plain_bootstrap_is_found_to_miss_the_truth(
     name: str, count: int, worst: str, monkeypatch: pytest.MonkeyPatch

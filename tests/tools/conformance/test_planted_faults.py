@@ -78,7 +78,7 @@ ALSO = (
     ("tether-length", "no-joints", "missing"),
 )
 CASES = (*((fault.caught_by, name, fault.says) for name, fault in FAULTS.items()), *ALSO)
-SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft")
+SLOW = ("restore-benchmark-rigid", "restore-benchmark-soft", "foam-tension")
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_a_narrow_screen_gets_its_own_rules() -> None:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed")
-@pytest.mark.parametrize(("width", "height"), [(1200, 800), (390, 844)])
+@pytest.mark.parametrize(("width", "height"), [pytest.param(1200, 800, marks=pytest.mark.slow), (390, 844)])
 def test_nothing_is_wider_than_the_screen_and_text_is_readable(width: int, height: int, tmp_path: Path) -> None:
     page = sanity_page(page_report()).replace("</body>", f"{MEASURE}</body>")
     # A window is at least 500 pixels wide, so the page is shown in a frame.
