@@ -29,11 +29,11 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.friction import SLIP_SPEED_M_PER_S, FrictionLimit
-from gauge_envs.envs.control.limit import Ending, LimitReport
-from gauge_envs.envs.control.play import Policy, engine_limit, play
 from gauge_envs.errors import MissingExtraError
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.friction import SLIP_SPEED_M_PER_S, FrictionLimit
+from gauge_envs.tools.control.limit import Ending, LimitReport
+from gauge_envs.tools.control.play import Policy, engine_limit, play
 
 SEED = 0
 

@@ -25,9 +25,9 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.limit import Ending, LimitReport
-from gauge_envs.envs.control.play import Policy, play_paid
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending, LimitReport
+from gauge_envs.tools.control.play import Policy, play_paid
 from gauge_envs.tools.transfer.policy_replays import make_control_env, start_overrides
 
 UNSEEN = 10_000

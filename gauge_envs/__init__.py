@@ -7,7 +7,7 @@ Importing this package registers 75 experiments as `GAUGE/<Family>[-<subtask>]-<
 
     env = gym.make("GAUGE/SlopeSlider-2-wood")
 
-and 15 control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.envs.control`. `beyond_variants` lists
+and 15 control tasks, as `GAUGE/Turntable-Limit-wood`; see `gauge_envs.tools.control`. `beyond_variants` lists
 experiments of other sources, which are registered too.
 
 The registration needs only names. Engines, SciPy and pydantic are imported at first use.
@@ -18,9 +18,9 @@ from typing import TYPE_CHECKING, Any
 
 from gymnasium.envs.registration import register, registry
 
-from gauge_envs.envs.control.tasks import register_control_tasks
 from gauge_envs.errors import GaugeError
 from gauge_envs.experiments.variants import Variant, beyond_variants, find_variant, variants
+from gauge_envs.tools.control.tasks import register_control_tasks
 
 if TYPE_CHECKING:
     from gauge_envs.envs.env import GaugeEnv

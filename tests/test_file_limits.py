@@ -26,9 +26,9 @@ from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
 from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.scene.usd import source
-from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.tools.sanity.stacks import configuration
+from gauge_envs.tools.usd import source
+from gauge_envs.tools.usd.reader import from_usd
 
 NAME = "SlopeSlider-2-wood"
 

@@ -22,7 +22,7 @@ from gauge_envs.scene.diff import scene_changes
 
 if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment, TaskExperiment
-    from gauge_envs.scene.usd.reader import UsdScene
+    from gauge_envs.tools.usd.reader import UsdScene
 
 
 USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
@@ -78,7 +78,7 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
 
 
 def _usd_scene(experiment: TaskExperiment, path: Path) -> UsdScene:
-    from gauge_envs.scene.usd.reader import read_usd
+    from gauge_envs.tools.usd.reader import read_usd
 
     duration_s = experiment.scene.duration_s
     found = read_usd(path, duration_s=duration_s)

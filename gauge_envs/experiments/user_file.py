@@ -247,7 +247,7 @@ def recorded_experiment_file(
 
 def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
     """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
-    from gauge_envs.scene.usd.reader import read_usd
+    from gauge_envs.tools.usd.reader import read_usd
 
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
     has_markers = definition.markers is None
@@ -284,7 +284,7 @@ def _names(path: Path, layer: Path, paths: Mapping[str, str]) -> Names:
 
 
 def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Markers:
-    from gauge_envs.scene.usd.reader import read_points
+    from gauge_envs.tools.usd.reader import read_points
 
     stated = spec.model_dump(exclude={"prim"})
     if spec.prim is not None:

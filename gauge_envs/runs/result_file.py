@@ -165,7 +165,7 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
     record = asset.to_dict()
     # The scene of a model file is that of the variant; only its engine could read the file back.
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
-        from gauge_envs.scene.usd.writer import to_usd
+        from gauge_envs.tools.usd.writer import to_usd
 
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
@@ -194,7 +194,7 @@ def recorded_experiment(result: Result) -> Experiment:
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
         )
     from gauge_envs.experiments.user_file import recorded_experiment_file
-    from gauge_envs.scene.usd.reader import from_usd
+    from gauge_envs.tools.usd.reader import from_usd
 
     try:
         with TemporaryDirectory() as folder:

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 
 import gauge_envs  # noqa: F401  registers the ids
-from gauge_envs.envs.control.play import engine_limit, play
+from gauge_envs.tools.control.play import engine_limit, play
 
 STEPS_PER_S = (18000, 9000, 4500, 3600, 2700, 1800, 1440, 1260, 1080, 900, 720, 540, 360)
 BISECTED = ("Pendulum-metal", "SlopeSlider-wood", "SlopeSlider-plastic", "SlopeSlider-metal", "Turntable-wood")

@@ -29,15 +29,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.friction import HOLD_FRAMES, FrictionLimit
-from gauge_envs.envs.control.least_time import CarryLimit, LeastTimeLimit
-from gauge_envs.envs.control.limit import Ending
-from gauge_envs.envs.control.pendulum import PendulumLimit
-from gauge_envs.envs.control.slope_slider import SlopeSliderLimit
-from gauge_envs.envs.control.stage import FRAME_S, acceleration_to_rest
-from gauge_envs.envs.control.throw import SPEED_M_PER_S, STROKE_M, ThrowLimit
-from gauge_envs.envs.control.vector import ControlWorlds
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.friction import HOLD_FRAMES, FrictionLimit
+from gauge_envs.tools.control.least_time import CarryLimit, LeastTimeLimit
+from gauge_envs.tools.control.limit import Ending
+from gauge_envs.tools.control.pendulum import PendulumLimit
+from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
+from gauge_envs.tools.control.stage import FRAME_S, acceleration_to_rest
+from gauge_envs.tools.control.throw import SPEED_M_PER_S, STROKE_M, ThrowLimit
+from gauge_envs.tools.control.vector import ControlWorlds
 
 FloatArray = NDArray[np.float64]
 Act = Callable[[ControlEnv, int, FloatArray], FloatArray]

@@ -20,8 +20,8 @@ from PIL import Image
 from stable_baselines3 import PPO
 
 import gauge_envs  # noqa: F401  # registers the ids
-from gauge_envs.envs.control.fling import FlingLimit
-from gauge_envs.envs.control.play import Policy, play
+from gauge_envs.tools.control.fling import FlingLimit
+from gauge_envs.tools.control.play import Policy, play
 
 TASK = "Fling-Limit-satin"
 SHARE = 0.8

@@ -26,7 +26,6 @@ from pxr import Sdf
 from gauge_envs import load_experiment
 from gauge_envs.backends import backend
 from gauge_envs.cli.arguments import parsed_jitter, parsed_limits, parsed_settings, quantities, split_details
-from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
@@ -44,11 +43,11 @@ from gauge_envs.runs.replay import load_or_replay, replay_path
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name, write_result
 from gauge_envs.scene.jitter import Jitter
-from gauge_envs.scene.usd.reader import from_usd
 from gauge_envs.tools.compare import compare, comparison_document
 from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.conformance.matrix import MatrixColumn, read_columns, run_column, write_columns
 from gauge_envs.tools.conformance.words import matrix_document
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials
 from gauge_envs.tools.dataset.observation import driver_tracks, trial_trajectory
@@ -68,6 +67,7 @@ from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.tools.sweep.store import SweepFolder, update_store
 from gauge_envs.tools.transfer.policies.load import load_policy, read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
 
 NAME = "SlopeSlider-2-wood"

@@ -348,8 +348,8 @@ SHOWN_TRIAL, SHOWN_S = 9, (0.0, 0.1, 0.2, 0.3)
 
 def picture(options: argparse.Namespace) -> None:
     """Draw one toss as recorded, above the same toss in MuJoCo."""
-    from gauge_envs.envs.rendering.camera import scene_view
-    from gauge_envs.envs.rendering.renderer import SceneRenderer
+    from gauge_envs.rendering.camera import scene_view
+    from gauge_envs.rendering.renderer import SceneRenderer
     from gauge_envs.tools.film import Caption, PanelText, save_still, strip_picture
 
     experiment = with_trial(load_experiment(NAME), SHOWN_TRIAL)

@@ -606,7 +606,7 @@ def stated() -> dict[str, list[str]]:
 VIDEO = "tests/tools/video/test_video"
 TESTED = {
     "docs/adding_a_phenomenon.md": [("*wrong*, 85.9 mm", "tests/docs/test_adding_guides.py")],
-    "docs/control.md": [("it is 1 within 0.006", "tests/envs/control/test_control.py")],
+    "docs/control.md": [("it is 1 within 0.006", "tests/tools/control/test_control.py")],
     "docs/recipes.md": [("3.4 times as much", "tests/tools/recipes/test_recipe_requests.py")],
     "docs/engines/physx.md": [
         ("1.8 times the torque", "tests/backends/physx/test_physx_laws.py"),

@@ -20,7 +20,6 @@ from gauge_envs import load_experiment
 from gauge_envs.backends import backend_names, is_bundled, support_of
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.cli.app import app
-from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import reward_text
 from gauge_envs.errors import MissingExtraError
@@ -31,6 +30,7 @@ from gauge_envs.pages.document import as_markdown
 from gauge_envs.tools.catalog import listing
 from gauge_envs.tools.catalog.description import all_limits, episode_costs, known_limits
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
+from gauge_envs.tools.control.tasks import control_tasks
 
 PAGES = ROOT / "docs" / "environments"
 VARIANTS = (*variants(), *beyond_variants())

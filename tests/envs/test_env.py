@@ -18,7 +18,6 @@ from places import RIGID
 
 import gauge_envs
 from gauge_envs.envs.arguments import EnvArguments, EnvKeywords
-from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.envs.env import GaugeEnv
 from gauge_envs.envs.episode import reward_terms
 from gauge_envs.envs.vector import GaugeVectorEnv
@@ -33,6 +32,7 @@ from gauge_envs.errors import (
 from gauge_envs.evaluation.reference import reward_band
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.control.tasks import control_tasks
 
 SHORT = tuple(name for name in RIGID if name.split("-")[0] not in ("Pendulum", "NewtonsCradle", "WallBreaking"))
 

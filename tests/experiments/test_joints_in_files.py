@@ -19,8 +19,8 @@ from gauge_envs.runs.result_file import load_result, recorded_experiment, write_
 from gauge_envs.scene import JointDynamics, Scene
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile, SampledProfile
-from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.catalog.description import description
+from gauge_envs.tools.usd.writer import to_usd
 
 ARM = """
 family = "Arm"

@@ -34,11 +34,11 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, recorded_experiment, result_file_name, write_result
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import ContactMode
-from gauge_envs.scene.usd.reader import read_points
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.experiment_figure import save_figures
 from gauge_envs.tools.diagnose.error_budget import diagnose
+from gauge_envs.tools.usd.reader import read_points
 
 EXAMPLE = ROOT / "examples" / "usd_experiment"
 CRATE = EXAMPLE / "crate.toml"

@@ -16,10 +16,10 @@ from gauge_envs.backends.base import scene_support
 from gauge_envs.errors import AssetError, MissingExtraError, ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Air, Scene
 from gauge_envs.scene.diff import scene_changes
-from gauge_envs.scene.usd.reader import from_usd
-from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.assets.export import mjcf_text
 from gauge_envs.tools.catalog.description import description
+from gauge_envs.tools.usd.reader import from_usd
+from gauge_envs.tools.usd.writer import to_usd
 
 AIR = Air(density_kg_per_m3=1.2, normal_coefficient=1.1, tangential_coefficient=0.2, lift_coefficient=0.7)
 SATIN = "TextileFlinging-satin"

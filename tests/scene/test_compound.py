@@ -29,10 +29,10 @@ from gauge_envs.scene import (
     Sphere,
     mass_properties,
 )
-from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.assets.build import shape_to_obj
 from gauge_envs.tools.sanity.phenomena.foot import foot_scene
 from gauge_envs.tools.sanity.robot.foot import FootGeometry
+from gauge_envs.tools.usd.writer import to_usd
 
 TETRAHEDRON = ConvexUnion(pieces_m=(((0.0, 0.0, 0.0), (0.06, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.04)),))
 SOLIDS = {

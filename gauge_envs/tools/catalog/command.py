@@ -76,10 +76,10 @@ def show(
 
     `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
     """
-    from gauge_envs.envs.control.tasks import control_tasks, find_control_task
     from gauge_envs.experiments.resolve import resolve_experiment
     from gauge_envs.tools.catalog.description import control_description, description
     from gauge_envs.tools.catalog.words import control_document, experiment_document
+    from gauge_envs.tools.control.tasks import control_tasks, find_control_task
 
     if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
         document = control_document(control_description(find_control_task(name)))

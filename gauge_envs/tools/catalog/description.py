@@ -13,8 +13,6 @@ import gymnasium
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
-from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.tasks import ControlTask
 from gauge_envs.envs.episode import reward_text
 from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
@@ -34,6 +32,8 @@ from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.tasks import ControlTask
 
 
 class Limit(FileModel):

@@ -12,12 +12,12 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from gauge_envs.envs.control.tasks import control_tasks
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.variants import Variant, task_files
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id, shortened
 from gauge_envs.references.user_data import has_import
+from gauge_envs.tools.control.tasks import control_tasks
 
 STORED = Path(__file__).with_name("overview.json")
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from gauge_envs.envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color
+from gauge_envs.rendering.overlay import RECORDED_COLOR, SIMULATED_COLOR, Color
 
 GROUND = (255, 255, 255)
 INK = (28, 32, 38)

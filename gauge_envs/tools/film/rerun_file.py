@@ -10,13 +10,13 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import MissingExtraError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ghost_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
+from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import Replay, replay, replayed_experiment
 from gauge_envs.runs.result import Result
 from gauge_envs.scene import (

@@ -78,8 +78,8 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
     from gauge_envs.experiments.task_files import task_spec
     from gauge_envs.experiments.user_file import load_experiment_file
     from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
-    from gauge_envs.scene.usd.reader import read_usd
     from gauge_envs.tools.identify import one_joint
+    from gauge_envs.tools.usd.reader import read_usd
 
     if scene is not None:
         if load:

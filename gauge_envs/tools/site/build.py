@@ -19,10 +19,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
-from gauge_envs.envs.rendering.materials import USUAL
-from gauge_envs.envs.rendering.renderer import STRING_RADIUS_M
-from gauge_envs.envs.rendering.skin import Skin
 from gauge_envs.errors import GaugeError, ResultFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path, reference_words
@@ -36,6 +32,10 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import COST_TITLE, shortened
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.rendering.materials import USUAL
+from gauge_envs.rendering.renderer import STRING_RADIUS_M
+from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import Replay, ReplayError, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Result
 from gauge_envs.scene import (

@@ -140,9 +140,9 @@ def transfer_envelope(
     --policy law:fraction=0.95,informed=false states the law's share of the limit, and whether it knows the constants of
     each world.
     """
-    from gauge_envs.envs.control.tasks import control_tasks
     from gauge_envs.pages.document import save_file
     from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.control.tasks import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.randomization import randomization_files
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document

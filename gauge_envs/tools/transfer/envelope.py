@@ -11,9 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import norm, qmc, rankdata
 
-from gauge_envs.envs.control.limit import LimitReport
-from gauge_envs.envs.control.play import Policy
-from gauge_envs.envs.control.vector import ControlWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ParameterError
 from gauge_envs.evaluation.reference import band_grade
@@ -23,6 +20,9 @@ from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, u
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.control.limit import LimitReport
+from gauge_envs.tools.control.play import Policy
+from gauge_envs.tools.control.vector import ControlWorlds
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
 LARGEST_SAMPLE_COUNT = 2**16

@@ -11,15 +11,15 @@ import gymnasium
 import numpy as np
 
 from gauge_envs.backends.registry import backend
-from gauge_envs.envs.control.env import ControlEnv
-from gauge_envs.envs.control.limit import LimitReport
-from gauge_envs.envs.control.play import Policy, play_paid
-from gauge_envs.envs.control.tasks import find_control_task
 from gauge_envs.errors import GaugeError, ParameterError, PolicyError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import LimitReport
+from gauge_envs.tools.control.play import Policy, play_paid
+from gauge_envs.tools.control.tasks import find_control_task
 
 MOST_SIGMAS = 10.0
 """Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import Simulation
 from gauge_envs.backends.registry import backend as backend_named
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.envs.rendering.flat import FlatView
-from gauge_envs.envs.rendering.renderer import SceneRenderer
 from gauge_envs.errors import ParameterError, UnsupportedSceneError, VideoError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.files import os_errors, write_whole
+from gauge_envs.rendering.flat import FlatView
+from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Hinge, Motion as BodyMotion, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import swung

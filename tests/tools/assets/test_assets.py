@@ -43,10 +43,10 @@ from gauge_envs.scene import (
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.fabrics import Fabric, isaac_surface
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scene.usd.writer import export_stage
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.tools.assets.export import experiment_stage, mjcf_text, usd_layer_text, write_mjcf
+from gauge_envs.tools.usd.writer import export_stage
 
 ALL = tuple(variant.name for variant in variants())
 DRIVEN = ("SlopeSlider-3-metal", "Turntable-3-metal")

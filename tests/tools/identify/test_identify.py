@@ -19,11 +19,11 @@ from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.profiles import SampledProfile
-from gauge_envs.scene.usd.writer import to_usd
 from gauge_envs.tools.identify import Identified, Log, identify, one_joint, read_log
 from gauge_envs.tools.identify.fit import _noise
 from gauge_envs.tools.identify.rig import posed
 from gauge_envs.tools.identify.words import KV_NOTE, identified_document, snippet
+from gauge_envs.tools.usd.writer import to_usd
 
 MASS_KG, LENGTH_M, INERTIA_KG_M2 = 0.5, 0.2, 1e-3
 G = 9.80665

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gauge_envs.envs.control.env import ControlEnv
 from gauge_envs.errors import PolicyError
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy, read_normalization
 from gauge_envs.tools.transfer.policy_replays import make_control_env
 

@@ -15,9 +15,9 @@ from typer.testing import CliRunner
 from gauge_envs.backends import registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
-from gauge_envs.envs.control.limit import Ending, Limit, LimitReport
 from gauge_envs.errors import ParameterError
 from gauge_envs.pages.document import as_rows
+from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
 from gauge_envs.tools.transfer.policy_replays import (
     Replay,
     Replays,

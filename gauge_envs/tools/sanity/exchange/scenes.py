@@ -34,12 +34,12 @@ from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.meshes import body_mass_properties
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-from gauge_envs.scene.usd.writer import scene_stage
 from gauge_envs.tools.assets import SOURCE, BodyFile, body_files
 from gauge_envs.tools.sanity.exchange.loop import run as run_exported
 from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
+from gauge_envs.tools.usd.writer import scene_stage
 
 FORMAT, VERSION = "gauge-sanity-export", 1
 

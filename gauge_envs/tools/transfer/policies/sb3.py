@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.envs.control.play import Policy
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.tools.control.play import Policy
 
 MOST_BYTES = 512 * MEGABYTE
 """Largest size of a file and of its weights."""

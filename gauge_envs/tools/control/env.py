@@ -1,0 +1,309 @@
+"""Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Generator, Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import World
+from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.base import SimulationEnvironment
+from gauge_envs.envs.divergence import DeformableBounds, speed_fault
+from gauge_envs.envs.lockstep import run_frames
+from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.evaluation.reference_path import ReferencePath
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import Variant, find_variant
+from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.rendering.lazy import Pictures
+from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
+
+Frame = Generator[None, None, tuple[float, Ending | None]]
+"""A frame of a task, which yields where the world must advance by 1/180 s, and returns reward and ending."""
+
+Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]
+"""What `step` returns."""
+
+
+class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
+    """A control task in a calibrated scene of the benchmark; a law gives its true optimum.
+
+    One step is 1/30 s, in six intervals of 1/180 s with a constant action. The action is a Box [-1, 1] with an entry
+    for each of `COMMANDED`. The subclass documents what they command, the observation, and the reward with its proof.
+
+    `info`: `frame`, `time_s`, and `diverged` (the reason) if the simulation diverged. Copies and pickles continue bit
+    for bit, also in another process with the same versions of the engine.
+
+    Args:
+        variant: Experiment that states the scene, as `Turntable-1-wood`.
+        backend: Name of an installed physics engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides such as
+            `{"cube.friction": 0.3}`.
+        settings: Numerical settings of the engine that replace those of the preset; without any, `OWN_SETTINGS` do.
+        render_mode: None or `rgb_array`.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+        is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
+
+    Attributes:
+        FAMILY: Family of the experiment that states the scene.
+        LAW: The law, in words and symbols.
+        SIGMA_SOURCE: Source of the limit's uncertainty.
+        DURATION_S: Length of an episode [s].
+        OWN_SETTINGS: Settings on an engine if none are given, in place of the preset's.
+        COMMANDED: Names of the action's entries.
+        OBSERVED: Names of the observation's entries, with units.
+        experiment: The experiment, with the drivers and the duration of the task.
+        limit: The best that the law allows.
+        world: The simulation, or the world of it.
+        rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
+    """
+
+    REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
+    FAMILY: ClassVar[str]
+    LAW: ClassVar[str]
+    SIGMA_SOURCE: ClassVar[str]
+    DURATION_S: ClassVar[float]
+    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+    COMMANDED: ClassVar[tuple[str, ...]]
+    OBSERVED: ClassVar[tuple[str, ...]]
+
+    def __init__(
+        self,
+        variant: str,
+        *,
+        backend: str = "mujoco",
+        parameters: Parameters = "calibrated",
+        settings: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+        is_world: bool = False,
+    ) -> None:
+        pictures = Pictures(render_mode, width=width, height=height)
+        self._variant = find_variant(variant)
+        stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
+        scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
+        experiment = replace(stated, scene=scene, frame_count=self.frame_count)
+        super().__init__(experiment, pictures, backend=backend, settings=settings or self.OWN_SETTINGS.get(backend))
+        if not is_world:
+            self._build(experiment)
+            check_drive_interval(self.simulation.settings)
+        self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self._frame: int | None = None
+        self._ending: Ending | None = None
+        self._observations: list[FloatArray] = []
+        self.limit = self._limit()
+        self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.OBSERVED),), np.float64)
+        # Learners act in single precision.
+        self.action_space = spaces.Box(-1.0, 1.0, (len(self.COMMANDED),), np.float32)
+
+    @property
+    def _label(self) -> str:
+        return type(self).__name__
+
+    def _build(self, experiment: Experiment) -> None:
+        super()._build(experiment)
+        self.world: World = self.simulation
+
+    # --- what a task states ---
+
+    _at_time_limit: ClassVar[Ending]
+    """Ending of an episode that reaches its last frame."""
+
+    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+        """Return the parameters, with the start of the task if it differs from that of the experiment."""
+        return parameters
+
+    @abstractmethod
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene of the task, from that of the experiment.
+
+        Drivers have no motion of their own; their residual rates state how fast actions may move them.
+        """
+
+    @abstractmethod
+    def _limit(self) -> Limit:
+        """Return the best that the law allows."""
+
+    def _friction_limit(self, pair: tuple[str, str], quantity: str) -> Limit:
+        """Return the limit of a quantity that is at most the friction of two bodies."""
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
+        return Limit(
+            quantity=quantity,
+            unit="1",
+            value=pair_friction(self.experiment.scene, *pair),
+            sigma=input_uncertainties().friction.std(calibrated, self._variant.material),
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    @abstractmethod
+    def _begin(self) -> None:
+        """Record the start of an episode; the simulation is at it."""
+
+    @abstractmethod
+    def _advance(self, command: FloatArray) -> Frame:
+        """Drive a frame with an action; return its reward and, if it ended the episode, the ending.
+
+        It yields before each interval of 1/180 s, when the world is driven, and continues when the world has advanced.
+        """
+
+    @abstractmethod
+    def _observation(self) -> FloatArray:
+        """Return the observation, in the order of `OBSERVED`."""
+
+    @abstractmethod
+    def _reached(self) -> float:
+        """Return what the policy has reached so far, in the unit of the limit."""
+
+    @abstractmethod
+    def _law_command(self, fraction: float) -> float | FloatArray:
+        """Return the action of `law_action` before it is clipped to [-1, 1]."""
+
+    @property
+    def largest_reward(self) -> float:
+        """Largest sum of an episode's rewards that the law allows: 1, unless the reward grows with the limit."""
+        return 1.0
+
+    def law_action(self, fraction: float) -> NDArray[np.float32]:
+        """Return the action that the law suggests now, shape [len(COMMANDED)].
+
+        Args:
+            fraction: Share of the law's limit that the policy uses. In an engine that obeys the law, a share just below
+                1 succeeds and one just above 1 fails.
+        """
+        return np.clip(np.atleast_1d(np.asarray(self._law_command(fraction), dtype=np.float32)), -1.0, 1.0)
+
+    # --- episode ---
+
+    @property
+    def frame_count(self) -> int:
+        """Number of frames of an episode, the first included."""
+        return round(self.DURATION_S * FRAME_RATE_HZ) + 1
+
+    @property
+    def time_s(self) -> float:
+        """Time since the start of the episode [s]."""
+        return (self._frame or 0) / FRAME_RATE_HZ
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode. There are no options; bodies always start alike, and the seed sets a goal, if any."""
+        self._check_open("reset")
+        if options:
+            raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
+        self.simulation.reset(0 if seed is None else seed)
+        return self.begin(seed)
+
+    def begin(self, seed: int | None) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode of a world that is at its start; `reset` brings it there."""
+        super().reset(seed=seed)
+        self._frame, self._ending = 0, None
+        self.rest_nodes_m = self.nodes_m()
+        self._begin()
+        observation = self._observation()
+        self._observations = [observation]
+        return observation, self._info()
+
+    def step(self, action: Any) -> Step:
+        """Simulate one frame, 1/30 s."""
+        return run_frames({0: self.frame(action)}, lambda _: self.simulation.advance(SAMPLE_INTERVAL_S))[0]
+
+    def frame(self, action: Any) -> Generator[None, None, Step]:
+        """Drive one frame of a world that someone else advances; return what `step` returns.
+
+        It yields where the world must advance by 1/180 s: up to six times, less often if the episode ends within the
+        frame.
+        """
+        self._check_running(started=self._frame is not None, is_over=self._ending is not None)
+        reward, ending = yield from self._advance(self._checked(action))
+        self._frame = (self._frame or 0) + 1
+        info = self._info()
+        fault = self._fault()
+        if fault is not None:
+            info["diverged"], ending, reward = fault, Ending.DIVERGED, 0.0
+        terminated = ending is not None
+        truncated = not terminated and self._frame == self.frame_count - 1
+        self._ending = self._at_time_limit if truncated else ending
+        observation = self._observation()
+        self._observations.append(observation)
+        return observation, reward, terminated, truncated, info
+
+    def trajectory(self) -> FloatArray:
+        """Return the observations of the episode so far, from the start on, shape [frame + 1, len(OBSERVED)]."""
+        return np.array(self._observations)
+
+    def report(self) -> LimitReport:
+        """Return what the policy reached in the episode and what the law allows."""
+        if self._ending is None:
+            raise EpisodeError(f"{self._label}: an episode is reported when it is over")
+        reached = 0.0 if self._ending is Ending.DIVERGED else self._reached()
+        return LimitReport(limit=self.limit, reached=reached, ending=self._ending, time_s=self.time_s)
+
+    def _info(self) -> dict[str, Any]:
+        return {"frame": self._frame, "time_s": self.time_s}
+
+    def _checked(self, action: Any) -> FloatArray:
+        try:
+            command = np.asarray(action, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise ActionError(f"action {action!r} is not an array of numbers") from error
+        if command.shape != self.action_space.shape:
+            raise ActionError(f"action has shape {command.shape}, expected {self.action_space.shape}")
+        # A comparison with NaN is false.
+        if not (np.abs(command) <= 1.0).all():
+            raise ActionError(f"action {command.tolist()} must be numbers from -1 to 1")
+        return command
+
+    def _fault(self) -> str | None:
+        """Return why the simulation counts as diverged, or None."""
+        engine_fault = self.world.fault()
+        if engine_fault is not None:
+            return engine_fault
+        scene = self.experiment.scene
+        for name, nodes_m in self.nodes_m().items():
+            fault = DeformableBounds(name, scene, self.rest_nodes_m[name]).fault(nodes_m)
+            if fault is not None:
+                return fault
+        velocities = self.world.body_states(self._dynamic)[:, 7:10]
+        return speed_fault(self._dynamic, velocities, scene.speed_limit_m_per_s)
+
+    # --- pictures ---
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the scene, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render", started=self._frame is not None)
+        return self.picture(self._pictures)
+
+    def picture(self, pictures: Pictures) -> NDArray[np.uint8]:
+        """Return a picture of the world as it is now, drawn by a renderer, shape [height, width, 3]."""
+        return pictures.draw(
+            self.experiment, self.rest_nodes_m, reach=self.reach(), poses=self.moving_poses(), nodes_m=self.nodes_m()
+        )
+
+    def reach(self) -> ReferencePath | None:
+        """Return the places that actions bring bodies to, for the camera; None where the scene says enough."""
+        return None
+
+    def moving_poses(self) -> dict[str, FloatArray]:
+        """Return position [m] and quaternion of each body that moves, shape [7], by name."""
+        moving = (*self._dynamic, *(driver.body for driver in self.experiment.scene.drivers))
+        return dict(zip(moving, self.world.body_states(moving)[:, :7], strict=True))
+
+    def nodes_m(self) -> dict[str, FloatArray]:
+        """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
+        return {body.name: self.world.nodes(body.name) for body in self.experiment.scene.deformables}

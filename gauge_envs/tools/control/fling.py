@@ -1,0 +1,191 @@
+"""Swing a hanging cloth as high as a budget of the rod's speed allows."""
+
+import math
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.observables.observer import material_points
+from gauge_envs.scene import Cloth, Scene
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.profiles import CosineProfile
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
+
+ROD = "rod"
+
+SPEED_SIGMA = 0.05 / 0.67
+"""Relative uncertainty of the rod's speed in the recording (0.67 +- 0.05 m/s, tasks/textile_flinging.toml)."""
+
+CELLS = (20, 16)
+"""Number of parts of the cloth along warp and weft, whose middles give the centre of mass."""
+
+LINES = {"upper": 1 / 3, "lower": 2 / 3, "hem": 1.0}
+"""Observed lines across the cloth: their distance from the rod over the cloth's length."""
+
+PUSHES = 5
+"""Number of pushes in which the law's policy spends the speed: more swing higher, and take longer."""
+
+
+class FlingLimit(ControlEnv):
+    """Swing a hanging cloth up by moving its rod sideways, in the scene of TextileFlinging.
+
+    **Law.** Let U be the sum of all changes of the rod's speed. Seen from the rod, the cloth of mass M gains energy E
+    only by the inertial force, and at most with the power M |a| v, v = sqrt(2 E / M). So v grows by |a| dt at most, and
+    the centre of mass rises by at most U^2 / (2 g): with any fabric, and any motion of the rod.
+
+    **Task.** The rod has speed, acceleration and stroke of the recorded motion, and starts in the middle of the stroke.
+    U is that of the recorded motion: when it is spent, the rod moves on without acceleration. The episode then ends
+    where the centre of mass begins to fall. It also ends, as lost, when the rod is at an end of its stroke.
+
+    **Reward.** The gain of the largest height so far, over the law's. No policy earns more than 1.
+
+    **Reached** is the largest height of the centre of mass above its start, in m; 0 unless U was spent.
+
+    **Action.** Acceleration of the rod along y, in units of the recorded motion's largest, 1.62 m/s^2.
+
+    Places and velocities of centre and lines are seen from the rod. The centre's place is relative to its start, as are
+    those of the lines.
+
+    Args:
+        material: Fabric: `satin`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+    """
+
+    FAMILY = "TextileFlinging"
+    LAW = "seen from the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2 with U the sum of all |dv|"
+    SIGMA_SOURCE = "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
+
+    DURATION_S = 4.0
+    """Time of an episode; the law's policy takes 2.7 s."""
+
+    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_y",)
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        *(f"{place}_{axis}_m" for place in ("centre", *LINES) for axis in "yz"),
+        *(f"{place}_velocity_{axis}_m_per_s" for place in ("centre", *LINES) for axis in "yz"),
+        "rod_y_m",
+        "rod_velocity_y_m_per_s",
+        "speed_left_m_per_s",
+        "highest_over_limit",
+        "time_s",
+    )
+    _at_time_limit = Ending.MISSED
+
+    def __init__(self, material: str = "satin", **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{material}", **options)
+        scene = self.experiment.scene
+        (recorded,) = load_experiment(self._variant).scene.drivers[0].motions[0].profiles
+        assert isinstance(recorded, CosineProfile)
+        self._most_m_per_s2 = recorded.largest_rate * math.pi / recorded.duration_s
+        self._stroke_m = 0.5 * abs(recorded.amount)
+        self._stage = Stage(scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m]))
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene, in which actions translate the rod."""
+        (motion,) = stated.drivers[0].motions
+        return replace(
+            stated, drivers=(stage_driver(ROD, (motion.axis,), largest_speed_m_per_s=motion.profiles[0].largest_rate),)
+        )
+
+    @property
+    def _speed_m_per_s(self) -> float:
+        """Sum of all changes of the rod's speed: it speeds up to the largest speed and brakes."""
+        return 2.0 * self.experiment.scene.drivers[0].motions[0].residual_rate
+
+    def _limit(self) -> Limit:
+        value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
+        return Limit(
+            quantity="rise of the centre of mass",
+            unit="m",
+            value=value,
+            sigma=2.0 * SPEED_SIGMA * value,
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    # --- rollout ---
+
+    def _begin(self) -> None:
+        self._stage.begin()
+        (cloth,) = self.experiment.scene.deformables
+        assert isinstance(cloth, Cloth)
+        self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
+        self._start_m = self._places()
+        self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
+        self._left_m_per_s, self._highest_m = self._speed_m_per_s, 0.0
+
+    def _places(self) -> FloatArray:
+        """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
+        (nodes_m,) = self.nodes_m().values()
+        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset_m[0], 0.0]
+
+    def _advance(self, command: FloatArray) -> Frame:
+        before_m, ending = self._highest_m, None
+        for _ in range(SAMPLES_PER_FRAME):
+            rate, rises = self._stage.rate_m_per_s[0], self._velocities[0, 1] > 0.0
+            most = self._left_m_per_s / SAMPLE_INTERVAL_S
+            self._stage.drive(self.world, np.clip(command * self._most_m_per_s2, -most, most))
+            yield
+            places_m = self._places() - self._start_m
+            self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
+            self._places_m = places_m
+            if abs(self._stage.offset_m[0]) >= self._stroke_m:
+                ending = Ending.LOST
+                break
+            self._left_m_per_s = max(self._left_m_per_s - abs(float(self._stage.rate_m_per_s[0] - rate)), 0.0)
+            self._highest_m = max(self._highest_m, float(places_m[0, 1]))
+            # What is left after the last push is a rounding error.
+            if self._left_m_per_s < 1e-9 and rises and self._velocities[0, 1] <= 0.0:
+                ending = Ending.REACHED
+                break
+        return (self._highest_m - before_m) / self.limit.value, ending
+
+    def _observation(self) -> FloatArray:
+        return np.array(
+            [
+                *self._places_m.ravel(),
+                *self._velocities.ravel(),
+                *self._stage.offset_m,
+                *self._stage.rate_m_per_s,
+                self._left_m_per_s,
+                self._highest_m / self.limit.value,
+                self.time_s,
+            ]
+        )
+
+    def _reached(self) -> float:
+        return self._highest_m if self._ending is Ending.REACHED else 0.0
+
+    def _law_command(self, fraction: float) -> float:
+        """Return the action that turns the rod's speed, fraction U / 9, against the swing at its lowest point."""
+        speed = fraction * self._speed_m_per_s / (2 * PUSHES - 1)
+        place_m, velocity = float(self._places_m[0, 0]), float(self._velocities[0, 0])
+        swings_up = place_m * velocity >= 0.0
+        is_low = abs(place_m) <= abs(velocity) * speed / self._most_m_per_s2
+        wanted = math.copysign(speed, -velocity if swings_up or is_low else velocity)
+        return (wanted - float(self._stage.rate_m_per_s[0])) / FRAME_S / self._most_m_per_s2
+
+
+def place_weights(cloth: Cloth, nodes_m: FloatArray) -> FloatArray:
+    """Return the weights of nodes that give the centre of mass, and the middles of `LINES`.
+
+    Args:
+        cloth: The cloth, which hangs from the end of its warp, x.
+        nodes_m: Its nodes at the start [m], shape [node_count, 3].
+
+    Returns:
+        Weights, shape [1 + line_count, node_count].
+    """
+    along, across = ((np.arange(count) + 0.5) / count - 0.5 for count in CELLS)
+    rows = (along, *(np.array([0.5 - depth]) for depth in LINES.values()))
+    weights = np.zeros((len(rows), len(nodes_m)))
+    for row, places in zip(weights, rows, strict=True):
+        points = np.stack(np.meshgrid(places, across, [0.0], indexing="ij"), axis=-1).reshape(-1, 3)
+        targets_m = cloth.pose.to_world(points * [*cloth.size_m, 1.0])
+        nodes, shares = material_points(targets_m, {cloth.name: nodes_m}, {cloth.name: cloth})
+        np.add.at(row, nodes, shares / len(points))
+    return weights

@@ -1,0 +1,209 @@
+"""Base of the turntable and the slope task: a cube that only friction holds on a body that turns."""
+
+import math
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.scene import Scene
+from gauge_envs.scene.geometry import Pose, vector
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
+from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.tools.control.limit import Ending, Limit
+
+CUBE = "cube"
+
+HOLD_S = 1.0
+"""Time over which the friction used is averaged for the value that a policy reaches [s]."""
+
+HOLD_FRAMES = round(HOLD_S * FRAME_RATE_HZ)
+"""`HOLD_S` in frames."""
+
+SLIP_SPEED_M_PER_S = 0.02
+"""Speed on the carrier from which the cube counts as slipping [m/s]: that of its fastest corner, mean over a frame.
+
+The value lies between the creep of a cube that holds and the slip of one that does not. A carried cube creeps because
+contacts are not rigid. On the turntable at mu g the speed is half the contact's time constant times mu g: 3.7 mm/s in
+MuJoCo with this package's preset, 9.3 mm/s in Newton. A cube that uses 2 % too much friction reaches 20 mm/s after
+0.3 s. Slower slips do not count. Where the mean over a frame is 20 mm/s, the speed at its end is up to 30 mm/s, if the
+actuator raises the friction used as fast as it can. So a policy can use 30 mm/s / (g HOLD_S) = 0.003 more friction than
+the law allows, 0.8 to 1.2 % of it.
+"""
+
+
+class _Turned:
+    """A vector that turns about an axis."""
+
+    def __init__(self, axis: NDArray[np.float64], start: NDArray[np.float64]) -> None:
+        self._along = axis * (axis @ start)
+        self._across, self._aside = start - self._along, np.cross(axis, start)
+
+    def at(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return the vector at an angle."""
+        return self._along + math.cos(angle_rad) * self._across + math.sin(angle_rad) * self._aside
+
+    def rate(self, angle_rad: float) -> NDArray[np.float64]:
+        """Return its derivative by the angle."""
+        return math.cos(angle_rad) * self._aside - math.sin(angle_rad) * self._across
+
+
+class FrictionLimit(ControlEnv):
+    """Use as much of the friction of a cube on a driven body as the law allows.
+
+    **Law.** The force that carries the cube, over its mass, is f = a - g, where a is the acceleration of the carrier at
+    the cube. Normal and tangential to the face under the cube, f has the parts f_n and f_t. Friction holds while the
+    *friction used*, f_t / f_n, is at most mu.
+
+    **Reward.** The friction used, mean over the frame. A slip ends the episode and takes back the rewards of the last
+    `HOLD_S`. While the cube slips, it accelerates on its carrier along f_t by at least (used - mu) f_n. With v_s the
+    speed from which a slip counts, the impulse over any time T without a slip gives
+
+        integral of used dt <= mu T + v_s / f_n,
+
+    also if a policy crosses the limit repeatedly. So no policy earns more than mu for each step, apart from one v_s,
+    and a policy that always uses mu earns mu for each step. The optimum of the reward is the law's limit, reached as
+    soon as the actuator allows and held to the end.
+
+    **Reached** is the largest mean of the friction used over `HOLD_S` without slip: at most mu + v_s / (g HOLD_S).
+
+    This holds for a force of one direction on the carrier, as on the slope. On the turntable it can turn: a plate that
+    accelerates to and fro uses sqrt(mu^2 + (alpha r / g)^2) on average where friction holds the mean force, 1.0 to
+    1.4 % more. A slip outward is also carried by the Coriolis force, 0.3 % at 20 mm/s.
+
+    **Action.** Angular acceleration of the carrier, in units of `ACCELERATION_RAD_PER_S2`.
+
+    Args:
+        material: Material of the cube: `wood`, `plastic` or `metal`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+
+    Attributes:
+        SUBTASK: Subtask of the experiment that states the scene.
+        ACCELERATION_RAD_PER_S2: Angular acceleration that an action of 1 commands.
+    """
+
+    SUBTASK: ClassVar[str]
+    ACCELERATION_RAD_PER_S2: ClassVar[float]
+    COMMANDED: ClassVar[tuple[str, ...]] = ("angular_acceleration",)
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        "angle_rad",
+        "rate_rad_per_s",
+        "friction_used",
+        "slip_over_threshold",
+        "time_s",
+    )
+    _at_time_limit = Ending.HELD
+
+    def __init__(self, material: str, **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{self.SUBTASK}-{material}", **options)
+        scene = self.experiment.scene
+        driver = scene.drivers[0]
+        motion, self._start = driver.motions[0], scene.body(driver.body).pose
+        self._carrier = driver.body
+        self._axis, self._point_m = np.asarray(motion.axis), np.asarray(motion.point_m)
+        self._place = _Turned(self._axis, np.asarray(self._start.position_m) - self._point_m)
+        self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
+        self._quaternion = np.array(self._start.quaternion)
+        # After half a turn: the product of the quaternion (0, axis) and that of the start.
+        real, imaginary = self._quaternion[0], self._quaternion[1:]
+        self._half_turned = np.array([-self._axis @ imaginary, *(real * self._axis + np.cross(self._axis, imaginary))])
+        # The matrix of the cross product with the axis.
+        self._turning = np.cross(np.eye(3), self._axis)
+        self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
+        self._corners_m = scene.body(CUBE).shape.corners_m
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
+        driver = stated.drivers[0]
+        fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
+        motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
+        return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
+
+    def _limit(self) -> Limit:
+        return self._friction_limit((CUBE, self.experiment.scene.drivers[0].body), "friction used")
+
+    @property
+    def largest_reward(self) -> float:
+        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
+        return self.limit.value * (self.frame_count - 1)
+
+    # --- rollout ---
+
+    def _begin(self) -> None:
+        self._angle = self._rate = 0.0
+        self._pose = self._start
+        self._velocity = np.zeros(6)
+        self._used: list[float] = []
+        self._used_now = 0.0
+        self._slip_m_per_s = 0.0
+        self._corners_on_carrier = self._corners()
+
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
+        acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
+        used = []
+        for _ in range(SAMPLES_PER_FRAME):
+            self._turn(acceleration)
+            yield
+            used.append(self._friction_used(acceleration))
+        self._used_now = sum(used) / len(used)
+        self._slip_m_per_s = self._slip()
+        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
+            return -sum(self._used[-HOLD_FRAMES:]), Ending.SLIPPED
+        self._used.append(self._used_now)
+        return self._used_now, None
+
+    def _turn(self, acceleration: float) -> None:
+        """Turn the carrier in the next 1/180 s with a uniform acceleration."""
+        step, before = SAMPLE_INTERVAL_S, self._angle
+        self._angle += (self._rate + 0.5 * acceleration * step) * step
+        self._rate += acceleration * step
+        pose = self._carrier_pose()
+        # A uniform acceleration that ends exactly at the pose.
+        moved_m = np.subtract(pose.position_m, self._pose.position_m)
+        mean = np.concatenate([moved_m, (self._angle - before) * self._axis]) / step
+        self.world.drive(self._carrier, self._pose, self._velocity, 2.0 / step * (mean - self._velocity))
+        self._pose = pose
+        self._velocity = self._rate * np.concatenate([self._place.rate(self._angle), self._axis])
+
+    def _carrier_pose(self) -> Pose:
+        """Return the pose of the carrier at its angle."""
+        half = 0.5 * self._angle
+        w, x, y, z = (math.cos(half) * self._quaternion + math.sin(half) * self._half_turned).tolist()
+        return Pose(position_m=vector(self._point_m + self._place.at(self._angle)), quaternion=(w, x, y, z))
+
+    def _friction_used(self, acceleration: float) -> float:
+        """Return the friction used: tangential over normal part of the force that carries the cube."""
+        around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
+        force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
+        held = float(force @ self._normal.at(self._angle))
+        return math.sqrt(max(float(force @ force) - held**2, 0.0)) / held
+
+    def _corners(self) -> NDArray[np.float64]:
+        """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
+        state = self.world.body_states((CUBE,))[0]
+        rotation = Rotation.from_quat(state[3:7], scalar_first=True)
+        return self._pose.to_body(rotation.apply(self._corners_m) + state[:3])
+
+    def _slip(self) -> float:
+        """Return the mean speed of the cube's fastest corner on the carrier over the last frame [m/s]."""
+        corners = self._corners()
+        displacement_m = np.linalg.norm(corners - self._corners_on_carrier, axis=1).max()
+        self._corners_on_carrier = corners
+        return float(displacement_m) * FRAME_RATE_HZ
+
+    def _observation(self) -> NDArray[np.float64]:
+        slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
+        return np.array([self._angle, self._rate, self._used_now, slip, self.time_s])
+
+    def _reached(self) -> float:
+        if len(self._used) < HOLD_FRAMES:
+            return 0.0
+        return float(np.convolve(self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid").max())
+
+    @property
+    def _cube_radius_m(self) -> float:
+        """Distance of the cube from the axis [m]."""
+        arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
+        return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))

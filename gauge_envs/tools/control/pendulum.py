@@ -1,0 +1,194 @@
+"""Swing the pendulum to a height with the least work."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.evaluation.reference_path import ReferencePath
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.experiments.variants import Variant
+from gauge_envs.scene import Hinge, Scene, Sphere
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
+from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.tools.control.limit import Ending, Limit
+
+BALL = "ball"
+
+TARGET_RAD = math.radians(60.0)
+"""Target angle of the ball [rad]: at half the height of the axle, and well below the published release, 90 degrees."""
+
+TORQUE_SHARE = 0.15
+"""Largest torque over weight times length; it cannot lift the ball at once, so the policy must swing it up."""
+
+LENGTH_SIGMA = 0.004 / 0.270
+"""Relative uncertainty of the effective length, from the recorded period (0.270 +- 0.004 m, tasks/pendulum.toml)."""
+
+MASS_SIGMA_KG = 1e-4 / math.sqrt(12.0)
+"""Uncertainty of the mass [kg]: rounding, as it is published to 0.1 g."""
+
+
+PLACES_IN_VIEW = 13
+"""Number of places of the swing that the camera of pictures looks at."""
+
+
+class PendulumLimit(ControlEnv):
+    """Swing a hanging ball to a height with the least work, in the scene of Pendulum.
+
+    **Law.** To raise the ball by h, the motor does at least the work m g h: W >= m g h.
+
+    **Reward.** In each frame 2 d(h_max) / h_t - dW / (m g h_t). Here h_t is the target, h_max the largest height so
+    far, and W the work of the motor; braking returns no work. An episode earns 2 x - W / (m g h_t) with x = h_max /
+    h_t. By the law this is at most x, so at most 1. A policy earns 1 only if it reaches the target at rest and never
+    brakes. The episode ends at the target.
+
+    W is the sum of torque times rotation over the samples in which that is positive. It is at least the sum over all
+    samples, which the law bounds.
+
+    **Reached** is the height of the target over the work, in m/J, or 0 if the ball did not reach it; the limit is
+    1 / (m g). The height follows from the angle, so the uncertainty of the length counts.
+
+    **Action.** Torque about the axle, in units of 0.15 times weight times length.
+
+    Args:
+        material: Material of the ball: `metal`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+    """
+
+    FAMILY = "Pendulum"
+    LAW = "W >= m g h, so h / W <= 1 / (m g)"
+    SIGMA_SOURCE = (
+        "length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g"
+    )
+
+    DURATION_S = 6.0
+    """Time of five full swings; at full torque three are enough."""
+    OWN_SETTINGS: ClassVar[Mapping[str, Mapping[str, Any]]] = {"mujoco": {"timestep_s": 1 / 180}}
+    """The law's policy succeeds up to 0.99995 of the limit with this and shorter steps (studies/control_steps)."""
+
+    COMMANDED: ClassVar[tuple[str, ...]] = ("torque",)
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        "angle_rad",
+        "rate_rad_per_s",
+        "highest_over_target",
+        "work_over_least",
+        "time_s",
+    )
+    _at_time_limit = Ending.MISSED
+
+    def __init__(self, material: str = "metal", **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{material}", **options)
+        scene = self.experiment.scene
+        hinge, ball = scene.joints[0], scene.body(BALL)
+        assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
+        self._anchor_m, self._axis = np.asarray(hinge.anchor_m), np.asarray(hinge.axis)
+        self._hanging = np.asarray(ball.pose.position_m) - self._anchor_m
+        self._sideways = np.cross(self._axis, self._hanging)
+        self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
+        self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
+
+    def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
+        """Return the parameters, with the ball hanging straight down."""
+        return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene without drivers: the motor is a torque."""
+        return replace(stated, drivers=())
+
+    @property
+    def _weight_n(self) -> float:
+        scene = self.experiment.scene
+        return scene.body(BALL).mass_kg * scene.gravity_m_per_s2
+
+    @property
+    def _length_m(self) -> float:
+        scene = self.experiment.scene
+        return math.dist(scene.body(BALL).pose.position_m, scene.joints[0].anchor_m)
+
+    @property
+    def _target_m(self) -> float:
+        return self._length_m * (1.0 - math.cos(TARGET_RAD))
+
+    def reach(self) -> ReferencePath:
+        """Return the ball's places from the target on one side to that on the other."""
+        angles = np.linspace(-TARGET_RAD, TARGET_RAD, PLACES_IN_VIEW)
+        arms = np.outer(np.cos(angles), self._hanging) + np.outer(np.sin(angles), self._sideways)
+        return ReferencePath(names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True)
+
+    def _limit(self) -> Limit:
+        value = 1.0 / self._weight_n
+        return Limit(
+            quantity="height over work",
+            unit="m/J",
+            value=value,
+            sigma=value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / self.experiment.scene.body(BALL).mass_kg),
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    # --- rollout ---
+
+    def _begin(self) -> None:
+        self._angle, self._rate = self._swing()
+        self._highest_m = self._work_j = 0.0
+
+    def _swing(self) -> tuple[float, float]:
+        """Return the angle from hanging [rad] and its rate [rad/s]."""
+        state = self.world.body_states((BALL,))[0]
+        arm = state[:3] - self._anchor_m
+        angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
+        return angle, float(self._axis @ state[10:])
+
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
+        torque = float(command[0]) * self._largest_torque_n_m
+        self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
+        highest_m, work_j = self._highest_m, self._work_j
+        for _ in range(SAMPLES_PER_FRAME):
+            yield
+            before, (self._angle, self._rate) = self._angle, self._swing()
+            self._work_j += max(torque * (self._angle - before), 0.0)
+            self._highest_m = max(self._highest_m, self._length_m * (1.0 - math.cos(self._angle)))
+            if self._highest_m >= self._target_m:
+                break
+        self._highest_m = min(self._highest_m, self._target_m)
+        gained = (self._highest_m - highest_m) / self._target_m
+        spent = (self._work_j - work_j) / (self._weight_n * self._target_m)
+        return 2.0 * gained - spent, Ending.REACHED if self._highest_m == self._target_m else None
+
+    def _observation(self) -> NDArray[np.float64]:
+        least_j = self._weight_n * self._target_m
+        return np.array(
+            [self._angle, self._rate, self._highest_m / self._target_m, self._work_j / least_j, self.time_s]
+        )
+
+    def _reached(self) -> float:
+        return self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
+
+    def _law_command(self, fraction: float) -> float:
+        """Return a torque along the swing until the work is m g h_t / fraction, and then 0.
+
+        A `fraction` below 1 does more than the least work and reaches the target; one above 1 does less and does not.
+        """
+        left_j = self._weight_n * self._target_m / fraction - self._work_j
+        frame_s = 1.0 / FRAME_RATE_HZ
+        direction = math.copysign(1.0, self._rate) if self._work_j > 0.0 else 1.0
+        torque = direction * self._largest_torque_n_m
+        rotation, rate = self._rotation(torque, frame_s), self._rate + self._acceleration(torque) * frame_s
+        # Near a turning point a push would brake in the second half of the frame.
+        if left_j <= 0.0 or (self._work_j > 0.0 and (rotation * direction <= 0.0 or rate * direction <= 0)):
+            return 0.0
+        for _ in range(5):
+            torque = direction * min(self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s)))
+        return torque / self._largest_torque_n_m
+
+    def _acceleration(self, torque: float) -> float:
+        """Return the angular acceleration [rad/s^2]."""
+        return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
+
+    def _rotation(self, torque: float, seconds: float) -> float:
+        """Return the rotation in the next `seconds` [rad], to second order."""
+        return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds

@@ -1,0 +1,66 @@
+"""Episodes of policies in control tasks, and how closely an engine follows the law."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ParameterError
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.limit import Ending, LimitReport
+
+Policy = Callable[[NDArray[np.float64]], NDArray[np.floating]]
+"""Function that returns an action, shape [1], for an observation."""
+
+
+def play(env: ControlEnv, policy: Policy, *, seed: int = 0) -> LimitReport:
+    """Run one episode and return its report; the environment then holds its trajectory.
+
+    Args:
+        env: The task, without wrappers.
+        policy: The policy.
+        seed: Seed of the reset.
+    """
+    return play_paid(env, policy, seed=seed)[1]
+
+
+def play_paid(env: ControlEnv, policy: Policy, *, seed: int = 0) -> tuple[float, LimitReport]:
+    """Run one episode and return the sum of its rewards and its report.
+
+    Args:
+        env: The task, without wrappers.
+        policy: The policy.
+        seed: Seed of the reset, which draws the goal of a task that has one.
+    """
+    observation, _ = env.reset(seed=seed)
+    paid, over = 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(policy(observation))
+        paid += reward
+        over = terminated or truncated
+    return paid, env.report()
+
+
+def engine_limit(env: ControlEnv, *, bounds: tuple[float, float] = (0.2, 1.5), resolution: float = 0.002) -> float:
+    """Return the largest share of the law's limit that the law's policy can use in the engine, by bisection.
+
+    It is 1 in an engine that obeys the law. Above 1 the engine allows more than reality.
+
+    Args:
+        env: The task, without wrappers.
+        bounds: A share of the limit with which the policy succeeds, and one with which it fails.
+        resolution: Largest width of the last interval; the result is its middle.
+    """
+    low, high = bounds
+
+    def succeeds(fraction: float) -> bool:
+        return play(env, lambda _: env.law_action(fraction)).ending in (Ending.HELD, Ending.REACHED)
+
+    for bound, wanted in ((low, True), (high, False)):
+        if succeeds(bound) is not wanted:
+            outcome = "fails" if wanted else "succeeds"
+            raise ParameterError(f"{type(env).__name__}: the law's policy {outcome} with {bound} of the limit")
+    while high - low > resolution:
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if succeeds(middle) else (low, middle)
+    return 0.5 * (low + high)

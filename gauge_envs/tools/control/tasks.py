@@ -1,0 +1,68 @@
+"""List of the control tasks: their ids and entry points."""
+
+from dataclasses import dataclass
+
+from gymnasium.envs.registration import register, registry
+
+from gauge_envs.errors import UnknownNameError
+
+
+@dataclass(frozen=True, kw_only=True)
+class ControlTask:
+    """One registered control task.
+
+    Attributes:
+        name: Name, as `Turntable-Limit-wood`.
+        entry_point: Module and class of the environment, with a colon between.
+        material: Material of the cube, the ball or the cloth.
+    """
+
+    name: str
+    entry_point: str
+    material: str
+
+    @property
+    def id(self) -> str:
+        """Gymnasium id."""
+        return f"GAUGE/{self.name}"
+
+
+_TASKS = {
+    "Turntable": ("gauge_envs.tools.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
+    "SlopeSlider": ("gauge_envs.tools.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
+    "Pendulum": ("gauge_envs.tools.control.pendulum:PendulumLimit", ("metal",)),
+    "Carry": ("gauge_envs.tools.control.least_time:CarryLimit", ("wood", "plastic", "metal")),
+    "Push": ("gauge_envs.tools.control.least_time:PushLimit", ("wood", "plastic", "metal")),
+    "Throw": ("gauge_envs.tools.control.throw:ThrowLimit", ("rubber",)),
+    "Fling": ("gauge_envs.tools.control.fling:FlingLimit", ("satin",)),
+}
+
+
+def control_tasks() -> tuple[ControlTask, ...]:
+    """Return all control tasks; `gauge_envs.variants` does not list them."""
+    return tuple(
+        ControlTask(name=f"{family}-Limit-{material}", entry_point=entry_point, material=material)
+        for family, (entry_point, materials) in _TASKS.items()
+        for material in materials
+    )
+
+
+def find_control_task(name: str) -> ControlTask:
+    """Return a control task by its name or Gymnasium id."""
+    by_name = {task.name: task for task in control_tasks()}
+    try:
+        return by_name[name.removeprefix("GAUGE/")]
+    except KeyError:
+        raise UnknownNameError("control task", name, by_name) from None
+
+
+def register_control_tasks() -> None:
+    """Register every control task with Gymnasium; `import gauge_envs` calls this."""
+    for task in control_tasks():
+        if task.id not in registry:
+            register(
+                id=task.id,
+                entry_point="gauge_envs.tools.control.wrapper:control_env",
+                vector_entry_point="gauge_envs.tools.control.vector:ControlVectorEnv",
+                kwargs={"task": task.name},
+            )

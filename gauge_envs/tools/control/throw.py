@@ -1,0 +1,258 @@
+"""Bounce a ball on a plate as high as its restitution allows."""
+
+import math
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from gauge_envs.evaluation.reference_path import ReferencePath
+from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene import Scene, Sphere
+from gauge_envs.scene.timing import SAMPLES_PER_FRAME
+from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.tools.control.limit import Ending, Limit
+from gauge_envs.tools.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver, with_stage
+
+BALL, PLATE = "ball", "plate"
+
+PLATE_SIZE_M = (0.2, 0.2, 0.02)
+"""Edges of the plate [m]."""
+PLATE_TOP_M = 0.15
+"""Height of the plate's top above the ground at the start, the middle of its stroke [m]."""
+ASIDE_M = 0.15
+"""Distance of the plate's centre from the ball's vertical at the start [m]; without a motion the ball misses it."""
+SPEED_M_PER_S = 1.0
+"""Largest speed of the plate along each axis [m/s]."""
+STROKE_M = 0.1
+"""Largest vertical displacement of the plate, up and down [m]."""
+EDGE_M = 0.01
+"""Width of the strip at the plate's edges along x where an impact does not count [m].
+
+An edge can face sideways, and then the plate's speed along x throws the ball too. Ball and plate move by less than this
+relative to each other in 1/180 s, so the ball is above the top when it is within the strips before and after.
+"""
+IMPACTS = 3
+"""Number of impacts, after which the highest place counts."""
+
+
+def highest_m(drop_m: float, restitution: float, gravity_m_per_s2: float, impacts: int = IMPACTS) -> float:
+    """Return the largest height that a ball can reach with some impacts on the plate [m].
+
+    A ball that comes from the height H to the place z of the plate has the speed v = sqrt(2 g (H - z)) there. It leaves
+    with e v + (1 + e) V at most, V being the plate's largest speed. The next height is z + (e v + (1 + e) V)^2 / (2 g),
+    at the best z of the stroke. It grows with H, so the best height after each impact gives the best one after all.
+
+    Args:
+        drop_m: Height of the ball at rest at the start, above the middle of the stroke [m]. Heights are those of
+            the ball's lowest point.
+        restitution: Coefficient of restitution of ball and plate.
+        gravity_m_per_s2: Gravity [m/s^2].
+        impacts: Number of impacts.
+    """
+
+    def after(height_m: float) -> Callable[[float], float]:
+        def height(place_m: float) -> float:
+            comes = math.sqrt(2.0 * gravity_m_per_s2 * max(height_m - place_m, 0.0))
+            leaves = restitution * comes + (1.0 + restitution) * SPEED_M_PER_S
+            return place_m + leaves**2 / (2.0 * gravity_m_per_s2)
+
+        return height
+
+    for _ in range(impacts):
+        height = after(drop_m)
+        inside = minimize_scalar(lambda z, of=height: -of(z), bounds=(-STROKE_M, STROKE_M), method="bounded")
+        drop_m = max(height(-STROKE_M), height(STROKE_M), -float(inside.fun))
+    return drop_m
+
+
+class ThrowLimit(ControlEnv):
+    """Bounce a falling ball as high as possible with three impacts on a plate, with the ball of BouncingBall.
+
+    **Law.** An impact gives a ball at most the speed e v + (1 + e) V, with v the speed at which it comes and V that of
+    the plate, here 1 m/s at most. `highest_m` derives the largest height after three impacts: 0.67 m from 0.26 m.
+
+    **Task.** The plate starts 0.15 m beside the ball's vertical and must move under it. An episode ends at the highest
+    place after the third time that the ball turns upwards. It also ends, as lost, when the ball falls past the plate or
+    turns upwards less than 1 cm inside the plate's edge, where the law does not hold: the speed of an edge that is hit
+    from the side has a part along x too.
+
+    **Reward.** The gain of the largest height so far, over the law's largest gain. No policy earns more than 1.
+
+    **Reached** is the largest height of the ball's lowest point above the middle of the plate's stroke, in m; 0 if
+    the ball was lost.
+
+    **Action.** Acceleration of the plate along x and z, in units of 30 m/s^2.
+
+    Friction and restitution of ball and plate are those of ball and ground in the experiment.
+
+    Args:
+        material: Material of the ball: `rubber`.
+        **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
+    """
+
+    FAMILY = "BouncingBall"
+    LAW = "an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times"
+    SIGMA_SOURCE = (
+        "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
+        "scatter"
+    )
+
+    DURATION_S = 3.0
+    """Time of an episode; three impacts and the way up take 1.8 s."""
+
+    ACCELERATION_M_PER_S2 = 30.0
+    """Full speed after one step."""
+
+    COMMANDED: ClassVar[tuple[str, ...]] = ("acceleration_x", "acceleration_z")
+    OBSERVED: ClassVar[tuple[str, ...]] = (
+        "ball_from_plate_x_m",
+        "ball_height_m",
+        "ball_velocity_x_m_per_s",
+        "ball_velocity_z_m_per_s",
+        "plate_height_m",
+        "plate_velocity_x_m_per_s",
+        "plate_velocity_z_m_per_s",
+        "impacts",
+        "time_s",
+    )
+    _at_time_limit = Ending.MISSED
+
+    def __init__(self, material: str = "rubber", **options: Any) -> None:
+        super().__init__(f"{self.FAMILY}-{material}", **options)
+        scene = self.experiment.scene
+        plate = scene.body(PLATE).pose
+        self._stage = Stage(scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M]))
+        self._plate_x_m = plate.position_m[0]
+        self._zero_m = self._middle_m(scene)
+
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene with a plate beside the ball's vertical."""
+        x, y, _ = stated.body(BALL).pose.position_m
+        top_m = stated.body("ground").pose.position_m[2] + PLATE_TOP_M
+        place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
+        driver = stage_driver(PLATE, ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), largest_speed_m_per_s=SPEED_M_PER_S)
+        (on_ground,) = stated.contacts
+        return with_stage(stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground)
+
+    @staticmethod
+    def _middle_m(scene: Scene) -> float:
+        """Return the height of the ball's centre in the world when it lies on the plate at the start [m]."""
+        ball = scene.body(BALL).shape
+        assert isinstance(ball, Sphere)
+        return scene.body(PLATE).pose.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.radius_m
+
+    @property
+    def _drop_m(self) -> float:
+        scene = self.experiment.scene
+        return scene.body(BALL).pose.position_m[2] - self._middle_m(scene)
+
+    def reach(self) -> ReferencePath:
+        """Return the largest height of the ball that the law allows, the plate below it, and the ends of its stroke."""
+        scene = self.experiment.scene
+        ball, plate = (np.asarray(scene.body(name).pose.position_m) for name in (BALL, PLATE))
+        highest = np.array([*ball[:2], self._zero_m + self.limit.value])
+        below = np.array([*ball[:2], plate[2]])
+        stroke = np.array([0.0, 0.0, STROKE_M])
+        places = [[ball, plate], [highest, below], [ball, below - stroke], [ball, below + stroke]]
+        return ReferencePath(names=(BALL, PLATE), places_m=np.array(places), is_full=True)
+
+    def _limit(self) -> Limit:
+        scene = self.experiment.scene
+        (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
+        value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
+        known = input_uncertainties()
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        (calibrated,) = load_experiment(self._variant).scene.contacts
+        std = known.restitution.std(calibrated.restitution, self._variant.material)
+        changes = (
+            highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value,
+            highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value,
+        )
+        return Limit(
+            quantity="height after three impacts",
+            unit="m",
+            value=value,
+            sigma=math.hypot(*changes),
+            law=self.LAW,
+            sigma_source=self.SIGMA_SOURCE,
+        )
+
+    # --- rollout ---
+
+    def _begin(self) -> None:
+        self._stage.begin()
+        self._impacts = 0
+        self._look()
+        self._highest_m = self._height_m
+
+    def _look(self) -> None:
+        """Read the ball's place and velocity."""
+        state = self.world.body_states((BALL,))[0]
+        self._ball_x_m, self._height_m = float(state[0]), float(state[2]) - self._zero_m
+        self._ball_velocity = state[[7, 9]]
+
+    def _advance(self, command: NDArray[np.float64]) -> Frame:
+        before_m, ending = self._highest_m, None
+        for _ in range(SAMPLES_PER_FRAME):
+            fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
+            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
+            yield
+            self._look()
+            turned = bool(fell and self._ball_velocity[1] > 0.0)
+            self._impacts += turned
+            if self._height_m < -STROKE_M - PLATE_SIZE_M[2] or (turned and not (was_inside and self._is_inside)):
+                ending = Ending.LOST
+                break
+            self._highest_m = max(self._highest_m, self._height_m)
+            if self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
+                ending = Ending.REACHED
+                break
+        return (self._highest_m - before_m) / (self.limit.value - self._drop_m), ending
+
+    @property
+    def _from_plate_m(self) -> float:
+        """Place of the ball along x relative to the plate's centre [m]."""
+        return float(self._ball_x_m - self._plate_x_m - self._stage.offset_m[0])
+
+    @property
+    def _is_inside(self) -> bool:
+        """Whether the ball is above the plate's top, and not near its edges."""
+        return abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
+
+    def _observation(self) -> NDArray[np.float64]:
+        plate = self._stage
+        return np.array(
+            [
+                self._from_plate_m,
+                self._height_m,
+                *self._ball_velocity,
+                plate.offset_m[1],
+                *plate.rate_m_per_s,
+                self._impacts,
+                self.time_s,
+            ]
+        )
+
+    def _reached(self) -> float:
+        return self._highest_m if self._ending is Ending.REACHED else 0.0
+
+    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+        """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
+        gravity = self.experiment.scene.gravity_m_per_s2
+        most, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S
+        place_m = 0.8 * STROKE_M
+        square = self._ball_velocity[1] ** 2 + 2.0 * gravity * (self._height_m - place_m)
+        meets_s = (self._ball_velocity[1] + math.sqrt(max(square, 0.0))) / gravity
+        across_m = self._ball_x_m + self._ball_velocity[0] * meets_s - self._plate_x_m - self._stage.offset_m[0]
+        across = acceleration_to_rest(float(across_m), float(self._stage.rate_m_per_s[0]), 0.5 * most)
+        height_m, rate = float(self._stage.offset_m[1]), float(self._stage.rate_m_per_s[1])
+        # A plate that is on this line in time, half a frame from now, meets the ball at its place with its speed.
+        if place_m - speed * (meets_s - 0.5 * FRAME_S) >= height_m:
+            up = (speed - rate) / FRAME_S
+        else:
+            up = acceleration_to_rest(-STROKE_M + 0.005 - height_m, rate, 0.5 * most)
+        return np.array([across, up]) / most

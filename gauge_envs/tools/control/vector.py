@@ -1,0 +1,281 @@
+"""Many worlds of one control task, as a vector environment: `gymnasium.make_vec("GAUGE/Carry-Limit-wood", 6)`.
+
+The worlds advance together, and start and end their episodes one by one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from gymnasium.envs.registration import load_env_creator
+from numpy.typing import NDArray
+
+from gauge_envs.backends.base import Simulation, World, Worlds, worlds_of
+from gauge_envs.backends.registry import backend_for
+from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.base import WorldsEnvironment, world_constants
+from gauge_envs.envs.lockstep import WorldThreads, check_length, run_frames
+from gauge_envs.errors import ParameterError
+from gauge_envs.experiments.scene_builder import Parameters
+from gauge_envs.rendering.lazy import Pictures
+from gauge_envs.scene import Pose
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.env import ControlEnv, Step
+from gauge_envs.tools.control.tasks import find_control_task
+
+
+class ControlVectorEnv(WorldsEnvironment[FloatArray]):
+    """Worlds of one control task on one engine.
+
+    Observations, rewards, flags and `infos` are those of `gymnasium.vector.SyncVectorEnv` with the same number of
+    single environments, to the bit. A world whose episode is over restarts alone in the next step, which ignores its
+    action (`AutoresetMode.NEXT_STEP`). `infos["limit"]` and its mask `_limit` report each episode that ends.
+
+    Args:
+        task: Name of the task, as `Carry-Limit-wood`.
+        num_envs: Number of worlds, 1 or more.
+        backend: Name of the engine.
+        parameters: `calibrated`, another parameter set of the task file, or overrides.
+        settings: Numerical settings of the engine that replace those of the preset.
+        world_parameters: Overrides for each world, such as `[{"cube.friction": 0.25}, {"cube.friction": 0.30}]`; they
+            come on top of `parameters`.
+        render_mode: None or `rgb_array`.
+        width: Picture width [pixels].
+        height: Picture height [pixels].
+
+    Attributes:
+        worlds: The worlds.
+
+    Example:
+        >>> import gymnasium as gym, gauge_envs
+        >>> envs = gym.make_vec("GAUGE/Throw-Limit-rubber", num_envs=2)
+        >>> observations, infos = envs.reset(seed=0)
+        >>> observations.shape
+        (2, 9)
+        >>> terminations = [False]
+        >>> while not any(terminations):
+        ...     _, _, terminations, _, infos = envs.step([[0.0, 0.0], [0.0, 0.0]])
+        >>> [str(report.ending) for report in infos["limit"]]
+        ['lost', 'lost']
+    """
+
+    def __init__(
+        self,
+        task: str,
+        num_envs: int = 1,
+        *,
+        backend: str = "mujoco",
+        parameters: Parameters = "calibrated",
+        settings: Mapping[str, Any] | None = None,
+        world_parameters: Sequence[Mapping[str, Any]] | None = None,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+    ) -> None:
+        constants = world_constants(num_envs, world_parameters)
+        pictures = Pictures(render_mode, width=width, height=height)
+        self.worlds = ControlWorlds(task, constants, parameters=parameters, backend=backend, settings=settings)
+        first = self.worlds.envs[0]
+        super().__init__(first.experiment, pictures, backend=backend, settings=settings)
+        self._set_spaces(num_envs, first)
+        self._observations = np.zeros((num_envs, len(first.OBSERVED)))
+        self._over = np.zeros(num_envs, dtype=np.bool_)
+        self._is_reset = False
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[FloatArray, dict[str, Any]]:
+        """Start a new episode in every world.
+
+        Args:
+            seed: Seed of the first world; each next world has one more. Or the seed of each world. None continues the
+                random numbers of each world.
+            options: There are none.
+        """
+        self._check_open("reset")
+        if options:
+            raise ParameterError(f"reset of {type(self).__name__} has no options, got {', '.join(options)}")
+        seeds = [None] * self.num_envs if seed is None else self._seeds(seed)
+        super().reset(seed=seeds[0])
+        self._is_reset = True
+        self._over[:] = False
+        infos = self._begin(dict(enumerate(seeds)), {})
+        return self._observations.copy(), infos
+
+    def _begin(self, seeds: Mapping[int, int | None], infos: dict[str, Any]) -> dict[str, Any]:
+        for number, (observation, info) in self.worlds.begin(seeds).items():
+            self._observations[number] = observation
+            infos = self._add_info(infos, info, number)
+        return infos
+
+    def step(self, actions: Any) -> tuple[FloatArray, FloatArray, NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Simulate one frame, 1/30 s, in every world; a world whose episode was over starts the next one instead.
+
+        Args:
+            actions: One action for each world, shape [num_envs, action_size].
+        """
+        self._check_started("step", started=self._is_reset)
+        check_length(actions, self.num_envs)
+        rewards = np.zeros(self.num_envs)
+        terminations, truncations = np.zeros((2, self.num_envs), dtype=np.bool_)
+        infos: dict[str, Any] = {}
+        ended = np.flatnonzero(self._over).tolist()
+        steps = self.worlds.step({number: actions[number] for number in np.flatnonzero(~self._over).tolist()})
+        for number, step in steps.items():
+            self._observations[number], rewards[number], terminations[number], truncations[number], info = step
+            infos = self._add_info(infos, info, number)
+        # The worlds of one model advance together, so that the others restart after them.
+        infos = self._begin(dict.fromkeys(ended), infos)
+        self._over = terminations | truncations
+        return self._observations.copy(), rewards, terminations, truncations, infos
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render", started=self._is_reset)
+        return tuple(env.picture(self._pictures) for env in self.worlds.envs)
+
+    def _free(self) -> None:
+        super()._free()
+        self.worlds.close()
+
+
+class ControlWorlds:
+    """Worlds of a control task on one engine, which may advance them in one call.
+
+    Each world is the single environment with its constants, to the bit. Engines whose worlds share a model and can
+    restart alone, such as Newton, get one model; the worlds of others are simulations of their own.
+
+    Args:
+        task: Name or id of the task.
+        constants: Overrides of each world, such as `{"cube.friction": 0.3}`, on top of `parameters`.
+        parameters: `calibrated`, another parameter set of the task file, or overrides.
+        backend: Name of the engine.
+        settings: Numerical settings of the engine that replace those of the preset.
+
+    Attributes:
+        envs: The environment of each world; their `reset` and `step` are not for use.
+    """
+
+    def __init__(
+        self,
+        task: str,
+        constants: Sequence[Mapping[str, Any]],
+        *,
+        parameters: Parameters = "calibrated",
+        backend: str = "mujoco",
+        settings: Mapping[str, Any] | None = None,
+    ) -> None:
+        found = find_control_task(task)
+        make = load_env_creator(found.entry_point)
+
+        def world(chosen: Parameters) -> ControlEnv:
+            env = make(material=found.material, parameters=chosen, backend=backend, settings=settings, is_world=True)
+            assert isinstance(env, ControlEnv)
+            return env
+
+        first = world(parameters)
+        settings = settings or first.OWN_SETTINGS.get(backend)
+        common = dict(first.experiment.overrides)
+        self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
+        scenes = [env.experiment.scene for env in self.envs]
+        engine = backend_for(backend, first.experiment.model_file)
+        self._worlds = worlds_of(engine, scenes, settings, restart_alone=True)
+        self._threads = WorldThreads(self._worlds)
+        self._readings: _Readings | None = None
+        worlds = list(self._worlds.worlds)
+        if not all(isinstance(one, Simulation) for one in worlds):
+            moving = [body.name for body in scenes[0].dynamic_bodies] + [one.body for one in scenes[0].drivers]
+            self._readings = _Readings(self._worlds, moving)
+            worlds = [_ReadWorld(one, self._readings, number) for number, one in enumerate(worlds)]
+        for env, one in zip(self.envs, worlds, strict=True):
+            check_drive_interval(one.settings)
+            env.world = one
+
+    def __len__(self) -> int:
+        """Return the number of worlds."""
+        return len(self.envs)
+
+    def begin(self, seeds: Mapping[int, int | None]) -> dict[int, tuple[FloatArray, dict[str, Any]]]:
+        """Start a new episode in some worlds, as `ControlEnv.reset` does.
+
+        Args:
+            seeds: Seed for the number of each world; None continues its random numbers.
+        """
+        for number in seeds:
+            self._worlds.restart(number)
+        if self._readings is not None:
+            self._readings.states = None
+        return {number: self.envs[number].begin(seed) for number, seed in seeds.items()}
+
+    def step(self, actions: Mapping[int, Any]) -> dict[int, Step]:
+        """Simulate one frame in some worlds, with `limit` in `info` where an episode ends.
+
+        Args:
+            actions: Action for the number of each world whose episode is running.
+        """
+        frames = {number: self.envs[number].frame(action) for number, action in actions.items()}
+        steps = run_frames(frames, self._advance)
+        for number, (_, _, terminated, truncated, info) in steps.items():
+            if terminated or truncated:
+                info["limit"] = self.envs[number].report()
+        return {number: steps[number] for number in actions}
+
+    def _advance(self, numbers: Iterable[int]) -> None:
+        if self._readings is None:
+            worlds = cast("Sequence[Simulation]", self._worlds.worlds)
+            self._threads.run(lambda number: worlds[number].advance(SAMPLE_INTERVAL_S), [*numbers])
+        else:
+            self._worlds.advance(SAMPLE_INTERVAL_S)
+            self._readings.states = None
+
+    def close(self) -> None:
+        """Free the worlds."""
+        self._worlds.close()
+
+
+class _Readings:
+    """States of all worlds of a model, read once after each advance."""
+
+    def __init__(self, worlds: Worlds, names: Sequence[str]) -> None:
+        self._worlds = worlds
+        self._names = tuple(dict.fromkeys(names))
+        self.rows = {name: row for row, name in enumerate(self._names)}
+        self.states: FloatArray | None = None
+
+    def of(self, number: int, names: Sequence[str]) -> FloatArray:
+        if self.states is None:
+            self.states = self._worlds.body_states(self._names)
+        return self.states[number, [self.rows[name] for name in names]]
+
+
+class _ReadWorld(World):
+    """A world whose states are read together with those of all others."""
+
+    def __init__(self, world: World, readings: _Readings, number: int) -> None:
+        self.settings = world.settings
+        self._world, self._readings, self._number = world, readings, number
+
+    def drive(self, body: str, pose: Pose, velocity: FloatArray, acceleration: FloatArray) -> None:
+        """Drive a body of the world itself; see `World.drive`."""
+        self._world.drive(body, pose, velocity, acceleration)
+
+    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
+        """Apply a force and a torque in the world itself; see `World.apply_wrench`."""
+        self._world.apply_wrench(body, wrench)
+
+    def fault(self) -> str | None:
+        """Return why the engine gave up the state, or None; see `World.fault`."""
+        return self._world.fault()
+
+    def nodes(self, name: str) -> FloatArray:
+        """Return the nodes of a deformable body of the world itself; see `World.nodes`."""
+        return self._world.nodes(name)
+
+    def body_states(self, names: Sequence[str]) -> FloatArray:
+        """Return the states of the bodies from the reading of all worlds; see `World.body_states`."""
+        return self._readings.of(self._number, names)

@@ -1,0 +1,443 @@
+"""Reader of hinges with their motors, tethers and driven bodies of a USD stage."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from itertools import pairwise
+from typing import Annotated, Any
+
+import numpy as np
+from pxr import Sdf, Usd, UsdPhysics
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from gauge_envs.errors import ShapeError, first_fault
+from gauge_envs.scene.bodies import BodyHinge, Hinge, JointDynamics, Motion, RigidBody, Tether
+from gauge_envs.scene.driver_fit import sampled_motions
+from gauge_envs.scene.drivers import Driver, DriverMotion
+from gauge_envs.scene.geometry import FloatArray, Pose, pose_distance, vector
+from gauge_envs.scene.motors import Motor
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.usd.layer import (
+    DRIVE,
+    DYNAMICS,
+    PHYSX_ARMATURE,
+    TEXT,
+    WRITTEN,
+    hinge_axis,
+    hinge_frame,
+    motions_digest,
+    motions_from_json,
+    samples_digest,
+    wxyz,
+)
+from gauge_envs.tools.usd.source import Source, StoredValue
+
+GAP_M = 1e-4
+"""Largest distance between the two ends of a joint at the start [m], and largest angle between its axes [rad]."""
+
+UNIT = 1e-6
+"""Largest deviation of an axis from unit length."""
+
+
+UNREAD = ("physxJoint:jointFriction", "mjc:stiffness", "drive:angular:physics:targetVelocity")
+"""Attributes with physics that joints of a scene do not have, unless they are 0."""
+
+
+class _Terms(BaseModel):
+    """Terms of a hinge."""
+
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
+
+    dynamics: JointDynamics
+    motor: Annotated[Motor, Field(discriminator="kind")] | None
+
+
+class _End:
+    """One end of a joint.
+
+    Args:
+        source: The stage.
+        joint: The joint.
+        side: Index of the end, 0 or 1.
+
+    Attributes:
+        body: Prim of the moving body; None for an end in the world.
+        space: Prim in whose space the frame is; None for that of the world.
+        position: Attribute of the origin of the frame.
+        rotation: Attribute of its orientation.
+    """
+
+    def __init__(self, source: Source, joint: Usd.Prim, side: int) -> None:
+        api = UsdPhysics.Joint(joint)
+        targets = (api.GetBody0Rel(), api.GetBody1Rel())[side].GetTargets()
+        target = source.stage.GetPrimAtPath(targets[0]) if targets else None
+        if targets and not target:
+            raise source.fault(joint, f"joins {targets[0]}, which does not exist")
+        owner = source.body_of(target) if target else None
+        self._source = source
+        self.body = owner if owner and source.is_rigid(owner) else None
+        self.space = self.body or target
+        self.position = (api.GetLocalPos0Attr(), api.GetLocalPos1Attr())[side]
+        self.rotation = (api.GetLocalRot0Attr(), api.GetLocalRot1Attr())[side]
+
+    def reading(self) -> StoredValue | None:
+        """Return the authored origin of the frame in world coordinates [m]."""
+        source, space = self._source, self.space
+        convert = source.world_m if space is None else lambda points: source.to_world(space, points)
+        return source.reading(self.position, (3,), convert)
+
+    def place(self) -> FloatArray:
+        """Return the origin of the frame in world coordinates [m]; that of its space if none is authored."""
+        stated = self.reading()
+        if stated is not None:
+            return stated.value
+        return np.zeros(3) if self.space is None else self._source.to_world(self.space, np.zeros(3))
+
+    def axis(self, letter: str) -> FloatArray:
+        """Return the direction of an axis of the frame in the world."""
+        source, quaternion = self._source, self._source.numbers(self.rotation, (4,))
+        if quaternion is not None and not quaternion.any():
+            raise source.fault(self.rotation, "is a zero quaternion: a rotation is expected")
+        axis = hinge_axis(np.array([1.0, 0.0, 0.0, 0.0]) if quaternion is None else quaternion, letter)
+        if self.space is None:
+            return source.up @ axis
+        return source.frame(self.space, Usd.TimeCode(source.start)).pose.rotation.apply(axis)
+
+
+def _ends(source: Source, joint: Usd.Prim) -> list[_End]:
+    return [_End(source, joint, side) for side in (0, 1)]
+
+
+def joint_prims(source: Source) -> list[Usd.Prim]:
+    """Return the enabled joints in the stage's order."""
+    return [
+        prim
+        for prim in source.prims()
+        if prim.IsA(UsdPhysics.Joint) and source.flag(UsdPhysics.Joint(prim).GetJointEnabledAttr(), default=True)
+    ]
+
+
+def is_welded(source: Source, joint: Usd.Prim, body: Usd.Prim) -> bool:
+    """Return whether a joint fixes a body to the world."""
+    return joint.IsA(UsdPhysics.FixedJoint) and _world_joint(source, joint)[1].body == body
+
+
+def joins_bodies(source: Source, joint: Usd.Prim) -> bool:
+    """Return whether a joint connects two moving bodies."""
+    return all(end.body for end in _ends(source, joint))
+
+
+def read_body_hinge(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> BodyHinge:
+    """Return the hinge of a revolute joint between two bodies.
+
+    Its frames in both bodies must coincide at the start. They count if one of them was edited; otherwise the exact
+    anchor and axis of a layer of this package count, which must agree with them.
+
+    Args:
+        source: The stage.
+        prim: The joint.
+        bodies: Rigid bodies, by path of the prim.
+    """
+    kind = str(prim.GetTypeName())
+    if kind != "PhysicsRevoluteJoint":
+        raise source.fault(prim, f"unsupported joint: a {kind} of two bodies; revolute joints of two bodies are read")
+    _check_plain(source, prim)
+    ends, letter = _ends(source, prim), _letter(source, prim)
+    places, axes = [end.place() for end in ends], [end.axis(letter) for end in ends]
+    edited = any(_is_edited(one) for end in ends for one in (end.position, end.rotation))
+    exact = [source.numbers(prim.GetAttribute(f"gauge:{name}"), (3,)) for name in ("anchor_m", "axis")]
+    anchor = places[0] if edited or exact[0] is None else exact[0]
+    axis = axes[0] if edited or exact[1] is None else exact[1]
+    gap = max(float(np.linalg.norm(place - anchor)) for place in places)
+    askew = max(float(np.linalg.norm(one - axis)) for one in axes)
+    if not max(gap, askew) <= GAP_M:
+        raise source.fault(
+            prim,
+            f"its frames in the two bodies lie up to {1e3 * gap:.3g} mm and {askew:.3g} rad off its anchor and axis at "
+            "the start: they must meet",
+        )
+    first, second = (bodies[end.body.GetPath()].name for end in ends if end.body)
+    place, terms = vector(anchor), _terms(source, prim)
+    return BodyHinge(first=first, second=second, anchor_m=place, axis=vector(_normalized(axis)), **terms)
+
+
+def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBody]) -> Hinge | Tether | None:
+    """Return a hinge for a revolute joint, a tether for a distance joint, and None for a fixed joint.
+
+    The joint's end in the world is the anchor. Its end in the body must coincide with the anchor. An exception is an
+    unedited joint of a layer of this package, because the body may have been moved.
+
+    Args:
+        source: The stage.
+        prim: The joint.
+        bodies: Rigid bodies, by path of the prim.
+    """
+    world, held = _world_joint(source, prim)
+    kind = str(prim.GetTypeName())
+    if kind == "PhysicsFixedJoint":
+        return None
+    if kind not in ("PhysicsRevoluteJoint", "PhysicsDistanceJoint"):
+        raise source.fault(
+            prim, f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read"
+        )
+    assert held.body is not None
+    body = bodies[held.body.GetPath()]
+    if body.motion is not Motion.DYNAMIC:
+        raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
+    _check_plain(source, prim)
+    own = prim.GetAttribute("gauge:anchor_m")
+    anchor = source.counted(own, [world.reading()], (3,))
+    if anchor is None:
+        anchor = world.place()
+    if kind == "PhysicsDistanceJoint":
+        return _tether(source, prim, body, anchor, held.place())
+    # If only the body was moved, the anchor stays.
+    is_free = bool(own and own.HasAuthoredValue()) and not _is_edited(held.position)
+    return _hinge(source, prim, body, anchor, world, held, is_free=is_free)
+
+
+def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
+    """Return the ends of a joint in the world and in its moving body."""
+    ends = sorted(_ends(source, prim), key=lambda end: end.body is not None)
+    moving = [end.body for end in ends if end.body]
+    if len(moving) != 1:
+        joined = ", ".join(str(body.GetPath()) for body in moving) or "no moving body"
+        raise source.fault(
+            prim, f"unsupported joint: a {prim.GetTypeName()} of {joined}; this joint must be of one body and the world"
+        )
+    return ends[0], ends[1]
+
+
+def _letter(source: Source, prim: Usd.Prim) -> str:
+    return source.text(UsdPhysics.RevoluteJoint(prim).GetAxisAttr(), ("X", "Y", "Z")) or "X"
+
+
+def _normalized(axis: FloatArray) -> FloatArray:
+    """Return a unit vector; an axis that was edited has single precision, and one that a task file may state stays."""
+    length = float(np.linalg.norm(axis))
+    return axis if abs(length - 1.0) <= 1e-9 else axis / length
+
+
+def _is_edited(attribute: Usd.Attribute) -> bool:
+    """Return whether an attribute at the body's end of a joint differs from its written value."""
+    return bool(attribute) and attribute.Get() != attribute.GetCustomDataByKey(WRITTEN)
+
+
+def _check_plain(source: Source, prim: Usd.Prim) -> None:
+    """Check that a joint has no limit, no drive but that of a revolute joint, and no breaking strength."""
+    applied = [name for name in prim.GetAppliedSchemas() if name.startswith(("PhysicsDriveAPI", "PhysicsLimitAPI"))]
+    applied = [name for name in applied if name != "PhysicsDriveAPI:angular" or not prim.IsA(UsdPhysics.RevoluteJoint)]
+    if applied:
+        raise source.fault(prim, f"unsupported joint: it has {applied[0]}, and joints of a scene move freely")
+    for name in ("physics:lowerLimit", "physics:upperLimit", "physics:breakForce", "physics:breakTorque"):
+        attribute = prim.GetAttribute(name)
+        value = attribute.Get() if attribute else None
+        if value is not None and np.isfinite(value):
+            raise source.fault(attribute, f"unsupported joint: it is {value}, but joints of a scene have no limits")
+
+
+def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, held: FloatArray) -> Tether:
+    joint = UsdPhysics.DistanceJoint(prim)
+    if np.linalg.norm(held - body.pose.position_m) > GAP_M:
+        raise source.fault(prim, f"ends at {held.tolist()} m, not at the origin of {body.name!r}, where strings end")
+    shortest = source.number(joint.GetMinDistanceAttr())
+    if shortest is not None and shortest > 0.0:
+        raise source.fault(joint.GetMinDistanceAttr(), f"unsupported joint: it is {shortest}, and a string only pulls")
+    longest = source.reading(joint.GetMaxDistanceAttr(), (), lambda length: length * source.metres)
+    length = source.counted(prim.GetAttribute("gauge:length_m"), [longest])
+    if length is None or length <= 0.0:
+        raise source.fault(prim, "physics:maxDistance, the length of the string, is missing or not positive")
+    return Tether(body=body.name, anchor_m=vector(anchor), length_m=float(length))
+
+
+def _hinge(
+    source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, world: _End, held: _End, *, is_free: bool
+) -> Hinge:
+    """Return the hinge; the place of a free one in its body does not count."""
+    letter = _letter(source, prim)
+    stated = world.axis(letter)
+    standard = StoredValue(place=str(world.rotation.GetPath()), raw=stated, value=stated)
+    own = prim.GetAttribute("gauge:axis")
+    axis = source.counted(own, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
+    assert axis is not None
+    if abs(float(np.linalg.norm(axis)) - 1.0) > UNIT:
+        raise source.fault(prim, f"its axis {axis.tolist()} is not a unit vector: normalize it")
+    axis = _normalized(axis)
+    if not is_free or _is_edited(held.rotation):
+        gap = 0.0 if is_free else float(np.linalg.norm(held.place() - anchor))
+        askew = float(np.linalg.norm(held.axis(letter) - axis))
+        if max(gap, askew) > GAP_M:
+            raise source.fault(
+                prim,
+                f"its two frames lie {1e3 * gap:.3g} mm apart and {askew:.3g} rad askew at the start: they must meet",
+            )
+    terms = _terms(source, prim, 1.0 if _ends(source, prim)[1].body else -1.0)
+    return Hinge(body=body.name, anchor_m=vector(anchor), axis=vector(axis), **terms)
+
+
+def _terms(source: Source, prim: Usd.Prim, sign: float = 1.0) -> dict[str, Any]:
+    """Return the fields `dynamics` and `motor` of the hinge of a joint, which turns as the joint times a sign."""
+    for attribute in map(prim.GetAttribute, UNREAD):
+        if attribute and source.number(attribute):
+            raise source.fault(attribute, f"unsupported joint: it is {attribute.Get()}, and a scene has no such term")
+    unit, dynamics = source.kilograms * source.metres**2, {}
+    for field, name in DYNAMICS.items():
+        other = [source.reading(prim.GetAttribute(PHYSX_ARMATURE))] if name == "mjc:armature" else []
+        if (value := source.counted(prim.GetAttribute(name), other)) is not None:
+            dynamics[field] = float(value) * (1.0 if field == "backlash_rad" else unit)
+    drive = UsdPhysics.DriveAPI(prim, "angular")
+    kind = source.text(prim.GetAttribute("gauge:motor")) or ("servo" if drive else None)
+    motor = None if kind is None else {"kind": kind} | _motor(source, prim, drive, unit, sign)
+    try:
+        return dict(_Terms.model_validate({"dynamics": dynamics, "motor": motor}))
+    except ValidationError as error:
+        raise source.fault(prim, ": ".join(first_fault(error))) from None
+
+
+def _motor(source: Source, prim: Usd.Prim, drive: UsdPhysics.DriveAPI, unit: float, sign: float) -> dict[str, Any]:
+    """Return the fields of a motor; a drive of another tool holds its target."""
+    source.text(drive.GetTypeAttr(), ("force",))
+    motor: dict[str, Any] = {"delay_s": source.number(prim.GetAttribute("gauge:delay_s")) or 0.0}
+    for field, (name, factor) in DRIVE.items():
+        standard = prim.GetAttribute(name)
+        is_given = standard and standard.Get() != math.inf
+        reading = source.reading(standard, (), partial(np.multiply, factor * unit)) if is_given else None
+        if (value := source.counted(prim.GetAttribute(f"gauge:{field}"), [reading])) is not None:
+            motor[field] = float(value)
+    command = prim.GetAttribute("gauge:command")
+    target = sign * math.radians(source.number(drive.GetTargetPositionAttr()) or 0.0)
+    try:
+        stated = json.loads(source.text(command) or "null")
+    except ValueError as error:
+        raise source.fault(command, f"is not JSON: {error}") from None
+    return motor | {"command": stated or {"kind": "sampled", "times_s": (0.0, 1.0), "values": (target, target)}}
+
+
+# --- driven bodies ---------------------------------------------------------------------------------------------------
+
+AGREES = 1e-6
+"""Largest difference between time samples and `gauge:driver` [m, rad] if both were edited."""
+
+LONGEST_S = 3600.0
+"""Longest duration of time samples [s]; longer ones have another unit of time or are damaged."""
+
+Track = dict[float, Pose]
+"""Poses by time code."""
+
+
+def driven_body(
+    source: Source, prim: Usd.Prim, name: str, pose_at: Callable[[Usd.TimeCode], Pose]
+) -> tuple[Pose, Driver | None, int | None]:
+    """Return the start pose and the driver of a kinematic body.
+
+    `gauge:driver` contains the exact motion; the time samples of the transform contain its poses at the frames. The
+    edited one of both counts. Edited samples, and samples without `gauge:driver`, become sampled motions with monotone
+    cubic interpolation. Between samples that are more than a frame apart, the poses at the frames are added. An edited
+    motion was not measured, so its provenance is `nominal` and mentions the edit.
+
+    Args:
+        source: The stage.
+        prim: Prim of the body.
+        name: Name of the body.
+        pose_at: Function that returns the body's pose at a time code.
+
+    Returns:
+        The pose before anything moves; the driver, or None if the body does not move; and the index of the driver in
+        the scene, or None if the file does not define it.
+    """
+    start = Usd.TimeCode(source.start)
+    samples = {code: pose_at(Usd.TimeCode(code)) for code in source.sample_codes(prim)}
+    if samples and source.seconds(max(samples)) > LONGEST_S:
+        last_s = source.seconds(max(samples))
+        raise source.fault(prim, f"its time samples end after {last_s:.6g} s: {LONGEST_S:.6g} s at most are expected")
+    track = _timeline(source, samples, pose_at)
+    attribute = prim.GetAttribute("gauge:driver")
+    text = source.text(attribute)
+    if text is None:
+        poses = list(track.values())
+        if all(pose_distance(pose, poses[0]) == 0.0 for pose in poses):
+            return pose_at(start), None, None
+        motions = _sampled(source, prim, poses[0], track, ())
+        if not motions:
+            return poses[0], None, None
+        provenance = f"nominal: time samples of {source.file.name}"
+        return poses[0], Driver(body=name, motions=motions, provenance=provenance), None
+    try:
+        motions, place = motions_from_json(text)
+    except ValueError as error:
+        reason = "; ".join(str(error).splitlines()[:3])
+        raise source.fault(attribute, f"is not as the writer writes it: {reason}") from None
+    provenance = source.text(prim.GetAttribute("gauge:driver_provenance")) or "nominal"
+    driver = Driver(body=name, motions=motions, provenance=provenance)
+    pose, driver = _edited(source, prim, driver, pose_at(Usd.TimeCode.Default()), samples, track)
+    return pose, driver, place
+
+
+def _edited(
+    source: Source, prim: Usd.Prim, driver: Driver, start: Pose, samples: Track, track: Track
+) -> tuple[Pose, Driver]:
+    """Return the start pose and the driver of a body with `gauge:driver` and possibly time samples."""
+    attribute = prim.GetAttribute("gauge:driver")
+    changed = replace(driver, provenance=f"nominal: edited in {source.file.name}, was {driver.provenance}")
+    is_edited = motions_digest(attribute.Get()) != attribute.GetCustomDataByKey(TEXT)
+    written = attribute.GetCustomDataByKey(WRITTEN)
+    apart = [pose_distance(driver.pose(start, source.seconds(code)), pose) for code, pose in track.items() if samples]
+    if not samples or (written is not None and _digest(source, samples) == written):
+        if not is_edited and samples and apart[0] > AGREES:
+            raise source.fault(
+                prim,
+                "its pose was edited, but not the time samples of its transform: edit both, or delete the samples, so "
+                "that gauge:driver moves it from the edited pose",
+            )
+        return start, changed if is_edited else driver
+    if is_edited or written is None:
+        if max(apart) > AGREES:
+            raise source.fault(
+                attribute,
+                f"puts the body up to {max(apart):.3g} (m, rad) away from the time samples of its transform, and both "
+                "were edited: make them agree, or delete one",
+            )
+        return start, changed
+    first = next(iter(track.values()))
+    # If the samples start elsewhere than the driver, the body starts there too: a jump would throw other bodies.
+    if apart[0] > AGREES:
+        start = first
+    return start, replace(changed, motions=_sampled(source, prim, start, track, driver.motions))
+
+
+def _timeline(source: Source, samples: Track, pose_at: Callable[[Usd.TimeCode], Pose]) -> Track:
+    """Return poses from the start of the stage on, at two times or more, with at most a frame between them.
+
+    USD interpolates stored values such as angles. Poses at the keys alone would miss a full rotation between two keys.
+    """
+    keys = sorted({source.start, *(code for code in samples if code > source.start)})
+    if len(keys) == 1:
+        keys.append(source.start + 1.0)
+    codes = [keys[0]]
+    for one, other in pairwise(keys):
+        steps = math.ceil((other - one) / source.rate * FRAME_RATE_HZ - 1e-6)
+        codes += [one + (other - one) * step / steps for step in range(1, steps)] if steps > 1 else []
+        codes.append(other)
+    return {code: samples.get(code) or pose_at(Usd.TimeCode(code)) for code in codes}
+
+
+def _digest(source: Source, samples: Track) -> str:
+    return samples_digest(
+        np.array([source.seconds(code) for code in samples]),
+        np.array([pose.position_m for pose in samples.values()]),
+        np.array([pose.quaternion for pose in samples.values()]),
+    )
+
+
+def _sampled(
+    source: Source, prim: Usd.Prim, start: Pose, track: Track, like: Sequence[DriverMotion]
+) -> tuple[DriverMotion, ...]:
+    times_s = [source.seconds(code) for code in track]
+    try:
+        return sampled_motions(start, times_s, list(track.values()), like=like)
+    except ShapeError as error:
+        raise source.fault(prim, f"the time samples of its transform: {error}") from None

@@ -1,0 +1,171 @@
+"""The camera: it sees all that moves, as large as it fits, and the motion from the side."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from opengl import needs_opengl
+from scipy.spatial.transform import Rotation
+
+from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.rendering.camera import MARGIN, View, scene_view
+from gauge_envs.rendering.expected import expected_motion
+from gauge_envs.rendering.overlay import Overlay
+from gauge_envs.rendering.renderer import SceneRenderer
+from gauge_envs.scene import Box, Motion, Pose, RigidBody
+from gauge_envs.tools.control.env import ControlEnv
+
+SIZE = (640, 480)
+
+LEAST_SHARE = 0.5
+"""Smallest share of the width or of the height that the box around all places of what moves fills."""
+
+QUICK = (
+    "BouncingBall-rubber",
+    "SlopeContact-wood",
+    "NonsmoothContact-1-wood",
+    "NonsmoothContact-3-plastic",
+    "SlopeSlider-1-metal",
+    "SlopeSlider-2-wood",
+    "SlopeSlider-3-metal",
+    "Turntable-2-metal",
+    "NewtonsCradle-metal",
+    "Pendulum-metal",
+    "CubeToss-acrylic",
+    "ElbowToss-blocks",
+)
+LONG = (
+    "WallBreaking-wood",
+    "RopeWinding-rubber",
+    "TextileFlinging-satin",
+    "TextileBending-oxford",
+    "TableclothPulling-metal",
+    "FoamTwisting-soft",
+    "FoamBending-hard",
+    "StickStack-soft",
+    "CantileverBeam-soft",
+)
+MOST_FRAMES = 120
+
+
+def rollout_pixels(name: str) -> list[np.ndarray]:
+    """Return where corners and nodes of all that moves are in the pictures at start, middle and end of an episode."""
+    env = GaugeEnv(name)
+    env.reset(seed=0)
+    experiment, scene = env.episode.experiment, env.episode.experiment.scene
+    view = scene_view(scene, aspect=SIZE[0] / SIZE[1], reference=reference_path(experiment, env.band))
+    zero = 0 if isinstance(env.action_space, gymnasium.spaces.Discrete) else np.zeros(env.action_space.shape)
+    last = min(experiment.frame_count - 1, MOST_FRAMES)
+    seen = []
+    for frame in range(last + 1):
+        if frame in (0, last // 2, last):
+            points = list(env.episode.nodes_m().values())
+            for body, pose in env.episode.poses().items():
+                turn = Rotation.from_quat(pose[3:], scalar_first=True)
+                points.append(pose[:3] + turn.apply(scene.body(body).shape.corners_m))
+            seen.append(view.pixels(np.concatenate(points), width=SIZE[0], height=SIZE[1]))
+        if frame < last:
+            env.step(zero)
+    env.close()
+    return seen
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in LONG)])
+def test_what_moves_is_in_the_picture_and_fills_it(name: str) -> None:
+    seen = rollout_pixels(name)
+    for pixels in seen:
+        assert ((pixels >= 0.0) & (pixels <= SIZE)).all()
+    everything = np.concatenate(seen)
+    assert (np.ptp(everything, axis=0) / SIZE).max() >= LEAST_SHARE
+
+
+@pytest.mark.parametrize("task", ["Carry-Limit-wood", "Push-Limit-wood", "Throw-Limit-rubber", "Pendulum-Limit-metal"])
+def test_a_body_that_actions_drive_stays_in_the_picture(task: str) -> None:
+    env = gymnasium.make(f"GAUGE/{task}").unwrapped
+    assert isinstance(env, ControlEnv)
+    view = scene_view(env.experiment.scene, aspect=SIZE[0] / SIZE[1], reference=env.reach())
+    seen = []
+    for seed in range(4):
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            _, _, terminated, truncated, _ = env.step(env.law_action(0.95))
+            over = terminated or truncated
+            seen.append(
+                view.pixels(np.array([pose[:3] for pose in env.moving_poses().values()]), width=SIZE[0], height=SIZE[1])
+            )
+    env.close()
+    assert ((np.concatenate(seen) >= 0.0) & (np.concatenate(seen) <= SIZE)).all()
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "TextileFlinging-satin", "FoamTwisting-soft", "Pendulum-metal"])
+@pytest.mark.parametrize("aspect", [4.0 / 3.0, 0.5, 3.0])
+def test_the_view_is_the_nearest_one_that_keeps_the_margin(name: str, aspect: float) -> None:
+    scene = load_experiment(name).scene
+    pixels = scene_view(scene, aspect=aspect).pixels(
+        expected_motion(scene).points_m, width=aspect * 100.0, height=100.0
+    )
+    share = pixels / [aspect * 100.0, 100.0]
+    assert share.min() >= MARGIN - 1e-9
+    assert share.max() <= 1.0 - MARGIN + 1e-9
+    # Two opposite sides touch the margin: no nearer view would keep it.
+    assert (np.isclose(share.min(axis=0), MARGIN) & np.isclose(share.max(axis=0), 1.0 - MARGIN)).any()
+
+
+@pytest.mark.parametrize("name", ["SlopeSlider-2-wood", "TextileFlinging-satin", "Pendulum-metal"])
+def test_a_plane_motion_is_seen_from_the_side(name: str) -> None:
+    experiment = load_experiment(name)
+    expected = expected_motion(experiment.scene)
+    assert expected.across is not None
+    forward = scene_view(experiment.scene).axes[2]
+    level = forward[:2] / np.hypot(*forward[:2])
+    # Within 40 degrees of the normal, so that at least cos(40 deg) = 77 % of each way is seen.
+    assert abs(level @ expected.across) > np.cos(np.radians(40.0))
+
+
+@needs_opengl
+def test_pictures_show_points_where_the_view_says() -> None:
+    scene = load_experiment("SlopeSlider-2-wood").scene
+    view = View(target_m=np.array([0.1, -0.2, 0.4]), distance_m=1.3, azimuth_deg=33.0, elevation_deg=-21.0)
+    renderer = SceneRenderer(scene, {}, 320, 240, view=view)
+    for offset in ([0.0, 0.0, 0.0], [0.1, 0.1, 0.15], [-0.2, -0.1, 0.1]):
+        point = (view.target_m + offset)[None] - 0.3 * view.axes[2]
+        picture = renderer.picture({}, {}, Overlay(markers_m=point)).astype(int)
+        blue = picture[..., 2] - picture[..., 0] > 60
+        row, column = (np.flatnonzero(blue.any(axis=axis)).mean() + 0.5 for axis in (1, 0))
+        assert [column, row] == pytest.approx(view.pixels(point, width=320, height=240)[0], abs=0.75)
+    renderer.close()
+
+
+def test_a_still_body_does_not_hide_the_motion() -> None:
+    """The wedge falls into a groove; a wall on the usual side of the camera moves the camera to another side."""
+    scene = load_experiment("NonsmoothContact-1-wood").scene
+    usual = scene_view(scene)
+    body = scene.dynamic_bodies[0]
+    level = usual.axes[2] * [1.0, 1.0, 0.0]
+    place = np.array(body.pose.position_m) - 0.12 * level / np.linalg.norm(level)
+    turn = Rotation.from_euler("z", usual.azimuth_deg, degrees=True)
+    wall = RigidBody(
+        name="wall",
+        shape=Box(size_m=(0.01, 0.3, 0.5)),
+        motion=Motion.FIXED,
+        pose=Pose.from_rotation(tuple(place), turn),
+        mass_kg=1.0,
+    )
+    moved = scene_view(replace(scene, bodies=(*scene.bodies, wall)))
+    assert abs((moved.azimuth_deg - usual.azimuth_deg + 180.0) % 360.0 - 180.0) > 45.0
+
+
+@pytest.mark.parametrize("name", ["FoamTwisting-soft", "FoamCompressing-hard"])
+def test_markers_are_on_the_sides_that_the_camera_sees(name: str) -> None:
+    scene = load_experiment(name).scene
+    foam, forward = scene.deformables[0], scene_view(scene).axes[2]
+    places = foam.pose.to_body(np.array(scene.markers.positions_m)) / (0.5 * np.array(foam.shape.size_m))
+    normals = np.where(np.abs(places) > 0.99, np.sign(places), 0.0)[:, :2]
+    towards = -foam.pose.rotation.apply(forward, inverse=True)[:2]
+    # All markers are on two neighbouring sides.
+    assert (normals @ towards > 0.0).all()

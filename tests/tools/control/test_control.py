@@ -1,0 +1,458 @@
+"""Control tasks: their optimum is the law's limit, and engines that obey the law let a policy have just that."""
+
+from __future__ import annotations
+
+import copy
+import csv
+import math
+import pickle
+import re
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import mujoco
+import numpy as np
+import pytest
+from gymnasium.envs.registration import EnvSpec
+from gymnasium.utils.env_checker import check_env
+from opengl import needs_opengl
+from places import ROOT
+from scipy.integrate import solve_ivp
+from typer.testing import CliRunner
+
+from gauge_envs import load_experiment, variants
+from gauge_envs.backends import backend
+from gauge_envs.backends.base import World
+from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+from gauge_envs.cli.app import app
+from gauge_envs.errors import ActionError, BackendError, EpisodeError, ParameterError, UnknownNameError
+from gauge_envs.files import data_folder
+from gauge_envs.references.sensitivities import input_uncertainties
+from gauge_envs.scene import GRAVITY_M_PER_S2, Motion
+from gauge_envs.tools.control.env import ControlEnv
+from gauge_envs.tools.control.friction import HOLD_S, SLIP_SPEED_M_PER_S
+from gauge_envs.tools.control.limit import Ending, Limit, LimitReport
+from gauge_envs.tools.control.pendulum import PendulumLimit
+from gauge_envs.tools.control.play import engine_limit, play
+from gauge_envs.tools.control.slope_slider import SlopeSliderLimit
+from gauge_envs.tools.control.tasks import control_tasks, find_control_task
+from gauge_envs.tools.control.turntable import TurntableLimit
+
+NAMES = tuple(task.name for task in control_tasks())
+STEADY = tuple(name for name in NAMES if name.partition("-")[0] in ("Turntable", "SlopeSlider", "Pendulum"))
+FRICTION = tuple(name for name in STEADY if not name.startswith("Pendulum"))
+MATERIALS = ("wood", "plastic", "metal")
+GOOD = (Ending.HELD, Ending.REACHED)
+FAST = {"timestep_s": 1 / 1080}
+"""The longest step that the default contacts allow, where the accuracy of the engine is not what is tested."""
+
+
+def make(name: str, **options: object) -> ControlEnv:
+    env = gymnasium.make(f"GAUGE/{name}", **options).unwrapped
+    assert isinstance(env, ControlEnv)
+    return env
+
+
+def by_law(env: ControlEnv, fraction: float) -> LimitReport:
+    return play(env, lambda _: env.law_action(fraction))
+
+
+def rewards(env: gymnasium.Env, policy) -> tuple[list[float], dict]:
+    observation, _ = env.reset(seed=0)
+    paid, over = [], False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(policy(observation))
+        paid.append(reward)
+        over = terminated or truncated
+    return paid, info
+
+
+# --- registration and interface ---
+
+
+def test_ids_are_extra_to_the_experiments() -> None:
+    assert len(NAMES) == 15
+    assert {f"GAUGE/{name}" for name in NAMES} <= set(gymnasium.registry)
+    assert not {variant.name for variant in variants()} & set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_checkers_pass(name: str) -> None:
+    env = make(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # Rates and slips have no bounds, which the checker only remarks on.
+        warnings.filterwarnings("ignore", message=".*(infinity|render|spec).*")
+        check_env(env, skip_render_check=True)
+
+
+def test_checker_of_stable_baselines_passes() -> None:
+    checker = pytest.importorskip("stable_baselines3.common.env_checker", reason="extra 'rl' is not installed")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        checker.check_env(gymnasium.make("GAUGE/Turntable-Limit-wood", settings={"timestep_s": 1 / 1080}))
+
+
+def test_a_spec_builds_the_same_run() -> None:
+    env = gymnasium.make("GAUGE/SlopeSlider-Limit-metal", parameters={"cube.friction": 0.2})
+    again = gymnasium.make(EnvSpec.from_json(env.spec.to_json()))
+    assert again.unwrapped.limit == env.unwrapped.limit
+    assert again.unwrapped.limit.value == 0.2
+
+
+@pytest.mark.parametrize("name", ["Turntable-Limit-wood", "Pendulum-Limit-metal"])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_copies_go_on_from_where_they_are(name: str, copied) -> None:
+    env = make(name)
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.array([0.7]))
+    other = copied(env)
+    for action in (0.5, -0.2, 1.0):
+        ours, theirs = env.step(np.array([action])), other.step(np.array([action]))
+        assert np.array_equal(ours[0], theirs[0])
+        assert ours[1:] == theirs[1:]
+    assert np.array_equal(env.trajectory(), other.trajectory())
+
+
+def test_a_pickle_of_another_version_of_the_engine_is_refused() -> None:
+    env = make("Turntable-Limit-wood")
+    env.versions = {"mujoco": "3.0.0"}
+    with pytest.raises(BackendError, match=r"TurntableLimit: the pickle is from mujoco 3\.0\.0, installed is mujoco"):
+        pickle.loads(pickle.dumps(env))
+
+
+def test_misuse_is_an_error() -> None:
+    env = make("Turntable-Limit-wood")
+    with pytest.raises(EpisodeError, match="reset before step"):
+        env.step(np.zeros(1))
+    with pytest.raises(ParameterError, match="no options"):
+        env.reset(options={"jitter": True})
+    env.reset()
+    for action, reason in ((np.zeros(2), "shape"), (np.array([1.1]), "-1 to 1"), (np.array([np.nan]), "-1 to 1")):
+        with pytest.raises(ActionError, match=reason):
+            env.step(action)
+    with pytest.raises(ActionError, match="numbers"):
+        env.step("fast")
+    with pytest.raises(EpisodeError, match="when it is over"):
+        env.report()
+    with pytest.raises(ParameterError, match="drive_interval_s"):
+        make("Turntable-Limit-wood", settings={"preset": "out_of_box"})
+    with pytest.raises(ParameterError, match="render_mode"):
+        TurntableLimit("wood", render_mode="human")
+
+
+@needs_opengl
+def test_picture_shows_the_board_tilting() -> None:
+    env = make("SlopeSlider-Limit-wood", render_mode="rgb_array", width=160, height=120)
+    env.reset(seed=0)
+    level = env.render()
+    for _ in range(20):
+        env.step(np.ones(1))
+    assert (np.abs(env.render().astype(int) - level).max(axis=2) > 40).sum() > 50
+    env.close()
+
+
+def test_command_line_tells_them_apart() -> None:
+    run = CliRunner().invoke
+    listed = run(app, ["list"]).stdout.splitlines()
+    assert listed[-1].startswith("75 ids")
+    assert "15 control tasks" in " ".join(listed[-8:])
+    shown = run(app, ["show", "Turntable-Limit-wood"])
+    assert shown.exit_code == 0
+    assert "omega^2 r = mu g" in shown.stdout
+    assert "0.3788 +- 0.024" in shown.stdout
+    assert '"unit": "m/J"' in run(app, ["show", "GAUGE/Pendulum-Limit-metal", "--json"]).stdout
+
+
+# --- limits and their uncertainty ---
+
+
+def test_ratio_and_z() -> None:
+    limit = Limit(quantity="q", unit="1", value=0.25, sigma=0.05, law="", sigma_source="")
+    report = LimitReport(limit=limit, reached=0.3, ending=Ending.HELD, time_s=1.0)
+    assert report.ratio == pytest.approx(1.2)
+    assert report.z == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_uncertainty_of_friction_is_how_far_single_trials_are_from_it(material: str) -> None:
+    path = data_folder("scoring") / "facts" / "slope_slider_30deg.csv"
+    rows = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    trials: dict[str, list[tuple[float, float]]] = {}
+    for row in csv.DictReader(rows):
+        if row["material"] == material:
+            trials.setdefault(row["trial"], []).append((int(row["frame"]) / 30.0, 1e-3 * float(row["downhill_mm"])))
+    angle = math.radians(30.0)
+    accelerations = [2.0 * np.polyfit(*zip(*trial, strict=True), 2)[0] for trial in trials.values()]
+    friction = math.tan(angle) - np.array(accelerations) / (GRAVITY_M_PER_S2 * math.cos(angle))
+    calibrated = load_experiment(f"SlopeSlider-2-{material}").scene.contacts[0].friction
+    expected = float(np.sqrt(np.mean((friction - calibrated) ** 2))) / calibrated
+    assert input_uncertainties().friction.std(1.0, material) == pytest.approx(expected, rel=0.02)
+
+
+def test_slope_and_turntable_have_the_calibrated_friction() -> None:
+    assert SlopeSliderLimit("metal").limit.value == 0.262758
+    # The recording of SlopeSlider-3-metal has a kinetic friction of 0.251 +- 0.010.
+    assert abs(0.251 - SlopeSliderLimit("metal").limit.value) < SlopeSliderLimit("metal").limit.sigma
+    turntable = TurntableLimit("plastic")
+    assert turntable.limit.sigma == pytest.approx(input_uncertainties().friction.std(0.322256, "plastic"))
+    # An override changes what holds in the scene, not how well the real coefficient is known.
+    assert TurntableLimit("plastic", parameters={"cube.friction": 0.2}).limit.sigma == turntable.limit.sigma
+
+
+# --- laws and engines ---
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name.endswith(("wood", "Pendulum-Limit-metal")) else pytest.mark.slow)
+        for name in STEADY
+    ],
+)
+def test_law_holds_at_98_percent_and_not_at_102(name: str) -> None:
+    env = make(name)
+    below = by_law(env, 0.98)
+    assert below.ending in GOOD
+    assert below.ratio == pytest.approx(0.98, abs=0.005)
+    above = by_law(env, 1.02)
+    assert above.ending not in GOOD
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STEADY)
+def test_default_engine_pays_the_law(name: str) -> None:
+    assert engine_limit(make(name), bounds=(0.95, 1.05)) == pytest.approx(1.0, abs=0.006)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", STEADY)
+def test_newton_agrees(name: str) -> None:
+    pytest.importorskip("newton")
+    theirs, ours = make(name, backend="newton"), make(name)
+    assert theirs.limit == ours.limit
+    below = by_law(theirs, 0.98)
+    assert below.ending in GOOD
+    # The cube creeps faster on Newton's turntable, behind which the law's policy lags.
+    assert below.ratio == pytest.approx(by_law(ours, 0.98).ratio, abs=0.005)
+    assert by_law(theirs, 1.02).ending not in GOOD
+
+
+def test_engine_limit_of_soft_contacts() -> None:
+    """A cube that is carried round creeps with half the contacts' time constant, 0.02 s, times omega^2 r."""
+    settings = {"timestep_s": 1 / 540, "contact_solref": (0.02, 1.0), "integrator": "Euler", "impratio": 1.0}
+    env = make("Turntable-Limit-wood", settings=settings)
+    share = engine_limit(env, bounds=(0.2, 1.5), resolution=0.02)
+    creeps = SLIP_SPEED_M_PER_S / (0.5 * 0.02) / (env.limit.value * GRAVITY_M_PER_S2)
+    assert share == pytest.approx(creeps, rel=0.2)
+    with pytest.raises(ParameterError, match=r"fails with 0\.9"):
+        engine_limit(env, bounds=(0.9, 1.1))
+
+
+@pytest.mark.parametrize("task", [TurntableLimit, SlopeSliderLimit])
+def test_friction_used_is_that_of_the_contact_forces(task) -> None:
+    """The engine's contact forces on the cube, tangential over normal, are what the kinematics ask for."""
+    # The force at one instant scatters by 1 % with the slope's own step, 1/1800 s.
+    env = task("wood", settings={"timestep_s": 1 / 9000})
+    env.reset()
+    checked = 0
+    for step in range(30):
+        # Strongly accelerated all the time, both ways, so that the sign of each term matters.
+        observation = env.step(np.array([0.4 if step < 20 else -0.8]))[0]
+        data, model = env.simulation.data, env.simulation.model
+        total, wrench = np.zeros(3), np.zeros(6)
+        for index, contact in enumerate(data.contact):
+            mujoco.mj_contactForce(model, data, index, wrench)
+            total += contact.frame.reshape(3, 3).T @ wrench[:3]
+        normal = env._pose.rotation.apply((0.0, 0.0, 1.0))
+        used = np.linalg.norm(total - normal * (total @ normal)) / abs(total @ normal)
+        if step % 20 > 5:
+            # The observation is the mean over the frame, the forces are those at its end.
+            change = abs(observation[2] - env.trajectory()[-2][2])
+            assert used == pytest.approx(observation[2], abs=change + 2e-3)
+            assert env._friction_used(env.ACCELERATION_RAD_PER_S2 * (0.4 if step < 20 else -0.8)) == pytest.approx(
+                used, rel=0.01, abs=1e-3
+            )
+            checked += 1
+    assert checked > 15
+
+
+@pytest.mark.parametrize("name", ["Turntable-Limit-metal", "SlopeSlider-Limit-metal"])
+def test_reward_is_the_friction_used_and_slipping_takes_it_back(name: str) -> None:
+    env = make(name, settings=FAST)
+    paid, _ = rewards(env, lambda _: env.law_action(0.95))
+    assert sum(paid) == pytest.approx(env.trajectory()[1:, 2].sum())
+    assert paid[-1] == pytest.approx(0.95 * env.limit.value, rel=0.01)
+    held = sum(paid)
+    paid, info = rewards(env, lambda _: env.law_action(1.05))
+    assert "diverged" not in info
+    assert env.report().ending is Ending.SLIPPED
+    assert paid[-1] == pytest.approx(-sum(paid[:-1][-round(HOLD_S * 30) :]))
+    assert sum(paid) < 0.5 * held
+    closer, _ = rewards(env, lambda _: env.law_action(0.99))
+    assert held < sum(closer) < env.limit.value * len(closer)
+
+
+@pytest.mark.parametrize("name", ["Turntable-Limit-wood", "SlopeSlider-Limit-wood"])
+@pytest.mark.parametrize("seed", range(3))
+def test_no_policy_earns_more_than_the_law(name: str, seed: int) -> None:
+    """Dithering about the limit: what exceeds it in one frame is lost in the next."""
+    env = make(name, settings=FAST)
+    random = np.random.default_rng(seed)
+    # From 0.97 of the limit on, at random up to 6 % past it, frame by frame.
+    report = play(env, lambda _: env.law_action(0.97 if env.time_s < 3.0 else random.uniform(0.92, 1.06)))
+    most = env.limit.value + SLIP_SPEED_M_PER_S / (math.cos(0.27) * GRAVITY_M_PER_S2 * HOLD_S)
+    assert 0.0 < report.reached <= most
+
+
+def test_slipping_is_turning_on_the_spot_too() -> None:
+    """A cube on the axis is carried by next to no force, but a plate as slippery turns away under it."""
+    plate = load_experiment("Turntable-1-wood").scene.body("plate").pose.position_m
+    place = {"cube.position_m": (plate[0], plate[1], plate[2] + 0.035), "cube.friction": 0.001}
+    env = make("Turntable-Limit-wood", settings=FAST, parameters=place)
+    assert play(env, lambda _: np.ones(1)).ending is Ending.SLIPPED
+    used = env.trajectory()[:, 2]
+    assert used.max() < 0.2 * 0.001
+    # Of the plate's 6 rad/s^2 friction gives the cube 0.8 at most, where all its weight is on the corners.
+    corner_m = 0.05 / math.sqrt(2.0)
+    spun = 6.0 - 0.001 * GRAVITY_M_PER_S2 * corner_m / (0.05**2 / 6.0)
+    assert env.time_s == pytest.approx(SLIP_SPEED_M_PER_S / (spun * corner_m), abs=1.0 / 30.0)
+
+
+def test_policy_of_the_calibrated_law_slips_at_the_edge_of_what_is_known() -> None:
+    calibrated = make("SlopeSlider-Limit-metal")
+    edge = calibrated.limit.value - 2.0 * calibrated.limit.sigma
+    env = make("SlopeSlider-Limit-metal", parameters={"cube.friction": edge})
+    assert by_law(env, 0.98 * calibrated.limit.value / edge).ending is Ending.SLIPPED
+
+
+# --- pendulum ---
+
+
+def test_pendulum_returns_at_most_one() -> None:
+    env = make("Pendulum-Limit-metal")
+    for fraction in (0.9, 0.98):
+        paid, _ = rewards(env, lambda _, fraction=fraction: env.law_action(fraction))
+        # At the target x = 1, and the work is 1 / fraction.
+        assert sum(paid) == pytest.approx(2.0 - 1.0 / fraction, abs=2e-3)
+    assert env.report().limit.value == pytest.approx(1.0 / (0.3175 * GRAVITY_M_PER_S2))
+    paid, _ = rewards(env, lambda _: env.law_action(1.02))
+    assert env.report().ending is Ending.MISSED
+    assert env.report().reached == 0.0
+    assert sum(paid) == pytest.approx(1.0 / 1.02, abs=2e-3)
+
+
+def test_pendulum_braking_is_not_paid_back() -> None:
+    env = make("Pendulum-Limit-metal")
+    env.reset()
+    observation = env.step(np.ones(1))[0]
+    for _ in range(3):
+        spent = observation[3]
+        observation = env.step(np.array([-0.5]))[0]
+        assert observation[1] < 0.0 or observation[3] == spent
+
+
+@pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
+def test_applied_torque_swings_the_pendulum(engine: str) -> None:
+    if engine == "newton":
+        pytest.importorskip("newton")
+    scene = PendulumLimit().experiment.scene
+    ball, hinge, torque = scene.body("ball"), scene.joints[0], 0.2
+    length = math.dist(ball.pose.position_m, hinge.anchor_m)
+    inertia = ball.mass_kg * (length**2 + 0.4 * ball.shape.radius_m**2)
+    weight = ball.mass_kg * GRAVITY_M_PER_S2 * length
+    swing = solve_ivp(
+        lambda _, y: [y[1], (torque - weight * math.sin(y[0])) / inertia], (0.0, 0.5), (0.0, 0.0), rtol=1e-9, atol=1e-12
+    ).y[:, -1]
+    simulation = backend(engine).build(scene)
+    simulation.reset(seed=0)
+    simulation.apply_wrench("ball", np.array([0.0, 0.0, 0.0, *(torque * np.asarray(hinge.axis))]))
+    kept = simulation.state()
+    simulation.advance(0.5)
+    state = simulation.body_states(["ball"])[0]
+    arm = state[:3] - hinge.anchor_m
+    assert math.atan2(-arm[0], -arm[2]) == pytest.approx(swing[0], rel=1e-5)
+    assert state[11] == pytest.approx(swing[1], rel=1e-4)
+    simulation.restore(kept)
+    simulation.advance(0.5)
+    assert np.array_equal(simulation.body_states(["ball"])[0], state)
+    # A reset ends it.
+    simulation.reset(seed=0)
+    simulation.advance(0.5)
+    assert simulation.body_states(["ball"])[0, :3] == pytest.approx(ball.pose.position_m, abs=1e-7)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", pytest.param("newton", marks=pytest.mark.slow)])
+def test_applied_force_accelerates_a_free_body(engine: str) -> None:
+    if engine == "newton":
+        pytest.importorskip("newton")
+    scene = load_experiment("BouncingBall-rubber").scene
+    (ball,) = [body for body in scene.bodies if body.motion is Motion.DYNAMIC]
+    force = np.array([0.1, 0.0, ball.mass_kg * GRAVITY_M_PER_S2, 0.0, 0.0, 0.0])
+    simulation = backend(engine).build(scene)
+    simulation.reset(seed=0)
+    simulation.apply_wrench(ball.name, force)
+    simulation.advance(0.5)
+    moved = simulation.body_states([ball.name])[0, :3] - ball.pose.position_m
+    assert moved == pytest.approx([0.5 * 0.1 / ball.mass_kg * 0.25, 0.0, 0.0], abs=1e-4)
+
+
+def test_an_engine_without_applied_forces_says_so() -> None:
+    class Silent(SimulationMuJoCo):
+        apply_wrench = World.apply_wrench
+
+    with pytest.raises(BackendError, match=r"Silent.*'ball'.*apply_wrench"):
+        object.__new__(Silent).apply_wrench("ball", np.zeros(6))
+
+
+def test_unknown_control_task() -> None:
+    assert find_control_task("GAUGE/Turntable-Limit-wood").material == "wood"
+    with pytest.raises(UnknownNameError, match="Turntable-Limit-wood"):
+        find_control_task("Turntable-Limit-wod")
+
+
+# --- guide and example ---
+
+
+def test_blocks_of_the_guide_run(capsys: pytest.CaptureFixture[str]) -> None:
+    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```$", guide, flags=re.MULTILINE | re.DOTALL))
+    exec(compile(code, "control.md", "exec"), {})
+    stated = re.findall(r"^print\(.*\)  # (.*)$", code, flags=re.MULTILINE)
+    assert len(stated) == 2
+    assert capsys.readouterr().out.splitlines() == stated
+
+
+def test_limits_of_the_guide_are_those_of_the_tasks() -> None:
+    guide = (ROOT / "docs" / "control.md").read_text(encoding="utf-8")
+    stated = re.findall(r"(0\.\d+) \+- (0\.\d+)(?=[,| ])", guide.partition("```")[0])
+    limits = [make(name).limit for name in NAMES if "Carry" not in name and "Push" not in name]
+    assert [tuple(map(float, pair)) for pair in stated] == [
+        (pytest.approx(limit.value, abs=6e-4), pytest.approx(limit.sigma, abs=6e-4)) for limit in limits
+    ]
+
+
+@pytest.mark.parametrize(("task", "other"), [("Carry", "Turntable"), ("Push", "SlopeSlider")])
+def test_the_guide_states_a_limit_of_two_tasks_once(task: str, other: str) -> None:
+    for material in ("wood", "plastic", "metal"):
+        same, limit = (make(f"{name}-Limit-{material}").limit for name in (task, other))
+        assert (same.value, same.sigma) == (limit.value, limit.sigma)
+
+
+@pytest.mark.slow
+def test_example_runs(tmp_path: Path) -> None:
+    pytest.importorskip("stable_baselines3", reason="extra 'rl' is not installed")
+    script = ROOT / "examples" / "rl_sanity.py"
+    ran = subprocess.run(
+        [sys.executable, str(script), "--steps", "1200", "--out", str(tmp_path / "run.png")],
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    assert "MuJoCo, half the step" in ran.stdout
+    assert "The policy" in ran.stdout
+    assert (tmp_path / "run.png").stat().st_size > 20_000
