@@ -40,7 +40,6 @@ class SweepRun:
         shares_worlds: Whether the repeats run as worlds of one simulation.
         declined: Why no episode of it can run; None if the plan knows no reason.
         steps: Time steps of an episode; None where the engine does not tell.
-        label: Short text of the parameters and settings.
     """
 
     request: RunRequest
@@ -50,7 +49,6 @@ class SweepRun:
     shares_worlds: bool
     declined: str | None
     steps: float | None
-    label: str
 
     @property
     def group(self) -> tuple[str, str]:
@@ -80,6 +78,11 @@ class SweepTask:
     seeds: range
 
     @property
+    def backend(self) -> str:
+        """Name of the engine."""
+        return self.run.request.backend
+
+    @property
     def request(self) -> RunRequest:
         """The request of these episodes alone."""
         return replace(self.run.request, seed=self.seeds[0], repeats=len(self.seeds))
@@ -106,6 +109,11 @@ class SweepPlan:
     def episode_count(self) -> int:
         """Number of episodes."""
         return sum(run.request.repeats for run in self.runs)
+
+    @property
+    def file_names(self) -> list[str]:
+        """Names of the result files."""
+        return [run.file_name(seed) for run in self.runs for seed in run.seeds]
 
 
 def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
@@ -191,7 +199,6 @@ def _run(
         shares_worlds=facts.shares_worlds,
         declined=declined,
         steps=None if timestep_s is None else subject.experiment.scene.duration_s / timestep_s,
-        label=", ".join([str(subject.request.parameters), *(f"{key}={value}" for key, value in settings.items())]),
     )
 
 
