@@ -17,7 +17,6 @@ from gauge_envs.experiments.variants import Variant, task_files
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id, shortened
 from gauge_envs.references.user_data import has_import
-from gauge_envs.tools.control.tasks import control_tasks
 
 STORED = Path(__file__).with_name("overview.json")
 
@@ -81,9 +80,3 @@ def _usable_text(backends: Mapping[str, Sequence[str]], *, working: Collection[s
     if len(usable) > 2 and len(others) < 2:
         return f"all {len(usable)}" if not others else f"all but {others[0]}"
     return ", ".join(usable) or "none"
-
-
-def control_summary() -> str:
-    """Return the control tasks in a line."""
-    ids = [task.id for task in control_tasks()]
-    return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"
