@@ -44,10 +44,9 @@ else:
     __getattr__, __all__ = door(__name__)
     __all__ += ["GaugeError", "Variant", "beyond_variants", "find_variant", "register_all", "variants"]
 
-
-def __dir__() -> list[str]:
-    """Return all names of the module, including those that are not imported yet."""
-    return sorted({*globals(), *__all__})
+    def __dir__() -> list[str]:
+        """Return all names of the module, including those that are not imported yet."""
+        return sorted({*globals(), *__all__})
 
 
 def register_all() -> None:

@@ -1,4 +1,4 @@
-"""Who is here: instruments, and the doors of packages. The core names no guest; it asks this module.
+"""Who is here: engines, instruments, and the doors of packages. The core names no guest; it asks this module.
 
 An instrument is a package with a file `instrument.toml`, which states what it adds to the suite. Those of this package
 are the folders of `gauge_envs/tools`. Those of other packages are entry points of the group `gauge_envs.instruments`,
@@ -30,7 +30,7 @@ import re
 import sys
 import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -40,7 +40,10 @@ from typing import Any
 
 from gauge_envs.errors import RegistryError
 
+ENGINES_GROUP = "gauge_envs.backends"
 INSTRUMENTS_GROUP = "gauge_envs.instruments"
+BUNDLED = "gauge_envs."
+"""First part of the name of a module of this package."""
 DECLARATION = "instrument.toml"
 
 
@@ -95,6 +98,10 @@ class Instrument:
         return getattr(module, f"{identifier}_", None) or getattr(module, identifier)
 
 
+KEYS = {field.name for field in fields(Instrument)} - {"name", "package"}
+"""Keys of a declaration."""
+
+
 # --- instruments -----------------------------------------------------------------------------------------------------
 
 
@@ -131,12 +138,20 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
     """Return the instrument that a file declares."""
     try:
         stated = tomllib.loads(file.read_text(encoding="utf-8"))
-        scene_files = stated.pop("scene_files", None)
+        unknown = sorted(set(stated) - KEYS)
+        if unknown:
+            raise ValueError(f"unknown key {unknown[0]!r}; known: {', '.join(sorted(KEYS))}")
+        scene_files = stated.get("scene_files")
         return Instrument(
             name=name,
             package=package,
+            position=int(stated["position"]),
+            commands=stated.get("commands", {}),
+            groups=stated.get("groups", {}),
+            listings=tuple(stated.get("listings", ())),
+            pictures=tuple(stated.get("pictures", ())),
+            ids=stated.get("ids", ""),
             scene_files=None if scene_files is None else _scene_files(package, scene_files),
-            **{key: tuple(value) if isinstance(value, list) else value for key, value in stated.items()},
         )
     except (OSError, TypeError, ValueError, KeyError) as error:
         raise RegistryError(f"instrument {name!r}: {file}: {error}") from None
@@ -205,6 +220,19 @@ def scene_files(suffix: str) -> Any:
         if instrument.scene_files is not None and suffix in instrument.scene_files.suffixes:
             return import_module(instrument.scene_files.module)
     raise RegistryError(f"no installed instrument reads scene files {suffix!r}; known: {', '.join(scene_suffixes())}")
+
+
+# --- engines ---------------------------------------------------------------------------------------------------------
+
+
+def engine_points() -> tuple[EntryPoint, ...]:
+    """Return the entry points of engines, without those of this package whose folder is absent."""
+    folder = Path(__file__).parent / "backends"
+    found = []
+    for point in installed_points(ENGINES_GROUP):
+        if not point.value.startswith(BUNDLED) or (folder / point.name).is_dir():
+            found.append(point)
+    return tuple(found)
 
 
 @cache

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from gauge_envs.experiments.variants import Variant, task_files
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id, shortened
 from gauge_envs.references.user_data import has_import
+from gauge_envs.registry import engine_points
 
 STORED = Path(__file__).with_name("overview.json")
 
@@ -37,8 +38,7 @@ def stored_rows(variants: Iterable[Variant]) -> list[dict[str, Any]] | None:
     Whether an engine is installed is looked up, and not whether it works.
     """
     stored = json.loads(STORED.read_bytes())
-    points = {point.name: point.value for point in entry_points(group="gauge_envs.backends")}
-    if stored["inputs"] != inputs() or points != stored["engines"]:
+    if stored["inputs"] != inputs() or {point.name: point.value for point in engine_points()} != stored["engines"]:
         return None
     absent = {}
     for name, modules in stored["modules"].items():
