@@ -17,9 +17,9 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import WorldThreads, check_length, run_frames
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
