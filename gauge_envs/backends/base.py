@@ -25,8 +25,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, Pose, Scene
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.motors import Servo, TorqueMotor
 
 
@@ -485,6 +487,9 @@ class Backend(ABC):
 
     Attributes:
         name: Name that users type, as in `backend="mujoco"`.
+        title: Name as the engine's authors write it, for pages; empty for `name`.
+        color: Colour in figures, as `#0072b2`; empty for a grey that engines without a colour share.
+        marker: Marker in figures, by matplotlib's names.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
@@ -500,6 +505,9 @@ class Backend(ABC):
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    color: ClassVar[str] = ""
+    marker: ClassVar[str] = "*"
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     corrections: ClassVar[tuple[str, ...]] = ()
@@ -562,6 +570,11 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
+        return None
+
+    @staticmethod
+    def fabric_constants(fabric: Fabric) -> FabricConstants | None:
+        """Return a measured fabric in the engine's own constants; None where no mapping is known."""
         return None
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:

@@ -7,6 +7,7 @@ from typing import Any
 
 from gauge_envs.backends.base import Feature, ModelFile
 from gauge_envs.backends.mujoco.deformables import unsupported_features
+from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.model_settings import option_settings
@@ -25,8 +26,12 @@ class BackendMuJoCo(BundledBackend):
     """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""
 
     name = "mujoco"
+    title = "MuJoCo"
+    color = "#0072b2"
+    marker = "o"
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
+    fabric_constants = staticmethod(flex_constants)
     file_suffixes = (".xml",)
     corrections = ("the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",)
     features = frozenset(Feature)
