@@ -121,7 +121,6 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         "evaluation/score_kernels.py",
         "pages/figures.py",
         "tools/compare/",
-        "tools/cost/",
         "tools/diagnose/",
         "tools/transfer/",
     )

@@ -19,7 +19,10 @@ import numpy as np
 from pydantic import TypeAdapter
 
 from gauge_envs.files import write_whole
-from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from pareto_model import Family, Phenomenon, Point, Tradeoff
 
 DATA = Path(__file__).parents[2] / "scoring" / "pareto.json"
 NOTE = Path(__file__).with_name("README.md")

@@ -445,6 +445,7 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     column = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
     list(run_column(column, ["free-fall", "foam-start", "slide-plane"], None))
     matrix = write_columns([column], folder / "column.json").read_bytes()
+
     def replay_read(file: Path) -> None:
         """Read a damaged replay beside a result that is whole: it counts, or the episode runs again."""
         stored = replay_path(result_file)

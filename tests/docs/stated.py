@@ -16,12 +16,12 @@ from inspect import getsource, signature
 from typing import Any, get_args
 
 import gymnasium as gym
+from gauge_envs.cli.commands import COMMANDS
 from places import ROOT
 from test_docs import NOTE_WORDS
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.backends.settings import SteppedSettings
-from gauge_envs.cli.commands import COMMANDS
 
 DEGREE = math.pi / 180.0
 

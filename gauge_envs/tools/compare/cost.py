@@ -24,10 +24,11 @@ import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import takewhile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import GaugeError, ShapeError
 from gauge_envs.evaluation.deviation import sampled_frames
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
@@ -35,6 +36,7 @@ from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.swing import swing_metrics
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.document import Document
+from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.results import raw_score
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import quantity_text, short_id
@@ -43,6 +45,10 @@ from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.geometry import FloatArray
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 STEP = "timestep_s"
 EFFORT = (
@@ -94,7 +100,7 @@ class ErrorMeasure:
         event = next((name for name in EVENTS if name in experiment.score.metrics), None)
         # A law until an event covers less than the published event.
         is_partial = band is None or not band.normalized_by_baseline
-        if is_partial and event in baselines:
+        if is_partial and event is not None and event in baselines:
             line = baselines[event]
             return cls(experiment=experiment, band=None, metric=event, unit=line.unit, scatter=line.std or None)
         has_scatter = "rmse" in baselines and (band is None or band.normalized_by_baseline)
@@ -266,7 +272,9 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
         key = json.dumps([result.backend, versions, other_settings(result), result.marker_proxy], sort_keys=True)
         curve = curves.setdefault(place + key, CostCurve(key, measures[place]))
         # Rounded, so that 1/9000 and 1/180/50 are one step.
-        effort = {name: float(f"{result.settings[name]:.9g}") for name in EFFORT if result.settings.get(name)}
+        effort = {
+            name: float(f"{result.settings[name]:.9g}") for name in EFFORT if result.settings.get(name) is not None
+        }
         setting = next((one for one in curve.settings if one.effort == effort), None)
         if setting is None:
             curve.settings.append(SettingCost(effort, [result]))
@@ -430,3 +438,64 @@ def _reference_cost(curve: CostCurve, kind: str) -> float:
 def step_text(step_s: float | None) -> str:
     """Return a step as a fraction of a second; empty without one."""
     return f"1/{1.0 / step_s:.6g} s" if step_s else ""
+
+
+# --- the picture -----------------------------------------------------------------------------------------------------
+
+GREY = "#707070"
+"""Colour of engines that state none."""
+
+LEAST_SHOWN = 1e-4
+"""Errors below this are drawn at the lower edge."""
+
+ROW_IN = 2.3
+
+
+def draw_costs(curves: Sequence[CostCurve]) -> Figure:
+    """Return the picture: each row is an experiment, with its numerical error and its error against reality."""
+    groups: dict[tuple[str, str], list[CostCurve]] = {}
+    for curve in curves:
+        groups.setdefault((short_id(curve.measure.experiment.id), str(curve.first.parameters)), []).append(curve)
+    kind = cost_kind(curves)
+    figure = new_figure(10.0, ROW_IN * len(groups) + 1.3)
+    grid = figure.subplots(len(groups), 2, squeeze=False, sharex="row")
+    for (left, right), ((name, parameters), members) in zip(grid, groups.items(), strict=True):
+        unit = "real scatter" if members[0].measure.scatter else members[0].measure.unit
+        for axis, error, title in (
+            (left, "numerical", "numerical error"),
+            (right, "real", "error against reality"),
+        ):
+            _draw_errors(axis, members, error, kind)
+            axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
+        changed = "" if parameters == "calibrated" else f", {parameters}"
+        left.set_title(f"{name}{changed}", loc="left", fontsize=11, fontweight="bold")
+    for axis in grid[-1]:
+        axis.set_xlabel(f"{kind} seconds per simulated second", fontsize=9)
+    labels: dict[str, Any] = {}
+    for axis in figure.axes:
+        labels |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
+    figure.legend(labels.values(), labels, loc="outside upper left", ncols=5, frameon=False, fontsize=9)
+    return figure
+
+
+def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str, kind: str) -> None:
+    """Draw one error of all curves over their cost: lines for the step, crosses for other iterations."""
+    tidy_axis(axis)
+    axis.set_xscale("log")
+    axis.set_yscale("log")
+    axis.tick_params(labelsize=8)
+    for curve in curves:
+        engine = backend_class(curve.first.backend or "file")
+        style: dict[str, Any] = {"color": engine.color or GREY, "marker": engine.marker, "ms": 5, "lw": 1.3}
+        if "preset" in curve.first.settings_given:
+            style |= {"ls": "--", "mfc": "white", "lw": 1.0}
+        cross: dict[str, Any] = {"color": style["color"], "marker": "x", "ls": ""}
+        crossed = [one for one in curve.settings if not one.is_main]
+        for settings, looks in ((curve.main_line, style | {"label": curve.name}), (crossed, cross)):
+            # The converged motion has no numerical error of its own.
+            shown = [one for one in settings if not (error == "numerical" and one.is_converged)]
+            points = [(min(one.costs(kind)), curve.over_scatter(getattr(one, error))) for one in shown]
+            known = [(cost, max(value, LEAST_SHOWN)) for cost, value in points if value is not None]
+            axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
+    if curves[0].measure.scatter:
+        axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")
