@@ -23,11 +23,12 @@ from typing import Any
 
 from generated import ROOT, markdown_table, settle, with_part
 
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
-from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
+from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe
 
 PAGE = ROOT / "docs" / "recipes.md"
 STUDY = ROOT / "studies" / "recipes"
@@ -197,7 +198,7 @@ def measure_engine(engine: str) -> None:
             versions,
             lambda aim=aim: find_recipe(settings, aim).json(),  # type: ignore[misc]
         )
-    if engine in FABRIC_ENGINES and engine not in NOT_SIMULATED:
+    if backend_class(engine).fabric_constants(fabrics()["satin"]) is not None:
         for name, fabric in fabrics().items():
             measure(
                 f"fabrics of {engine}",

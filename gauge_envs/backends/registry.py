@@ -1,7 +1,7 @@
 """Registry of backends, which installed packages provide through an entry-point group; see `gauge_envs.registry`."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from gauge_envs.scene import Scene
 
 def backend_names() -> tuple[str, ...]:
     """Return the sorted names of all installed backends, without importing any."""
-    return tuple(sorted({point.name for point in engine_points()}))
+    return tuple(sorted({point.name for point in engineengine_points()}))
 
 
 @cache
@@ -25,7 +25,7 @@ def backend(name: str) -> Backend:
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason, or its class is no backend of that name.
     """
-    for point in engine_points():
+    for point in engineengine_points():
         if point.name == name:
             place = f"backend {name!r} ({point.value})"
             with _as_backend_error(place):
@@ -43,8 +43,27 @@ def backend(name: str) -> Backend:
 
 def is_bundled(name: str) -> bool:
     """Return whether the backend of a name is part of this package."""
-    values = [point.value for point in engine_points() if point.name == name]
+    values = [point.value for point in engineengine_points() if point.name == name]
     return bool(values) and values[0].startswith(BUNDLED)
+
+
+def backend_class(name: str) -> type[Backend]:
+    """Return the class of a backend, whose attributes are the same whether or not its engine is installed.
+
+    `Backend` stands for a name that no installed package provides as a class.
+    """
+    for point in engine_points():
+        if point.name == name:
+            with suppress(GaugeError), _as_backend_error(name):
+                loaded = point.load()
+                if isinstance(loaded, type) and issubclass(loaded, Backend):
+                    return loaded
+    return Backend
+
+
+def backend_title(name: str) -> str:
+    """Return the name of an engine as its authors write it; the name of the backend where no title is known."""
+    return backend_class(name).title or name
 
 
 def uninstalled_backend(name: str) -> Backend:
@@ -52,8 +71,7 @@ def uninstalled_backend(name: str) -> Backend:
 
     It cannot build; the answers are the same whether or not the engine is installed.
     """
-    (point,) = (point for point in engine_points() if point.name == name and is_bundled(name))
-    return object.__new__(point.load())
+    return object.__new__(backend_class(name))
 
 
 @contextmanager

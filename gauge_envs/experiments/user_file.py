@@ -24,7 +24,7 @@ from gauge_envs.files import outside_reason, toml_document
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
-from gauge_envs.references.published import ENGINES, Baseline, Reference
+from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
 from gauge_envs.registry import scene_files
 from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
@@ -201,7 +201,7 @@ def _file_experiment(
             unit=METRICS[metric].unit_of(unit),
             mean=stated.mean,
             std=stated.std,
-            engines=dict.fromkeys(ENGINES),
+            engines=dict.fromkeys(PUBLISHED_ENGINES),
         )
         for metric, stated in definition.baseline.items()
     }

@@ -274,8 +274,8 @@ def engines() -> dict[str, list[str]]:
             f"boxes sink by {-measured('drake', 'rest-box'):.0f} mm",
         ],
         "docs/engines/isaac_sim.md": [
-            f"{of('scene.fabrics.ISAAC_POISSON_BELOW'):.2f} if that is negative, "
-            f"{of('scene.fabrics.ISAAC_POISSON_ABOVE'):.2f} if it is 0.5 or more",
+            f"{of('tools.usd.isaac_fabric.POISSON_BELOW'):.2f} if that is negative, "
+            f"{of('tools.usd.isaac_fabric.POISSON_ABOVE'):.2f} if it is 0.5 or more",
             f"{of('tools.assets.isaac_sim.VOLUME_HZ')} Hz with foam",
         ],
     }

@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
-from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
+from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id
 from gauge_envs.tools.cost.model import STEP, Family, Phenomenon, Point, Tradeoff
@@ -177,16 +178,8 @@ def _number(value: float | None) -> str:
 
 # --- figure ----------------------------------------------------------------------------------------------------------
 
-LOOKS = {
-    "mujoco": (OURS[0], "o"),
-    "rapier": (OURS[1], "s"),
-    "physx": (OURS[2], "^"),
-    "newton": (OURS[3], "D"),
-    "drake": (OURS[4], "v"),
-    "genesis": (OURS[5], "P"),
-    "pybullet": ("#000000", "X"),
-}
-"""Colour and marker of the engines of this package; others share a grey and have their name at the line."""
+GREY = "#707070"
+"""Colour of engines that state none; their name stands at the line."""
 
 LEAST_SHOWN = 1e-4
 """Errors below this are drawn at the lower edge."""
@@ -238,7 +231,7 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
         line.sort(key=lambda point: -(point.step_s or 0.0))
         if line:
             axis.plot([p.cost for p in line], [_value(p, error) or math.nan for p in line], **style)
-            if error == "numerical" and family.is_default and family.backend not in LOOKS:
+            if error == "numerical" and family.is_default and style["color"] == GREY:
                 # The name of an engine without a colour of its own stands at the end of its line.
                 end = (line[-1].cost, _value(line[-1], error) or LEAST_SHOWN)
                 place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
@@ -282,8 +275,8 @@ def _set_ticks(axis: Axes) -> None:
 
 
 def _style(family: Family) -> dict[str, Any]:
-    colour, marker = LOOKS.get(family.backend, ("#707070", "*"))
-    shared = {"color": colour, "marker": marker, "ms": 5, "lw": 1.3}
+    engine = backend_class(family.backend)
+    shared = {"color": engine.color or GREY, "marker": engine.marker, "ms": 5, "lw": 1.3}
     return shared if family.is_default else shared | {"ls": (0, (4, 2)), "mfc": "white", "lw": 1.0, "ms": 4.5}
 
 

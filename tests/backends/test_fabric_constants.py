@@ -10,23 +10,16 @@ from hypothesis import given, strategies as st
 from typer.testing import CliRunner
 
 from gauge_envs import load_experiment
+from gauge_envs.backends.genesis.fabrics import pbd_constants
+from gauge_envs.backends.mujoco.fabrics import flex_constants
+from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.scene import GRAVITY_M_PER_S2, Cloth
-from gauge_envs.scene.fabrics import (
-    MAPPINGS,
-    Fabric,
-    bending_length_m,
-    genesis_pbd,
-    isaac_surface,
-    mujoco_flex,
-    newton_edge_ke,
-    newton_vbd,
-    plate_bending_stiffness,
-    shear_stiffness,
-    uniaxial_stiffness,
-)
+from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
+from gauge_envs.tools.recipes.fabrics import fabric_constants
+from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
 SIX = fabrics()
 NAMES = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
@@ -92,24 +85,25 @@ def test_tablecloth_is_another_nylon():
 
 def test_constants_by_hand():
     given = fabric()
-    assert isaac_surface(given).constants == pytest.approx(
+    assert surface_constants(given).constants == pytest.approx(
         {"youngs_modulus": 1.5e6, "poissons_ratio": 0.25, "surfaceBendStiffness": 187500.0}
     )
-    assert genesis_pbd(given).constants == pytest.approx({"stretch_compliance": 1 / 300, "bending_compliance": 1e6 / 6})
-    assert newton_vbd(given).constants == pytest.approx(
+    assert pbd_constants(given).constants == pytest.approx(
+        {"stretch_compliance": 1 / 300, "bending_compliance": 1e6 / 6}
+    )
+    assert vbd_constants(given).constants == pytest.approx(
         {"tri_ke": 120.0, "tri_ka": 2 * 120 * 60 / 180, "edge_ke_times_mean_edge_length": 6e-6}
     )
     thickness = math.sqrt(12 * 6e-6 / 300)
-    assert mujoco_flex(given).constants == pytest.approx(
+    assert flex_constants(given).constants == pytest.approx(
         {"young": 300 / thickness, "poisson": 0.0, "thickness": thickness}
         | {"membrane_warp": 300.0, "membrane_weft": 300.0, "membrane_shear": 120.0}
     )
-    assert newton_edge_ke(bend_stiffness_n_m_per_rad=6e-6, mean_edge_length_m=0.02) == pytest.approx(3e-4)
 
 
-@pytest.mark.parametrize("engine", MAPPINGS)
+@pytest.mark.parametrize("engine", CONSTANTS)
 def test_every_constant_has_a_unit(engine):
-    mapped = MAPPINGS[engine](fabric())
+    mapped = fabric_constants(fabric())[engine]
     assert mapped.engine == engine
     assert mapped.constants.keys() == mapped.units.keys() == CONSTANTS[engine]
 
@@ -127,10 +121,10 @@ def test_every_constant_has_a_unit(engine):
 )
 def test_edges_of_the_fallbacks(ratio, isaac, newton):
     given = fabric(stretch_stiffness_n_per_m=ratio * 128.0, shear_stiffness_n_per_m=128.0)
-    mapped = isaac_surface(given)
+    mapped = surface_constants(given)
     assert bool(mapped.fallbacks) == (isaac is not None)
     assert mapped.constants["poissons_ratio"] == pytest.approx(isaac[1] if isaac else ratio / 2 - 1)
-    mapped = newton_vbd(given)
+    mapped = vbd_constants(given)
     assert bool(mapped.fallbacks) == newton
     assert mapped.constants["tri_ke"] == pytest.approx(ratio * 128.0 / 2.7 if newton else 128.0)
 
@@ -139,18 +133,17 @@ def test_edges_of_the_fallbacks(ratio, isaac, newton):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("engine", MAPPINGS)
+@pytest.mark.parametrize("engine", CONSTANTS)
 def test_stretch_stiffness_of_the_six_comes_back(name, engine):
-    mapped = MAPPINGS[engine](SIX[name])
-    assert uniaxial_stiffness(mapped) == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-12)
+    mapped = fabric_constants(SIX[name])[engine]
+    assert mapped.stretch_stiffness_n_per_m == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_shear_stiffness_of_the_six_comes_back_or_is_stated_lost(name):
     measured = SIX[name].shear_stiffness_n_per_m
-    for engine, mapping in MAPPINGS.items():
-        mapped = mapping(SIX[name])
-        returned = shear_stiffness(mapped)
+    for engine, mapped in fabric_constants(SIX[name]).items():
+        returned = mapped.shear_stiffness_n_per_m
         if mapped.lost:
             assert engine != "mujoco"
             assert f"{returned:.4g} N/m instead of {measured:.4g} ({returned / measured - 1:+.0%})" in mapped.lost[0]
@@ -160,7 +153,7 @@ def test_shear_stiffness_of_the_six_comes_back_or_is_stated_lost(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_which_fallbacks_fire_for_the_six(name):
-    isaac, newton = isaac_surface(SIX[name]), newton_vbd(SIX[name])
+    isaac, newton = surface_constants(SIX[name]), vbd_constants(SIX[name])
     if name == "uniform":
         assert isaac.fallbacks == isaac.lost == isaac.replaced == ()
         assert newton.fallbacks == newton.lost == newton.replaced == ()
@@ -172,30 +165,29 @@ def test_which_fallbacks_fire_for_the_six(name):
         assert newton.replaced == ("tri_ke", "tri_ka")
         for mapped in (isaac, newton):
             assert len(mapped.fallbacks) == len(mapped.lost) == 1
-    assert genesis_pbd(SIX[name]).fallbacks == mujoco_flex(SIX[name]).fallbacks == ()
+    assert pbd_constants(SIX[name]).fallbacks == flex_constants(SIX[name]).fallbacks == ()
 
 
 def test_size_of_the_loss_is_stated():
-    assert isaac_surface(SIX["satin"]).lost == ("shear: 26.61 N/m instead of 1.008 (+2540%)",)
-    assert newton_vbd(SIX["oxford"]).lost == ("shear: 1076 N/m instead of 2905 (-63%)",)
-    assert genesis_pbd(SIX["uniform"]).lost == ("shear: no such constant, 450 N/m instead of 333.2 (+35%)",)
+    assert surface_constants(SIX["satin"]).lost == ("shear: 26.61 N/m instead of 1.008 (+2540%)",)
+    assert vbd_constants(SIX["oxford"]).lost == ("shear: 1076 N/m instead of 2905 (-63%)",)
+    assert pbd_constants(SIX["uniform"]).lost == ("shear: no such constant, 450 N/m instead of 333.2 (+35%)",)
     # Genesis has no shear constant, even where the measured stiffness happens to be what its springs give.
-    assert "(+0%)" in genesis_pbd(fabric(shear_stiffness_n_per_m=150.0)).lost[0]
+    assert "(+0%)" in pbd_constants(fabric(shear_stiffness_n_per_m=150.0)).lost[0]
 
 
 @given(given=any_fabric)
 def test_any_fabric(given):
-    for engine, mapping in MAPPINGS.items():
-        mapped = mapping(given)
+    for engine, mapped in fabric_constants(given).items():
         assert all(math.isfinite(value) and value >= 0.0 for value in mapped.constants.values())
-        assert uniaxial_stiffness(mapped) == pytest.approx(given.stretch_stiffness_n_per_m, rel=1e-9)
-        returned = shear_stiffness(mapped) == pytest.approx(given.shear_stiffness_n_per_m, rel=1e-8)
+        assert mapped.stretch_stiffness_n_per_m == pytest.approx(given.stretch_stiffness_n_per_m, rel=1e-9)
+        returned = mapped.shear_stiffness_n_per_m == pytest.approx(given.shear_stiffness_n_per_m, rel=1e-8)
         if engine == "mujoco" or not (mapped.fallbacks or engine == "genesis"):
             assert returned
             assert mapped.lost == ()
-    nu = isaac_surface(given).constants["poissons_ratio"]
+    nu = surface_constants(given).constants["poissons_ratio"]
     assert 0.0 <= nu < 0.5
-    flex = mujoco_flex(given).constants
+    flex = flex_constants(given).constants
     plate = plate_bending_stiffness(hinge_stiffness_n_m_per_rad=given.bend_stiffness_n_m_per_rad)
     bent = flex["young"] * flex["thickness"] ** 3 / (12 * (1 - flex["poisson"] ** 2))
     assert bent == pytest.approx(plate, rel=1e-9)
@@ -229,15 +221,15 @@ def neo_hookean(mu, lame):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_newton_energy_has_the_stated_stiffnesses(name):
-    mapped = newton_vbd(SIX[name])
+    mapped = vbd_constants(SIX[name])
     stretch, shear = membrane(neo_hookean(mapped.constants["tri_ke"], mapped.constants["tri_ka"]))
-    assert stretch == pytest.approx(uniaxial_stiffness(mapped), rel=1e-5)
+    assert stretch == pytest.approx(mapped.stretch_stiffness_n_per_m, rel=1e-5)
     assert stretch == pytest.approx(SIX[name].stretch_stiffness_n_per_m, rel=1e-5)
-    assert shear == pytest.approx(shear_stiffness(mapped), rel=1e-5)
+    assert shear == pytest.approx(mapped.shear_stiffness_n_per_m, rel=1e-5)
 
 
 def test_genesis_springs_have_the_stated_stiffnesses():
-    mapped = genesis_pbd(SIX["uniform"])
+    mapped = pbd_constants(SIX["uniform"])
 
     def energy(strain):
         edges = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
@@ -246,8 +238,8 @@ def test_genesis_springs_have_the_stated_stiffnesses():
         return 0.5 / mapped.constants["stretch_compliance"] * np.sum(extension**2)
 
     stretch, shear = membrane(energy)
-    assert stretch == pytest.approx(uniaxial_stiffness(mapped), rel=1e-4)
-    assert shear == pytest.approx(shear_stiffness(mapped), rel=1e-4)
+    assert stretch == pytest.approx(mapped.stretch_stiffness_n_per_m, rel=1e-4)
+    assert shear == pytest.approx(mapped.shear_stiffness_n_per_m, rel=1e-4)
 
 
 def cell_hinges(direction, curvature=1e-3):
@@ -308,7 +300,7 @@ def flex_energy(young, thickness, poisson):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_mujoco_stretches_and_bends_as_stated(name):
-    flex = mujoco_flex(SIX[name]).constants
+    flex = flex_constants(SIX[name]).constants
     energy, rest = flex_energy(flex["young"], flex["thickness"], flex["poisson"])
     area = 0.08**2
     along = np.zeros_like(rest)
@@ -341,10 +333,6 @@ def test_constants_must_be_positive(name, value):
 
 
 def test_helpers_name_what_is_not_positive():
-    with pytest.raises(ParameterError, match="mean_edge_length_m"):
-        newton_edge_ke(bend_stiffness_n_m_per_rad=1e-6, mean_edge_length_m=0.0)
-    with pytest.raises(ParameterError, match="bend_stiffness_n_m_per_rad"):
-        newton_edge_ke(bend_stiffness_n_m_per_rad=-1e-6, mean_edge_length_m=0.01)
     with pytest.raises(ParameterError, match="hinge_stiffness_n_m_per_rad"):
         plate_bending_stiffness(hinge_stiffness_n_m_per_rad=0.0)
     with pytest.raises(ParameterError, match="spacing_over_length"):
@@ -363,7 +351,7 @@ def test_command_prints_json():
     for name, engines in values.items():
         assert {engine: set(constants) for engine, constants in engines.items()} == CONSTANTS
         for engine, constants in engines.items():
-            assert constants == MAPPINGS[engine](SIX[name]).constants
+            assert constants == fabric_constants(SIX[name])[engine].constants
 
 
 def test_command_prints_a_table_with_fallbacks_marked():
