@@ -13,7 +13,7 @@ from gauge_envs.scene import Scene
 
 def backend_names() -> tuple[str, ...]:
     """Return the sorted names of all installed backends, without importing any."""
-    return tuple(sorted({point.name for point in engineengine_points()}))
+    return tuple(sorted({point.name for point in engine_points()}))
 
 
 @cache
@@ -25,7 +25,7 @@ def backend(name: str) -> Backend:
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason, or its class is no backend of that name.
     """
-    for point in engineengine_points():
+    for point in engine_points():
         if point.name == name:
             place = f"backend {name!r} ({point.value})"
             with _as_backend_error(place):
@@ -43,7 +43,7 @@ def backend(name: str) -> Backend:
 
 def is_bundled(name: str) -> bool:
     """Return whether the backend of a name is part of this package."""
-    values = [point.value for point in engineengine_points() if point.name == name]
+    values = [point.value for point in engine_points() if point.name == name]
     return bool(values) and values[0].startswith(BUNDLED)
 
 
