@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from gauge_envs.scene.jitter import Jitter as Jitter
 else:
     __getattr__, __all__ = door(__name__)
-    __all__ += ["GaugeError", "Variant", "beyond_variants", "find_variant", "register_all", "variants"]
+    __all__ = sorted(["GaugeError", "Variant", "beyond_variants", "find_variant", "register_all", "variants", *__all__])
 
     def __dir__() -> list[str]:
         """Return all names of the module, including those that are not imported yet."""

@@ -12,7 +12,7 @@ The file has these keys, all optional but `position`:
     position = 200                      # place among the commands of `gauge --help`
     listings = ["drifts"]               # kinds of `gauge list KIND`: function `list_drifts` of `command.py`
     pictures = ["drift"]                # kinds of `gauge plot --kind KIND`: function `draw_drift` of `command.py`
-    ids = "tasks"                       # module with `register`, `names`, `summary` and `document` of Gymnasium ids
+    ids = "ids"                         # module with `register`, `names`, `summary` and `document` of Gymnasium ids
 
     [commands]                          # name and line of help; the function of `command.py` has the name
     drift = "Report how far a resting body drifts."

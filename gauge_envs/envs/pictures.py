@@ -121,6 +121,7 @@ def episode_overlay(episode: Episode) -> Overlay:
     return tracked_overlay(
         episode.experiment,
         episode.band,
+        frame=episode.frame or 0,
         samples=trajectory.samples,
         markers_m=trajectory.markers_m[-1],
         poses=episode.poses(),

@@ -117,6 +117,7 @@ def tracked_overlay(
     experiment: Experiment,
     band: Band | None,
     *,
+    frame: int,
     samples: FloatArray,
     markers_m: FloatArray,
     poses: Mapping[str, FloatArray],
@@ -129,11 +130,11 @@ def tracked_overlay(
     Args:
         experiment: The experiment.
         band: Its band, or None.
-        samples: g(t) up to the last frame, in its unit, shape [frame_count, coordinate_count].
-        markers_m: Markers at the last frame [m], shape [marker_count, 3].
-        poses: Position [m] and quaternion w x y z of each rigid body at the last frame, shape [7].
+        frame: Number of the frame that is drawn.
+        samples: g(t) up to this frame, in its unit, shape [frame_count, coordinate_count].
+        markers_m: Markers at this frame [m], shape [marker_count, 3].
+        poses: Position [m] and quaternion w x y z of each rigid body at this frame, shape [7].
     """
-    frame = len(samples) - 1
     observable = experiment.score.observable
     paths: list[OverlayPath] = []
     if observable in (Observable.POSITION, Observable.MARKER_POSITION):

@@ -16,12 +16,12 @@ from inspect import getsource, signature
 from typing import Any, get_args
 
 import gymnasium as gym
-from gauge_envs.cli.commands import COMMANDS
 from places import ROOT
 from test_docs import NOTE_WORDS
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs.registry import command_lines
 
 DEGREE = math.pi / 180.0
 
@@ -333,7 +333,7 @@ def readers() -> dict[str, list[str]]:
     start, baseline, motion = (
         of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
     )
-    (download_size,) = re.findall(r"\d+ GB", COMMANDS["data download"][1])
+    (download_size,) = re.findall(r"\d+ GB", command_lines()["data download"])
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
     return {
         "docs/limits.md": [

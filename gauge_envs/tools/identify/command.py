@@ -79,7 +79,7 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
     from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
     from gauge_envs.registry import scene_suffixes
     from gauge_envs.tools.identify import one_joint
-    from gauge_envs.tools.usd.reader import read_usd
+    from gauge_envs.tools.usd import read_usd
 
     if scene is not None:
         if load:

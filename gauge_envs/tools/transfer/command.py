@@ -142,7 +142,7 @@ def transfer_envelope(
     """
     from gauge_envs.pages.document import save_file
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.control.tasks import control_tasks
+    from gauge_envs.tools.control import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.randomization import randomization_files
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document

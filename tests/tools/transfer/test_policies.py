@@ -367,7 +367,7 @@ def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
     with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
         load_policy(str(tmp_path / "a.zip"), env)
     (tmp_path / "b.zip").write_bytes(b"no archive")
-    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: File is not a zip file"):
+    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: "):
         load_policy(str(tmp_path / "b.zip"), env)
 
 
@@ -382,7 +382,7 @@ def test_a_function_of_a_module(env) -> None:
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        (":act", "importing the module raised ValueError: Empty module name"),
+        (":act", "importing the module raised ValueError: "),
         (".mine:act", "importing the module raised TypeError"),
         ("fails:act", "importing the module raised ZeroDivisionError"),
         ("exits:act", "importing the module raised SystemExit: 3"),

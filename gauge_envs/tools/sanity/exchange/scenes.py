@@ -39,7 +39,7 @@ from gauge_envs.tools.sanity.exchange.loop import run as run_exported
 from gauge_envs.tools.sanity.phenomena import RELEASE_ID, phenomena, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.scenario import Scenario
-from gauge_envs.tools.usd.writer import scene_stage
+from gauge_envs.tools.usd import scene_stage
 
 FORMAT, VERSION = "gauge-sanity-export", 1
 
