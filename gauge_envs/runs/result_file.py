@@ -66,13 +66,8 @@ def write_result(result: Result, file: Path) -> None:
         write_whole(file, text.encode())
 
 
-def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
-    """Read a result file.
-
-    Args:
-        file: The file.
-        needs_trajectory: Whether a result of an episode that did not run is an error.
-    """
+def load_result(file: Path) -> Result:
+    """Read a result file."""
     try:
         content = json_document(read_regular(file, MOST_RESULT_BYTES))
         if not isinstance(content, dict):
@@ -90,7 +85,7 @@ def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
         if missing:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
-        _check(result, needs_trajectory=needs_trajectory)
+        _check(result)
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
@@ -113,7 +108,7 @@ class _AssetRecord(BaseModel):
     changes: list[str]
 
 
-def _check(result: Result, *, needs_trajectory: bool) -> None:
+def _check(result: Result) -> None:
     """Check what types alone do not state."""
     _check_depth([result.parameters, result.settings, result.settings_given, result.asset])
     if result.asset:
@@ -130,8 +125,7 @@ def _check(result: Result, *, needs_trajectory: bool) -> None:
     for key, (value, known) in stated.items():
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
-    if result.trajectory is not None or result.error is None or needs_trajectory:
-        _check_trajectory(result)
+    _check_trajectory(result)
 
 
 def _check_trajectory(result: Result) -> None:

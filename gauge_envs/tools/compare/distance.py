@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
+from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -51,6 +52,15 @@ class Distance:
     apart_at_s: float | None
     frames: int
     diverged: bool
+
+    def text(self, length: float) -> str:
+        """Return a length with its unit."""
+        return f"{quantity_text(length)} {self.unit}"
+
+    @property
+    def apart_text(self) -> str:
+        """When the trajectories are first apart."""
+        return "never" if self.apart_at_s is None else f"{self.apart_at_s:.2f} s"
 
 
 def trajectory_distance(

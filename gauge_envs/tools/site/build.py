@@ -59,7 +59,7 @@ from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
 from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, cost_text, first_result, first_results, score_cell, site_page
+from gauge_envs.tools.site.model import Site, cell_cost, first_result, first_results, score_cell, site_page
 from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.reproduce import reproduce_page
 
@@ -257,7 +257,7 @@ def _scores(site: Site, index: int) -> Table:
             result = first_result(cell)
             convergence = None if result is None else discretization_text(result)
             name, score = site.experiment_link(one, site.family(one)[0]), score_cell(one, cell, one.primary)
-            rows.append((name, one.grade_name, score, cost_text(cell), convergence or "-"))
+            rows.append((name, one.grade_name, score, cell_cost(cell), convergence or "-"))
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)
 
 

@@ -22,7 +22,7 @@ from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import FACTS, Site, cost_text, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import FACTS, Site, cell_cost, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -160,7 +160,7 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
             row.append("-" if percentile is None else f"{percentile:.0f} %")
     titles += FACTS
     for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
-        row += [configuration.physics or "-", cost_text(cell)]
+        row += [configuration.physics or "-", cell_cost(cell)]
     for engine, title in PUBLISHED_ENGINES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
@@ -210,13 +210,13 @@ def _distances(site: Site, one: ExperimentComparison) -> Parts:
     rows = [
         (
             f"{site.labels[far.first]} : {site.labels[far.second]}",
-            f"{quantity_text(far.rms.mean)} {far.unit}",
-            f"{quantity_text(far.motion_rms)} {far.unit}",
-            "never" if far.apart_at_s is None else f"{far.apart_at_s:.2f} s",
+            far.text(far.rms.mean),
+            far.text(far.motion_rms),
+            far.apart_text,
         )
         for far in one.distances
     ]
-    limits = sorted({f"{quantity_text(far.threshold)} {far.unit}" for far in one.distances})
+    limits = sorted({far.text(far.threshold) for far in one.distances})
     note = "Root mean square over the frames. Apart: first time at which the distance exceeds "
     titles = ("between", "distance", "motion", "apart at")
     return section("Distances between engines", grid(titles, rows, number_from=1), f"{note}{', '.join(limits)}.")

@@ -8,7 +8,7 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, quantity_text
+from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare import (
     DIFFERENT,
@@ -16,6 +16,7 @@ from gauge_envs.tools.compare import (
     ExperimentComparison,
     GradeComparison,
     GradeScore,
+    cost_text,
     deciding_text,
     mean_rank_text,
 )
@@ -289,8 +290,8 @@ def _unscored_table(site: Site) -> Table:
         cells = ["one configuration: nothing to compare", "", ""]
         if one.distances:
             far = max(one.distances, key=lambda distance: distance.rms.mean)
-            lengths = (f"{quantity_text(length)} {far.unit}" for length in (far.rms.mean, far.motion_rms))
-            cells = [f"{site.labels[far.first]} and {site.labels[far.second]}", *lengths]
+            between = f"{site.labels[far.first]} and {site.labels[far.second]}"
+            cells = [between, far.text(far.rms.mean), far.text(far.motion_rms)]
         rows.append([site.experiment_link(one), *cells])
     return grid(("experiment", "furthest apart", "distance", "motion"), rows, number_from=2)
 
@@ -302,7 +303,7 @@ def _engines(site: Site) -> list[Part]:
             site.links[index],
             versions_text(one) or "-",
             *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
-            "-" if summary.wall_s_per_sim_s_common is None else f"{summary.wall_s_per_sim_s_common:.2g}",
+            "-" if summary.wall_s_per_sim_s_common is None else cost_text(summary.wall_s_per_sim_s_common),
         ]
         for index, (one, summary) in enumerate(zip(comparison.configurations, comparison.summaries(), strict=True))
     ]
