@@ -137,7 +137,8 @@ def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
         engines = {site.comparison.configurations[index].backend for index in (pair.first, pair.second)}
         if len(engines) > 1:
             continue
-        closer, further = pair.closer, pair.first + pair.second - pair.closer
+        closer = pair.closer
+        further = pair.further
         start = element("b", f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ")
         between = f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
         if pair.distinguishable:
