@@ -409,8 +409,8 @@ def _mean_score(common: Sequence[GradedExperiment], index: int) -> Mean:
     # The scatter of few repeats may take a draw below zero, where no score is.
     draws = np.maximum([drawn for _, drawn in scores], 0.0).mean(axis=0)
     value = float(np.mean([score for score, _ in scores]))
-    own = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
-    return Mean(value=value, interval_95=own or _mean_interval(value, draws))
+    interval = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
+    return Mean(value=value, interval_95=interval or _mean_interval(value, draws))
 
 
 def _mean_interval(value: float, draws: FloatArray) -> Interval:

@@ -33,7 +33,7 @@ from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
-MOST_NAMED = 4
+MAX_NAMED = 4
 """Number of experiments up to which the rank in each is shown beside their mean."""
 
 PERCENTILE = "percentile"
@@ -383,7 +383,7 @@ def deciding_text(grade: GradeComparison, configuration: int) -> str:
     """Return the experiments in which a configuration ranks best and worst, all if there are at most four."""
     ranks = [(one.ranks[configuration].value, one) for one in grade.experiments if one.id in grade.ids]
     ordered = sorted(ranks, key=lambda entry: entry[0])
-    shown = ordered if len(ordered) <= MOST_NAMED else [ordered[0], ordered[-1]]
+    shown = ordered if len(ordered) <= MAX_NAMED else [ordered[0], ordered[-1]]
     return ", ".join(f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown)
 
 

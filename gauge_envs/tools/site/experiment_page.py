@@ -55,10 +55,10 @@ Results = Mapping[int, Result]
 
 Parts = list[Part]
 
-MOST_PANELS = 6
+MAX_PANELS = 6
 """Largest number of coordinates that are drawn."""
 
-MOST_SECONDS = 10.0
+MAX_SECONDS = 10.0
 """Longest time that is drawn [s]: in a longer one, swings of a second cannot be told apart."""
 
 Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
@@ -312,7 +312,7 @@ def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts
     if not recorded:
         return []
     end_s = max(float(times[-1]) for _, times, _, _ in recorded)
-    shown_s = min(end_s, MOST_SECONDS)
+    shown_s = min(end_s, MAX_SECONDS)
     if band is None:
         panels, note = _plain_panels(site, unit, recorded, shown_s)
     else:
@@ -363,7 +363,7 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
             sigma=band.sigma[:, column],
             measured=band.measured,
         )
-        for column in sorted(np.argsort(spans)[::-1][:MOST_PANELS].tolist())
+        for column in sorted(np.argsort(spans)[::-1][:MAX_PANELS].tolist())
     ]
     left_out = f"{len(panels)} of {len(spans)} coordinates: those in which the real motion is largest."
     return panels, left_out if len(spans) > len(panels) else ""
@@ -372,8 +372,8 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
 def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tuple[list[CurvePanel], str]:
     """Return panels without a reference: each coordinate, or of many the displacement from the start, with a note."""
     names, text = recorded[0][3], ""
-    alike = [(i, times, values) for i, times, values, own in recorded if len(own) == len(names)]
-    if len(names) > MOST_PANELS:
+    alike = [(i, times, values) for i, times, values, coordinates in recorded if len(coordinates) == len(names)]
+    if len(names) > MAX_PANELS:
         text = f"Root mean square over all {len(names)} coordinates of the change since the start."
         changes = ((i, times, np.sqrt(np.mean((x - x[0]) ** 2, axis=1, keepdims=True))) for i, times, x, _ in recorded)
         names, alike = ["change from the start, rms"], list(changes)

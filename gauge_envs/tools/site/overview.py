@@ -64,11 +64,11 @@ def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
     graded = [grade for grade in comparison.grades if grade.ids]
-    against = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
+    references = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
-        f"Compared: {against or 'none'}."
+        f"Compared: {references or 'none'}."
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
