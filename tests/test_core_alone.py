@@ -1,4 +1,4 @@
-"""The core runs alone: without instruments, other engines, pictures and USD it lists, shows, builds, runs and scores."""
+"""The core runs alone: without instruments, other engines, pictures and USD it lists, shows, runs and scores."""
 
 from __future__ import annotations
 
