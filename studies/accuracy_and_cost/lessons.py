@@ -16,10 +16,12 @@ from pathlib import Path
 from textwrap import fill
 
 import numpy as np
-from generated import settle
 from pydantic import TypeAdapter
 
-from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from generated import settle
+from pareto_model import Family, Phenomenon, Point, Tradeoff
 
 DATA = Path(__file__).parents[2] / "scoring" / "pareto.json"
 NOTE = Path(__file__).with_name("README.md")

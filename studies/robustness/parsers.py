@@ -6,11 +6,9 @@ import io
 import json
 import os
 import pickle
-import sqlite3
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -64,7 +62,6 @@ from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, s
 from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.sweep.store import SweepFolder, update_store
 from gauge_envs.tools.transfer.policies.load import load_policy, read_normalization
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.usd.reader import from_usd
@@ -448,21 +445,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     column = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
     list(run_column(column, ["free-fall", "foam-start", "slide-plane"], None))
     matrix = write_columns([column], folder / "column.json").read_bytes()
-    swept = SweepFolder(folder / "swept")
-    swept.create()
-    swept.write(result, "a.json")
-    update_store(swept.path)
-
-    def store_read(file: Path) -> None:
-        """Read a damaged store beside a result file that is whole: it has one row."""
-        swept.store_path.write_bytes(file.read_bytes())
-        try:
-            with closing(sqlite3.connect(update_store(swept.path))) as store:
-                ((count,),) = store.execute("SELECT count(*) FROM results").fetchall()
-        finally:
-            for left in swept.path.glob("sweep.sqlite*"):
-                left.unlink()
-        assert count == 1, count
 
     def replay_read(file: Path) -> None:
         """Read a damaged replay beside a result that is whole: it counts, or the episode runs again."""
@@ -513,7 +495,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
         "submission": Parser(".json", results, submission_read, documents, 0.01),
         "statement": Parser(".toml", [STATEMENT.encode()], statement_read),
         "sweep": Parser(".toml", [SWEEP.encode()], sweep_read),
-        "store": Parser(".sqlite", [swept.store_path.read_bytes()], store_read, damage.in_bytes, 0.05),
         "matrix": Parser(
             ".json",
             [matrix],

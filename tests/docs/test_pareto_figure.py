@@ -13,9 +13,10 @@ from pydantic import TypeAdapter
 pytest.importorskip("matplotlib")
 
 from lessons import DATA, LessonError, lessons
+from pareto_model import Family, Phenomenon, Point, Tradeoff
+from pareto_words import draw_pareto
 
 from gauge_envs.pages.figures import save_png
-from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff, draw_pareto
 
 
 def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) -> Family:

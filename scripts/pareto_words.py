@@ -7,12 +7,14 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from pareto_model import Family, Phenomenon, Point, Tradeoff
+
 from gauge_envs.backends.registry import backend_class
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id
-from gauge_envs.tools.cost.model import STEP, Family, Phenomenon, Point, Tradeoff
+from gauge_envs.tools.compare.cost import GREY, LEAST_SHOWN, ROW_IN, STEP, step_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,7 +46,7 @@ def phenomenon_statements(phenomenon: Phenomenon, tradeoff: Tradeoff) -> Iterato
         yield _reality(phenomenon, tradeoff)
     known = [family for family in phenomenon.families if family.sufficient_step_s is not None]
     if known:
-        words = [f"{family.name} {step_words(family.sufficient_step_s)}" for family in known]
+        words = [f"{family.name} {step_text(family.sufficient_step_s)}" for family in known]
         yield f"Largest step whose numerical error is below {_limit(known)}: {', '.join(words)}."
     unresolved = [family for family in phenomenon.families if family.converged and family.sufficient_step_s is None]
     if unresolved:
@@ -135,11 +137,11 @@ def _table(phenomenon: Phenomenon) -> Table:
             Column("name", "engine"),
             Column("", "parametric floor", lambda family: _number(family.floor), is_number=True),
             Column("", "model error", lambda family: _number(family.model), is_number=True),
-            Column("", "sufficient step", lambda family: step_words(family.sufficient_step_s), is_number=True),
+            Column("", "sufficient step", lambda family: step_text(family.sufficient_step_s), is_number=True),
             column("its cost", enough, _ratio),
             column("cheapest within real scatter", cheapest, setting_words, is_number=False),
             column("its cost", cheapest, _ratio),
-            column("default step", usual, lambda point: step_words(point.step_s)),
+            column("default step", usual, lambda point: step_text(point.step_s)),
             column("its cost", usual, _ratio),
         ),
         rows=phenomenon.families,
@@ -148,15 +150,10 @@ def _table(phenomenon: Phenomenon) -> Table:
 
 def setting_words(point: Point) -> str:
     """Return the effort of a setting in words, as `a step of 1/1800 s`."""
-    words = [] if point.step_s is None else [f"a step of {step_words(point.step_s)}"]
+    words = [] if point.step_s is None else [f"a step of {step_text(point.step_s)}"]
     if not point.is_on_main_line:
         words += [f"{name}={value:g}" for name, value in point.effort.items() if name in point.settings_given]
     return ", ".join(words) or "its settings"
-
-
-def step_words(step_s: float | None) -> str:
-    """Return a step as a fraction of a second; empty for None."""
-    return "" if step_s is None else f"1/{1.0 / step_s:.6g} s"
 
 
 def _cost(point: Point, tradeoff: Tradeoff) -> str:
@@ -177,14 +174,6 @@ def _number(value: float | None) -> str:
 
 
 # --- figure ----------------------------------------------------------------------------------------------------------
-
-GREY = "#707070"
-"""Colour of engines that state none; their name stands at the line."""
-
-LEAST_SHOWN = 1e-4
-"""Errors below this are drawn at the lower edge."""
-
-ROW_IN = 2.3
 
 
 def draw_pareto(tradeoff: Tradeoff) -> Figure:

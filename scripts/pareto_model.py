@@ -25,19 +25,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-STEP = "timestep_s"
-EFFORT = (
-    STEP,
-    "iterations",
-    "solver_iterations",
-    "position_iterations",
-    "velocity_iterations",
-    "pgs_iterations",
-    "ls_iterations",
-    "line_search_iterations",
-)
-"""Settings that trade error for cost within a family."""
-
 ERRORS = ("numerical", "to_closed_form", "to_reality")
 """Errors of a point, each of which has a front."""
 
