@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from inspect import getsource, signature
+from inspect import getsource
 from typing import Any, get_args
 
 import gymnasium as gym
@@ -348,8 +348,7 @@ def readers() -> dict[str, list[str]]:
             f"of `gauge sanity` | {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}; "
             f"{mb('tools.sanity.stacks.mjcf.MOST_MODEL_BYTES')} without meshes |",
             f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MOST_EPISODES'):,} episodes |",
-            f"| {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')}; {mb('tools.transfer.policies.load.MOST_BYTES')}, "
-            f"{of('tools.transfer.policies.load.MOST_OPERATIONS'):,} operations |",
+            f"| policy | {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')} |",
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
@@ -556,7 +555,6 @@ def others() -> dict[str, list[str]]:
     table = (ROOT / "scoring" / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
     real = {tuple(line.split(",")[:2]): line.split(",")[3] for line in table}
     slopes = ", ".join(real[f"SlopeSlider-2-{material}", "a"] for material in ("wood", "plastic", "metal"))
-    ranges = signature(of("tools.transfer.randomization.ranges_of"))
     width, height = of("tools.video.tasks.REFERENCE_SIZE_PX")
     return {
         "docs/assets.md": [
@@ -573,7 +571,6 @@ def others() -> dict[str, list[str]]:
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
-            f"uniform ranges of {ranges.parameters['width'].default:g} sigma",
         ],
         "docs/world_models.md": [
             f"| {slopes} m/s²; 0 |",
