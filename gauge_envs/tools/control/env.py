@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.divergence import DeformableBounds, speed_fault
-from gauge_envs.envs.lockstep import run_frames
-from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.envs.stepper import run_frame
+from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
@@ -24,7 +25,7 @@ from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
 
 Frame = Generator[None, None, tuple[float, Ending | None]]
@@ -65,6 +66,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
         world: The simulation, or the world of it.
+        moving: Names of the bodies that move.
         rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
     """
 
@@ -99,6 +101,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             self._build(experiment)
             check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         self._frame: int | None = None
         self._ending: Ending | None = None
         self._observations: list[FloatArray] = []
@@ -219,7 +222,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s."""
-        return run_frames({0: self.frame(action)}, lambda _: self.simulation.advance(SAMPLE_INTERVAL_S))[0]
+        return run_frame(self.frame(action), self.simulation)
 
     def frame(self, action: Any) -> Generator[None, None, Step]:
         """Drive one frame of a world that someone else advances; return what `step` returns.
@@ -228,7 +231,10 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         frame.
         """
         self._check_running(started=self._frame is not None, is_over=self._ending is not None)
-        reward, ending = yield from self._advance(self._checked(action))
+        return self._run(checked_action(action, self.action_space))
+
+    def _run(self, command: FloatArray) -> Generator[None, None, Step]:
+        reward, ending = yield from self._advance(command)
         self._frame = (self._frame or 0) + 1
         info = self._info()
         fault = self._fault()
@@ -254,18 +260,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
-
-    def _checked(self, action: Any) -> FloatArray:
-        try:
-            command = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ActionError(f"action {action!r} is not an array of numbers") from error
-        if command.shape != self.action_space.shape:
-            raise ActionError(f"action has shape {command.shape}, expected {self.action_space.shape}")
-        # A comparison with NaN is false.
-        if not (np.abs(command) <= 1.0).all():
-            raise ActionError(f"action {command.tolist()} must be numbers from -1 to 1")
-        return command
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""
@@ -301,8 +295,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def moving_poses(self) -> dict[str, FloatArray]:
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""
-        moving = (*self._dynamic, *(driver.body for driver in self.experiment.scene.drivers))
-        return dict(zip(moving, self.world.body_states(moving)[:, :7], strict=True))
+        return dict(zip(self.moving, self.world.body_states(self.moving)[:, :7], strict=True))
 
     def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""
