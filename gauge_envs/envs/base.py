@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
 from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.pictures import RENDER_MODES, Pictures
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.rendering.lazy import RENDER_MODES, Pictures
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 WORLD_LIMIT = 100_000

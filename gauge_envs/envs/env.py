@@ -16,11 +16,11 @@ from gauge_envs.envs.arguments import (
 )
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
+from gauge_envs.envs.pictures import Pictures, episode_picture
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.rendering.lazy import Pictures, episode_picture
 from gauge_envs.scene.jitter import Jitter
 
 

@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 import pytest
+from gauge_envs.cli.commands import COMMANDS, DRAWINGS, LISTINGS, load
 from places import ROOT
 from rich.text import Text
 from typer.main import get_command
@@ -16,9 +17,8 @@ from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app, load_command
 from gauge_envs.cli.arguments import parsed_jitter, parsed_limits, parsed_use, split_details
-from gauge_envs.cli.commands import COMMANDS, DRAWINGS, LISTINGS, load
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
-from gauge_envs.references.imported import DataSource
+from gauge_envs.references.user_data import DataSource
 
 MOST_ENTRIES = 16
 MOST_OPTIONS = 130

@@ -10,10 +10,13 @@ from typing import Annotated, Any
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.commands import DRAWINGS, load
 from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.registry import instruments_by
+
+KINDS = instruments_by("pictures")
+"""Instrument of each kind of picture."""
 
 
 def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEXT) -> bool:
@@ -35,7 +38,7 @@ def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEX
 
 def plot(
     sources: arguments.Sources = None,
-    kind: Annotated[str, typer.Option(help=f"{', '.join(DRAWINGS)}, which is the error over cost.")] = "experiments",
+    kind: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}, which is the error over cost.")] = "experiments",
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
     name: Annotated[str | None, typer.Option("--id", metavar="ID", help="With diagnose: of trajectory files.")] = None,
     use: arguments.Use = "",
@@ -45,12 +48,12 @@ def plot(
     Details after the results: metric=rmse and corrected=false for compare; order=release,offset,rate and
     measured_only=true for diagnose. Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
     """
-    if kind not in DRAWINGS:
-        raise UnknownNameError("kind of picture", kind, DRAWINGS)
+    if kind not in KINDS:
+        raise UnknownNameError("kind of picture", kind, KINDS)
     options: dict[str, Any] = {key: value for key, value in {"name": name, "use": use}.items() if value}
     if options and kind != "diagnose":
         raise ParameterError("--id and --use go with --kind diagnose: leave them out")
-    files, skipped = load(DRAWINGS[kind], f"draw {kind}")(sources, out, **options)
+    files, skipped = KINDS[kind].function(f"draw {kind}")(sources, out, **options)
     for file in files:
         echo(file)
     return bool(skipped)

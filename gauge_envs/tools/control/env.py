@@ -14,6 +14,7 @@ from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.divergence import DeformableBounds, speed_fault
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.envs.stepper import run_frame
 from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
@@ -22,7 +23,6 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ

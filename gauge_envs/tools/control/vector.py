@@ -17,10 +17,10 @@ from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.lockstep import check_length
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.control.env import ControlEnv, Step
 from gauge_envs.tools.control.tasks import find_control_task

@@ -2,14 +2,16 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.cost.model import Family, Phenomenon, Point, Tradeoff
-    from gauge_envs.tools.cost.pareto import tradeoff
-    from gauge_envs.tools.cost.words import draw_pareto, pareto_document
-
-__all__ = ["Family", "Phenomenon", "Point", "Tradeoff", "draw_pareto", "pareto_document", "tradeoff"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "model", "pareto", "words")
+    from gauge_envs.tools.cost.model import (
+        Family as Family,
+        Phenomenon as Phenomenon,
+        Point as Point,
+        Tradeoff as Tradeoff,
+    )
+    from gauge_envs.tools.cost.pareto import tradeoff as tradeoff
+    from gauge_envs.tools.cost.words import draw_pareto as draw_pareto, pareto_document as pareto_document
+else:
+    __getattr__, __all__ = door(__name__)

@@ -103,13 +103,25 @@ def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) 
         episode: An episode that has begun.
         drawn_as: Episode whose scene states camera and shapes, the same in each call until the renderer is closed.
     """
-    from gauge_envs.rendering.overlay import tracked_overlay
-
     return pictures.draw(
         drawn_as.experiment,
         drawn_as.rest_nodes_m,
         band=drawn_as.band,
         poses=episode.poses(),
         nodes_m=episode.nodes_m(),
-        overlay=tracked_overlay(episode) if pictures.has_overlay else None,
+        overlay=episode_overlay(episode) if pictures.has_overlay else None,
+    )
+
+
+def episode_overlay(episode: Episode) -> Overlay:
+    """Return the overlay of an episode that has begun."""
+    from gauge_envs.rendering.overlay import tracked_overlay
+
+    trajectory = episode.trajectory()
+    return tracked_overlay(
+        episode.experiment,
+        episode.band,
+        samples=trajectory.samples,
+        markers_m=trajectory.markers_m[-1],
+        poses=episode.poses(),
     )
