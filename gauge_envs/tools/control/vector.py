@@ -82,7 +82,6 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._set_spaces(num_envs, first)
         self._observations = np.zeros((num_envs, len(first.OBSERVED)))
         self._over = np.zeros(num_envs, dtype=np.bool_)
-        self._is_reset = False
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -131,12 +130,8 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._over = terminations | truncations
         return self._observations.copy(), rewards, terminations, truncations, infos
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
-        if self.render_mode is None:
-            return None
-        self._check_started("render", started=self._is_reset)
-        return tuple(env.picture(self._pictures) for env in self.worlds.envs)
+    def _picture(self, number: int) -> NDArray[np.uint8]:
+        return self.worlds.envs[number].picture(self._pictures)
 
     def _free(self) -> None:
         super()._free()
