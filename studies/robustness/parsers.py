@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import pickle
 import sys
 import zipfile
 from collections.abc import Callable, Mapping
@@ -62,7 +61,7 @@ from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, s
 from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.transfer.policies.load import load_policy, read_normalization
+from gauge_envs.tools.transfer.policies.load import load_policy
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
@@ -257,18 +256,6 @@ NUMBER_TEXTS = (
     "timestep_s=0.0005555555555555556 solver=Newton iterations=20",
 )
 """Numbers of the command line: jitter, limits, recipes, contacts, settings."""
-
-
-class VecNormalize:
-    """Stand-in of the class in files of `VecNormalize.save`."""
-
-
-def statistics(size: int) -> bytes:
-    """Return a file of `VecNormalize.save`."""
-    saved, saved.obs_rms = VecNormalize(), VecNormalize()
-    saved.obs_rms.mean, saved.obs_rms.var = np.zeros(size), np.ones(size)
-    saved.clip_obs, saved.epsilon = 10.0, 1e-8
-    return pickle.dumps(saved)
 
 
 def sb3_policies(size: int) -> list[bytes]:
@@ -574,13 +561,6 @@ def _of_policies() -> dict[str, Parser]:
     assert isinstance(env, ControlEnv)
     (size,) = env.observation_space.shape or (0,)
     return {
-        "statistics": Parser(
-            ".pkl",
-            [statistics(size)],
-            lambda file: read_normalization(file, observation_size=size),
-            damage.in_bytes,
-            2.0,
-        ),
         "sb3": Parser(
             ".zip",
             sb3_policies(size),
