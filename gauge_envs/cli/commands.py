@@ -22,8 +22,6 @@ COMMANDS = {
     "sweep": ("sweep", "Run engines, settings and experiments in all combinations; continue an earlier run."),
     "sanity": ("sanity", "Report which physics a training configuration gets wrong, and what corrects it."),
     "sanity probe": ("sanity", "Print a Python file that saves the settings of a training environment."),
-    "sanity export": ("sanity", "Write the scenes of a sanity check for any simulator."),
-    "sanity judge": ("sanity", "Report which physics a simulator gets wrong, from its motion in exported scenes."),
     "recipe": ("recipes", "Give contact settings of an engine for a measured behaviour, and what they reach."),
     "recipe fabrics": ("recipes", "Show the six fabrics in every engine's constants, and what is lost."),
     "recipe joint": ("identify", "Give friction, armature and gains of joints from logs, with 95 % intervals."),

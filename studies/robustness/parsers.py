@@ -59,8 +59,7 @@ from gauge_envs.tools.leaderboard.words import leaderboard_document
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings
 from gauge_envs.tools.recipes.command import NUMBERS
 from gauge_envs.tools.recipes.explain import parsed_contact
-from gauge_envs.tools.sanity import configuration, export, judge
-from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, scenes
+from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
@@ -547,29 +546,6 @@ def _of_training(folder: Path) -> dict[str, Parser]:
     rows = [
         {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
     ]
-    exported = folder / "exported"
-    export(exported, only=["rebound"])
-    manifest = (exported / MANIFEST).read_bytes()
-    (scene,) = scenes(["rebound"])
-    motion_file = exported / scene.name / MOTION
-    bodies = [(name, scene.scenario.scene.body(name).pose) for name in scene.recorded]
-    lines = [
-        ",".join(map(str, (number / 100, name, *pose.position_m, *pose.quaternion)))
-        for number in range(200)
-        for name, pose in bodies
-    ]
-    motion = "\n".join([",".join(COLUMNS[:9]), *lines]).encode()
-
-    def manifest_read(file: Path) -> None:
-        motion_file.unlink(missing_ok=True)
-        (exported / MANIFEST).write_bytes(file.read_bytes())
-        judge(exported)
-
-    def motion_read(file: Path) -> None:
-        (exported / MANIFEST).write_bytes(manifest)
-        motion_file.write_bytes(file.read_bytes())
-        judge(exported, only=["rebound"])
-
     large = [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))]
     return {
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
@@ -580,8 +556,6 @@ def _of_training(folder: Path) -> dict[str, Parser]:
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
         "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
         "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
-        "manifest": Parser(".json", [manifest], manifest_read, damage.in_json, 0.3),
-        "motion": Parser(".csv", [motion], motion_read, share=0.05),
         "baseline": Parser(
             ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
         ),

@@ -13,9 +13,6 @@ from gauge_envs.tools import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.against import Comparison, compare
-    from gauge_envs.tools.sanity.exchange.judge import judge
-    from gauge_envs.tools.sanity.exchange.loop import run as run_exported
-    from gauge_envs.tools.sanity.exchange.scenes import export
     from gauge_envs.tools.sanity.model import (
         Cause,
         ContactGroup,
@@ -59,15 +56,12 @@ __all__ = [
     "check",
     "compare",
     "configuration",
-    "export",
-    "judge",
     "newton_configuration",
-    "run_exported",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
     __getattr__ = door(
         __name__,
         *("model", "robot.foot", "stacks", "run", "against", "stacks.gymnasium_env", "stacks.newton"),
-        *("exchange.scenes", "exchange.judge", "mujoco_warp_run"),
+        "mujoco_warp_run",
     )
