@@ -61,10 +61,9 @@ def sanity(
     target: Annotated[
         str | None,
         typer.Argument(
-            help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
-            "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
-            "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
+            help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
+            "(robot.xml), the params/env.yaml of Isaac Lab, a file that gauge sanity probe's program writes in any "
+            "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[
