@@ -8,7 +8,7 @@
     python scripts/build_popular_configurations.py --check               fails if the page is not current
 
 Gymnasium is read as it is installed. Tasks of other packages are read from probe files, such as
-`FOLDER/playground/Go1JoystickFlatTerrain.gaugeprobe.json`, which `gauge_probe.py` writes in the Python of the package; a
+`FOLDER/playground/WalkerWalk.gaugeprobe.json`, which `gauge_probe.py` writes in the Python of the package; a
 package without files keeps its rows. Tasks with equal settings share a row, which is measured once for a version of the
 package and of the engine. `scoring/popular_configurations.json` is written after each row, so that the script can be
 stopped at any time.
