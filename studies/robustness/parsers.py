@@ -7,7 +7,6 @@ import json
 import os
 import pickle
 import sqlite3
-import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from contextlib import closing
@@ -135,39 +134,6 @@ sim:
     restitution_combine_mode: multiply}
 decimation: 4
 """
-
-MJLAB = """
-decimation: 4
-scene:
-  entities:
-    robot:
-      collisions: !!python/tuple
-      - {conaffinity: 1, condim: {'.*': 3}, contype: 1, geom_names_expr: !!python/tuple ['.*_collision'], priority: 0,
-         solref: !!python/tuple [0.03, 1], friction: !!python/tuple [0.8]}
-      articulation: {actuators: [{delay_max_lag: 2}]}
-      spec_fn: !!python/name:mjlab.robots.get_spec ''
-  terrain:
-    terrain_type: plane
-observations: {policy: {terms: {gyro: {delay_max_lag: 1}}}}
-sim:
-  mujoco:
-    cone: pyramidal
-    disableflags: !!python/tuple [eulerdamp]
-    gravity: !!python/tuple [0.0, 0.0, -9.81]
-    integrator: euler
-    iterations: 10
-    timestep: 0.005
-  njmax: 300
-"""
-
-MJLAB_FILES = {
-    "__init__.py": "from pathlib import Path\nPATH: Path = Path(__file__).parent",
-    "robots.py": "import mujoco\nfrom mjlab import PATH\n"
-    'def get_spec():\n    return mujoco.MjSpec.from_file(str(PATH / "dog.xml"))\n',
-    "dog.xml": '<mujoco><worldbody><body name="trunk" pos="0 0 .3"><freejoint/>'
-    '<geom name="trunk_collision" type="box" size=".2 .1 .05"/></body></worldbody></mujoco>',
-}
-"""A package with the structure of mjlab."""
 
 GENESIS = json.dumps(
     {
@@ -538,10 +504,6 @@ def _of_imports(folder: Path) -> dict[str, Parser]:
 
 
 def _of_training(folder: Path) -> dict[str, Parser]:
-    (folder / "packages" / "mjlab").mkdir(parents=True)
-    for name, text in MJLAB_FILES.items():
-        (folder / "packages" / "mjlab" / name).write_text(text)
-    sys.path.append(str(folder / "packages"))
     probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     rows = [
         {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
@@ -551,7 +513,6 @@ def _of_training(folder: Path) -> dict[str, Parser]:
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
         "g1": Parser(".yaml", large, configuration, share=0.02),
         "isaac_gym": Parser(".yaml", [GYM.encode()], configuration, share=0.3),
-        "mjlab": Parser(".yaml", [MJLAB.encode()], configuration, share=0.05),
         "genesis": Parser(".json", [GENESIS.encode()], configuration, damage.in_json, 0.3),
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
         "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
