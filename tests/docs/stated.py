@@ -378,8 +378,7 @@ def readers() -> dict[str, list[str]]:
         "docs/adding_a_stack.md": [
             f"{mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, {of('tools.sanity.stacks.documents.MOST_DEPTH')} "
             f"levels, {of('tools.sanity.stacks.documents.MOST_NODES'):,} values".replace("50,000", "50 000"),
-            f"{of('tools.sanity.python_source.source.DEEPEST_CALL')} nested calls, "
-            f"{mb('tools.sanity.python_source.source.MOST_BYTES')} a file",
+            f"| a probe file | `probe.py` in `stacks/` | {mb('tools.sanity.stacks.probe.MOST_PROBE_BYTES')}",
         ],
         "docs/sanity_stacks.md": [
             f"at most {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, "
