@@ -174,7 +174,7 @@ class Bounce:
 
     Attributes:
         time_s: Time at which the flights meet [s].
-        until_s: Time of the last sample of the flight after it [s].
+        until_s: Time of the first sample after the flight that follows, or of the last sample [s].
         speed_in_m_per_s: Speed against the contact just before it.
         speed_out_m_per_s: Speed off the contact just after it.
         misfit: Largest root-mean-square distance of a flight from its parabola, over the height that it covers.
@@ -237,7 +237,7 @@ def first_bounce(
     rose = _flight_after(heights_m, clear, low, floor_m)
     flight_in = _Flight.of(times_s[fell], heights_m[fell], gravity_m_per_s2)
     flight_out = _Flight.of(times_s[rose], heights_m[rose], gravity_m_per_s2)
-    until_s = float(times_s[rose[-1]]) if len(rose) else float(times_s[-1])
+    until_s = float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)]) if len(rose) else float(times_s[-1])
     if contact_m is None:
         return _meeting(flight_in, flight_out, until_s)
     fallen_m = released_m if released_m is not None else flight_in.top_m if flight_in is not None else start_m
