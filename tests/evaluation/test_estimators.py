@@ -175,6 +175,19 @@ def test_a_ball_held_before_its_release_has_the_restitution_of_its_flights() -> 
     assert restitution_of_bounce(times_s, heights, gravity_m_per_s2=G) == pytest.approx(0.6, abs=1e-9)
 
 
+def test_a_bounce_higher_than_the_drop_is_read_before_its_top() -> None:
+    """Twice the speed: the top is 0.61 s after the release, and samples end at 0.5 s."""
+    times_s = 0.002 * np.arange(250)
+    found = restitution_of_bounce(times_s, bounce_heights(times_s, 0.2, 2.0), gravity_m_per_s2=G, released_m=0.2)
+    assert found == pytest.approx(2.0, abs=1e-9)
+
+
+def test_a_hop_of_few_samples_has_the_height_of_its_highest() -> None:
+    heights = np.array([0.2, 0.15, 0.05, 0.0, 0.002, 0.0, 0.0])
+    found = restitution_of_bounce(0.01 * np.arange(7), heights, gravity_m_per_s2=G, released_m=0.2)
+    assert found == pytest.approx(0.1)
+
+
 def test_a_ball_that_stays_down_has_no_restitution() -> None:
     times_s = np.arange(0.0, 0.5, 0.01)
     found = restitution_of_bounce(times_s, bounce_heights(times_s, 0.2, 0.0), gravity_m_per_s2=G)

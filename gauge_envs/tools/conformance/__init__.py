@@ -18,8 +18,8 @@ benchmark runs too. A check is one function that builds a scene and measures one
     )
     def free_fall(lab: Lab) -> Measurement:
         rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5))
-        fit = np.polyfit(rollout.times_s, rollout.position("ball")[:, 2], 2)
-        return Measurement(measured=-2.0 * fit[0], expected=GRAVITY_M_PER_S2)
+        measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("ball")[:, 2])
+        return Measurement(measured=measured, expected=GRAVITY_M_PER_S2)
 
 Add it to the module of its kind. The decorator registers it for the command, the table and the tests. Several checks of
 one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once.
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from gauge_envs.tools.conformance.contacts import turning_scene
     from gauge_envs.tools.conformance.grasp import HANDS, SQUEEZED
     from gauge_envs.tools.conformance.lab import Lab
-    from gauge_envs.tools.conformance.laws import friction_of_slide, hann_mean, pendulum_period_s
+    from gauge_envs.tools.conformance.laws import hann_mean, pendulum_period_s
     from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
     from gauge_envs.tools.conformance.run import run_checks
 
@@ -60,7 +60,6 @@ __all__ = [
     "cantilever_strip",
     "check",
     "checks",
-    "friction_of_slide",
     "hanging_strip",
     "hann_mean",
     "pendulum_period_s",
