@@ -169,7 +169,7 @@ def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity:
     return Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=seconds, gravity_m_per_s2=gravity)
 
 
-def _restitution(rollout: Rollout, restitution: float, *, name: str, drop_m: float) -> Measurement:
+def _measured_restitution(rollout: Rollout, restitution: float, *, name: str, drop_m: float) -> Measurement:
     """Measure the restitution of a ball or box that was dropped on a plane at height 0."""
     found = first_bounce(
         rollout.times_s,
@@ -186,7 +186,7 @@ def _restitution(rollout: Rollout, restitution: float, *, name: str, drop_m: flo
 def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M) -> None:
     @Check(id)
     def measure(lab: Lab) -> Measurement:
-        return _restitution(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
+        return _measured_restitution(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
 
 
 for _restitution in (0.2, 0.5, 0.75, 0.95):
