@@ -22,15 +22,14 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.bench.parts import contact, fixed_box
 from gauge_envs.tools.conformance.lab import (
     LIGHT_FABRIC,
     STRETCH_OVER_SHEAR,
     STRIP_ON_ROD,
     Lab,
     clamped,
-    contact,
     fabric,
-    fixed_box,
     sheet,
     strip_on_rod,
 )

@@ -11,7 +11,8 @@ from gauge_envs.evaluation.estimators import acceleration_m_per_s2, first_bounce
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     SLIDE_SLOPE_DEG,
     inertia_kg_m2,

@@ -11,7 +11,8 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
-from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driven_box, driver, ramp
+from gauge_envs.tools.bench.parts import ball, box, contact, driven_box, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     driver_error,
     driver_poses,

@@ -26,7 +26,8 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, push
+from gauge_envs.tools.bench.parts import body
+from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tolerance
 

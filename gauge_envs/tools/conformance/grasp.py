@@ -21,7 +21,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, RigidBody,
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, box, contact, fixed_box, push, ramp
+from gauge_envs.tools.bench.parts import body, box, contact, fixed_box, ramp
+from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, pendulum_period_s
 from gauge_envs.tools.conformance.model import Measurement, recorded, rollout_of
 

@@ -27,7 +27,8 @@ from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Hinge, Joint
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, ramp
+from gauge_envs.tools.bench.parts import body, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, pendulum_period_s
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 

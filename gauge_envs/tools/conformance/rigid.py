@@ -19,7 +19,8 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, ground
+from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
 

@@ -24,7 +24,8 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, body, contact, driver, ground, ramp
+from gauge_envs.tools.bench.parts import body, contact, driver, ground, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
 # --- heights at rest -------------------------------------------------------------------------------------------------
