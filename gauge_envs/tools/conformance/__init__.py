@@ -18,8 +18,8 @@ benchmark runs too. A check is one function that builds a scene and measures one
     )
     def free_fall(lab: Lab) -> Measurement:
         rollout = lab.rollout(Scene(bodies=(ball("ball", (0.0, 0.0, 3.0)),), duration_s=0.5))
-        fit = np.polyfit(rollout.times_s, rollout.position("ball")[:, 2], 2)
-        return Measurement(measured=-2.0 * fit[0], expected=GRAVITY_M_PER_S2)
+        measured = -acceleration_m_per_s2(rollout.times_s, rollout.position("ball")[:, 2])
+        return Measurement(measured=measured, expected=GRAVITY_M_PER_S2)
 
 Add it to the module of its kind. The decorator registers it for the command, the table and the tests. Several checks of
 one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once.
@@ -42,7 +42,6 @@ if TYPE_CHECKING:
     from gauge_envs.tools.conformance.grasp import HANDS as HANDS, SQUEEZED as SQUEEZED
     from gauge_envs.tools.conformance.lab import Lab as Lab
     from gauge_envs.tools.conformance.laws import (
-        friction_of_slide as friction_of_slide,
         hann_mean as hann_mean,
         pendulum_period_s as pendulum_period_s,
     )
