@@ -219,7 +219,9 @@ def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, i
     return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
-def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None) -> VideoScore:
+def score_phone_film(
+    film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None
+) -> VideoScore:
     """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
 
     Args:
