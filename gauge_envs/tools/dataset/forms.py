@@ -41,7 +41,7 @@ HEADS = {spelling: key for key, spellings in SPELLINGS.items() for spelling in s
 WRAPPERS = {"bodies", "rigidbodies", "assets", "objects", "data", "trajectory", "trajectories", "trial"}
 """Names of objects that hold assets."""
 
-ROWS = dict.fromkeys(("position", "positions", "pos", "translation"), ("x", "y", "z"))
+ROWS: dict[str, tuple[str, ...]] = dict.fromkeys(("position", "positions", "pos", "translation"), ("x", "y", "z"))
 ROWS |= dict.fromkeys(("quatxyzw", "quaternionxyzw", "quaternionsxyzw", "xyzw"), ("qx", "qy", "qz", "qw"))
 ROWS |= dict.fromkeys(("quatwxyz", "quaternionwxyz", "quaternionswxyz", "wxyz"), ("qw", "qx", "qy", "qz"))
 """Columns of rows of numbers, by the name of the list or array."""
