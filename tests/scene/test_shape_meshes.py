@@ -6,7 +6,7 @@ import pytest
 from gauge_envs.scene import Box, Capsule, Compound, ConvexUnion, Cylinder, Ellipsoid, Part, Plane, Pose, Sphere
 
 BOX = Box(size_m=(0.2, 0.1, 0.05))
-PIECE = tuple(map(tuple, (BOX.corners_m + [0.3, 0.0, 0.0]).tolist()))
+PIECE = tuple(map(tuple, np.add(BOX.corners_m, [0.3, 0.0, 0.0]).tolist()))
 SHAPES = {
     "box": BOX,
     "sphere": Sphere(radius_m=0.1),
