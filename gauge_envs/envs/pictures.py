@@ -72,13 +72,15 @@ class Pictures:
         """
         if self._renderer is None:
             from gauge_envs.evaluation.reference_path import reference_path
-            from gauge_envs.rendering.camera import scene_view
+            from gauge_envs.rendering.camera import experiment_view, scene_view
             from gauge_envs.rendering.renderer import SceneRenderer
 
             width, height = self._size
-            view = scene_view(
-                experiment.scene, aspect=width / height, reference=reach or reference_path(experiment, band)
-            )
+            if reach is None:
+                reference = reference_path(experiment, band)
+                view = experiment_view(experiment, aspect=width / height, reference=reference)
+            else:
+                view = scene_view(experiment.scene, reference=reach)
             self._renderer = SceneRenderer(
                 experiment.scene, rest_nodes_m, width, height, view=view, materials=experiment.materials
             )

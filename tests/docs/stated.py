@@ -613,7 +613,7 @@ TESTED = {
         ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
     ],
     "docs/world_models.md": [
-        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_own.py"),
+        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_phone_films.py"),
         ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
         ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
     ],
