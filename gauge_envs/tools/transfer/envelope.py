@@ -255,9 +255,9 @@ Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
 
 def _episodes(worlds: ControlWorlds, act: Act) -> list[tuple[float, LimitReport]]:
     """Run an episode in each world; return the sum of its rewards and its report."""
-    begun = worlds.begin(dict.fromkeys(range(len(worlds)), 0))
+    begun = worlds.begin(dict.fromkeys(range(len(worlds.envs)), 0))
     observations = {number: observation for number, (observation, _) in begun.items()}
-    paid, frame = [0.0] * len(worlds), 0
+    paid, frame = [0.0] * len(worlds.envs), 0
     while observations:
         steps = worlds.step({number: act(number, frame, one) for number, one in observations.items()})
         for number, (_, reward, *_) in steps.items():
