@@ -38,17 +38,12 @@ if TYPE_CHECKING:
         hanging_strip,
         stretch_stiffness,
     )
-    from gauge_envs.tools.conformance.contacts import turning_scene
-    from gauge_envs.tools.conformance.grasp import HANDS, SQUEEZED
     from gauge_envs.tools.conformance.lab import Lab
-    from gauge_envs.tools.conformance.laws import hann_mean, pendulum_period_s
     from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
     from gauge_envs.tools.conformance.run import run_checks
 
 __all__ = [
     "BENT_FREE_M",
-    "HANDS",
-    "SQUEEZED",
     "Check",
     "CheckResult",
     "Lab",
@@ -61,12 +56,9 @@ __all__ = [
     "check",
     "checks",
     "hanging_strip",
-    "hann_mean",
-    "pendulum_period_s",
     "run_checks",
     "stretch_stiffness",
-    "turning_scene",
 ]
 
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "laws", "model", "lab", "run", "cloth", "grasp", "contacts")
+    __getattr__ = door(__name__, "model", "lab", "run", "cloth")
