@@ -27,38 +27,27 @@ one scene share a `Recorded` of it, as in `rigid`: it is built and recorded once
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.runs.rollout import Rollout
+    from gauge_envs.runs.rollout import Rollout as Rollout
     from gauge_envs.tools.conformance.cloth import (
-        BENT_FREE_M,
-        bending_stiffness,
-        cantilever_strip,
-        hanging_strip,
-        stretch_stiffness,
+        BENT_FREE_M as BENT_FREE_M,
+        bending_stiffness as bending_stiffness,
+        cantilever_strip as cantilever_strip,
+        hanging_strip as hanging_strip,
+        stretch_stiffness as stretch_stiffness,
     )
-    from gauge_envs.tools.conformance.lab import Lab
-    from gauge_envs.tools.conformance.model import Check, CheckResult, Measurement, Status, Tolerance, check, checks
-    from gauge_envs.tools.conformance.run import run_checks
-
-__all__ = [
-    "BENT_FREE_M",
-    "Check",
-    "CheckResult",
-    "Lab",
-    "Measurement",
-    "Rollout",
-    "Status",
-    "Tolerance",
-    "bending_stiffness",
-    "cantilever_strip",
-    "check",
-    "checks",
-    "hanging_strip",
-    "run_checks",
-    "stretch_stiffness",
-]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "model", "lab", "run", "cloth")
+    from gauge_envs.tools.conformance.lab import Lab as Lab
+    from gauge_envs.tools.conformance.model import (
+        Check as Check,
+        CheckResult as CheckResult,
+        Measurement as Measurement,
+        Status as Status,
+        Tolerance as Tolerance,
+        check as check,
+        checks as checks,
+    )
+    from gauge_envs.tools.conformance.run import run_checks as run_checks
+else:
+    __getattr__, __all__ = door(__name__)
