@@ -165,6 +165,16 @@ def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     return float(crossings_s[-1] - crossings_s[0]) / (len(crossings_s) - 1)
 
 
+def hann_mean(values: FloatArray) -> FloatArray:
+    """Return the mean over the first axis under a Hann window: the centre of an oscillation, damped or not.
+
+    An oscillation with two or more whole periods in the window averages to zero. With any number of periods from four
+    on, less than 1 % is left. A plain mean would leave several per cent.
+    """
+    weights = np.hanning(len(values) + 2)[1:-1]
+    return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
+
+
 # --- bounces ---------------------------------------------------------------------------------------------------------
 
 

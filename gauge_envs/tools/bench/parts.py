@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from gauge_envs.scene import Box, Contact, ContactMode, Motion, Plane, Pose, RigidBody, Shape, Sphere, Vector
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.profiles import TrapezoidProfile
@@ -67,3 +70,10 @@ def driver(
     """Return a driver of one body by one motion."""
     motion = DriverMotion(kind=kind, axis=axis, profiles=profiles, point_m=point_m)
     return Driver(body=name, motions=(motion,), provenance="nominal")
+
+
+def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
+    """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
+    assert isinstance(body.shape, Box), "the body is a box"
+    x, y, z = np.square(body.shape.size_m)
+    return body.mass_kg / 12.0 * np.array([y + z, x + z, x + y])

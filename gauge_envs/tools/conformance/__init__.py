@@ -38,13 +38,7 @@ if TYPE_CHECKING:
         hanging_strip as hanging_strip,
         stretch_stiffness as stretch_stiffness,
     )
-    from gauge_envs.tools.conformance.contacts import turning_scene as turning_scene
-    from gauge_envs.tools.conformance.grasp import HANDS as HANDS, SQUEEZED as SQUEEZED
     from gauge_envs.tools.conformance.lab import Lab as Lab
-    from gauge_envs.tools.conformance.laws import (
-        hann_mean as hann_mean,
-        pendulum_period_s as pendulum_period_s,
-    )
     from gauge_envs.tools.conformance.model import (
         Check as Check,
         CheckResult as CheckResult,

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, hann_mean
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
@@ -42,7 +42,6 @@ from gauge_envs.tools.conformance.laws import (
     bounds_error,
     cantilever_load_over_stiffness,
     coefficient,
-    hann_mean,
     passive_energy_gain,
     slide_acceleration,
     stiffness,

@@ -8,41 +8,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from scipy.special import ellipk
 
 from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Pose, RigidBody
+from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
+from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
 
 
-def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
-    """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
-    assert isinstance(body.shape, Box), "the body is a box"
-    x, y, z = np.square(body.shape.size_m)
-    return body.mass_kg / 12.0 * np.array([y + z, x + z, x + y])
-
-
 def world_inertia_kg_m2(moments: NDArray[np.float64], rotation: Rotation) -> NDArray[np.float64]:
     """Return the inertia tensor in the world frame [kg m^2], shape [..., 3, 3], of principal moments."""
     matrix = rotation.as_matrix()
     return np.asarray(np.einsum("...ij,j,...kj->...ik", matrix, moments, matrix))
-
-
-def pendulum_period_s(*, length_m: float, gyration_m: float, amplitude_rad: float, gravity_m_per_s2: float) -> float:
-    """Return the exact period [s] of a physical pendulum at a finite amplitude, by the complete elliptic integral.
-
-    Args:
-        length_m: Distance of the centre of mass from the axis [m].
-        gyration_m: Radius of gyration about the centre of mass [m].
-        amplitude_rad: Largest angle from the vertical [rad].
-        gravity_m_per_s2: Gravity [m/s^2].
-    """
-    small = np.sqrt((length_m**2 + gyration_m**2) / (gravity_m_per_s2 * length_m))
-    return float(4.0 * small * ellipk(np.sin(0.5 * amplitude_rad) ** 2))
 
 
 def torque_free_orientation(
@@ -97,16 +77,6 @@ def cantilever_load_over_stiffness(
 def coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> float:
     """Return the coefficient of the first of the columns in a least-squares fit."""
     return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
-
-
-def hann_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean over the first axis under a Hann window: the centre of an oscillation, damped or not.
-
-    An oscillation with two or more whole periods in the window averages to zero. With any number of periods from four
-    on, less than 1 % is left. A plain mean would leave several per cent.
-    """
-    weights = np.hanning(len(values) + 2)[1:-1]
-    return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
 
 
 # --- measurements ----------------------------------------------------------------------------------------------------

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s
+from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -21,7 +22,6 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import ball, body, box, contact, ground
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import pendulum_period_s
 from gauge_envs.tools.conformance.model import COUNT, Check, Measurement, Tolerance, recorded, rollout_of
 
 # --- free fall -------------------------------------------------------------------------------------------------------

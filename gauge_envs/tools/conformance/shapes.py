@@ -4,10 +4,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from gauge_envs.evaluation.estimators import acceleration_m_per_s2, slide_friction
+from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -25,6 +24,7 @@ from gauge_envs.scene import (
 )
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.bench.parts import body, contact, driver, ground, ramp
+from gauge_envs.tools.bench.slope import Slope, acceleration_downhill_m_per_s2
 from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
@@ -207,34 +207,24 @@ SLIDE_FRICTION = 0.2
 ROLL_S = 0.6
 
 
-def _sine(pose: Pose) -> float:
+def _sine(plane: Pose) -> float:
     """Return the sine of the angle by which a plane leans."""
-    return float(np.linalg.norm(pose.rotation.apply([0.0, 0.0, 1.0])[:2]))
-
-
-def _downhill(pose: Pose) -> NDArray[np.float64]:
-    """Return the unit vector along which a plane falls most steeply, in the world."""
-    normal = pose.rotation.apply([0.0, 0.0, 1.0])
-    along = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
-    return np.asarray(along / np.linalg.norm(along))
+    return math.sin(Slope.of(plane).angle_rad)
 
 
 def _down_acceleration(lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float) -> float:
     """Return the acceleration downhill of a body on a leaning plane [m/s^2]; a cylinder lies across the slope."""
-    down = _downhill(plane)
-    normal = plane.rotation.apply([0.0, 0.0, 1.0])
-    axes = np.column_stack([down, normal, np.cross(down, normal)])
+    downhill, across, normal = Slope.of(plane).axes
     start = np.asarray(plane.position_m) + height_m * normal
-    pose = Pose.from_rotation(vector(start), Rotation.from_matrix(axes))
+    frame = Rotation.from_matrix(np.column_stack([downhill, normal, -across]))
+    pose = Pose.from_rotation(vector(start), frame)
     scene = Scene(
         bodies=(body("roller", shape, pose), replace(ground(), name="plane", pose=plane)),
         contacts=(contact("roller", "plane", friction=friction),),
         duration_s=ROLL_S,
     )
     rollout = lab.rollout(scene)
-    window = rollout.between(0.1, ROLL_S)
-    along = rollout.displacement("roller") @ down
-    return acceleration_m_per_s2(rollout.times_s[window], along[window])
+    return acceleration_downhill_m_per_s2(rollout, "roller", "plane", start_s=0.1)
 
 
 def _roll_check(id: str, shape: Shape, radius_m: float, share: float) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, jn_zeros
 
+from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
@@ -23,7 +24,6 @@ from gauge_envs.tools.conformance.laws import (
     bounds_error,
     cantilever_load_over_stiffness,
     coefficient,
-    hann_mean,
     largest_mm,
     passive_energy_gain,
     stiffness,

@@ -17,13 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
-from gauge_envs.evaluation.estimators import (
-    acceleration_m_per_s2,
-    rest_depth,
-    restitution_of_bounce,
-    slide_friction,
-    steady_speed_m_per_s,
-)
+from gauge_envs.evaluation.estimators import rest_depth
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -35,18 +29,17 @@ from gauge_envs.scene import (
     Pose,
     RigidBody,
     Scene,
-    Sphere,
 )
 from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
+from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
+from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only where friction exceeds 4."""
 
 PLATE_CONTACTS = 4
 """Corners on which the plate rests."""
-
-BALL_RADIUS_M = 0.03
-"""Radius of the balls [m]."""
 
 DROP_M = 0.2
 """Height of the drop [m], which gives 2 m/s."""
@@ -150,12 +143,6 @@ def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
     return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
 
 
-def _downhill(rollout: Rollout, name: str, lean: Rotation) -> NDArray[np.float64]:
-    """Return the displacement of a body down the slope and off it [m], shape [2, sample_count]."""
-    sine, _, cosine = lean.as_matrix()[:, 2]
-    return np.array([[cosine, 0.0, -sine], [sine, 0.0, cosine]]) @ rollout.displacement(name).T
-
-
 @dataclass(frozen=True, kw_only=True)
 class Probe:
     """Measures contacts on one engine.
@@ -195,9 +182,7 @@ class Probe:
         lean = _lean(creep_slope_rad(friction), TURN_DEG)
         plate = self._plate(lean)
         rollout = self._rollout([plate], lean, build, CREEP_S)
-        times_s, (path_m, _) = rollout.times_s, _downhill(rollout, plate.name, lean)
-        seen = times_s >= CREEP_FROM_S
-        return steady_speed_m_per_s(times_s[seen], path_m[seen])
+        return creep_m_per_s(rollout, plate.name, "ground", start_s=CREEP_FROM_S)
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
@@ -213,53 +198,37 @@ class Probe:
 
     def drop(self, build: Build) -> Spread:
         """Return the restitution of balls that drop."""
-        speed = math.sqrt(2.0 * G * DROP_M)
-        later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
-        places = ((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M for index in range(BALL_COUNT))
-        balls = [self._ball(place, DROP_M + later) for place, later in zip(places, later_m, strict=True)]
-        rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
-        found = []
-        for ball in balls:
-            height_m = rollout.position(ball.name)[:, 2] - BALL_RADIUS_M
-            released_m = float(height_m[0])
-            found.append(restitution_of_bounce(rollout.times_s, height_m, gravity_m_per_s2=G, released_m=released_m))
-        return Spread.of(found)
+        falls_s = fall_s(DROP_M, G)
+        # Each ball falls on for another part of a step.
+        step_m = G * falls_s * self.timestep_s
+        drops_m = {f"ball{index}": DROP_M + step_m * index / BALL_COUNT for index in range(BALL_COUNT)}
+        balls = balls_above_ground(drops_m, spacing_m=BALL_DISTANCE_M, mass_kg=self.mass_kg)
+        rollout = self._rollout(balls, LEVEL, build, 2.6 * falls_s)
+        bounces = [bounce_of(rollout, ball.name) for ball in balls]
+        return Spread.of([math.nan if bounce is None else bounce.restitution for bounce in bounces])
 
     def turning(self, build: Build, name: str) -> float:
         """Return `torsion_m` or `rolling_m` from the spin that a ball loses, which the law stops after 0.5 s [m]."""
-        axis, inertia = (np.array([0.0, 0.0, 1.0]), 0.4) if name == "torsion_m" else (np.array([0.0, 1.0, 0.0]), 1.4)
+        axis = SPIN if name == "torsion_m" else ROLL
         # Torque over the normal force, for a loss of spin of 1 rad/s^2.
-        arm_m = inertia * BALL_RADIUS_M**2 / G
-        spin = SLIDE_S * build.turning[name] / arm_m * axis
+        arm_m = INERTIA_SHARES[axis] * RADIUS_M**2 / G
+        spin_rad_per_s = SLIDE_S * build.turning[name] / arm_m * np.array(axis)
         ball = replace(
-            self._ball(0.0, 0.0),
-            linear_velocity_m_per_s=(BALL_RADIUS_M * float(spin[1]), 0.0, 0.0),
-            angular_velocity_rad_per_s=vector(spin),
+            balls_above_ground({"ball": 0.0}, spacing_m=0.0, mass_kg=self.mass_kg)[0],
+            linear_velocity_m_per_s=(RADIUS_M * float(spin_rad_per_s[1]), 0.0, 0.0),
+            angular_velocity_rad_per_s=vector(spin_rad_per_s),
         )
-        rollout = self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S)
-        seen = rollout.times_s >= SLIDE_FROM_S
-        spin_rad_per_s = rollout.angular_velocity(ball.name)[seen] @ axis
-        return -arm_m * steady_speed_m_per_s(rollout.times_s[seen], spin_rad_per_s)
+        return turning_arm_m(self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S), axis, start_s=SLIDE_FROM_S)
 
     def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
         rollout = self._rollout(plates, lean, build, SLIDE_S)
-        seen = rollout.times_s >= SLIDE_FROM_S
-        slope = math.acos(lean.as_matrix()[2, 2])
         found = []
         for plate in plates:
-            path_m, lift_m = _downhill(rollout, plate.name, lean)
-            # Both accelerations are means over the same time with the same weights.
-            down, up = (acceleration_m_per_s2(rollout.times_s[seen], one[seen]) for one in (path_m, lift_m))
-            friction = slide_friction(down, slope, gravity_m_per_s2=G, lift_m_per_s2=up)
+            lift_m = moved_m(rollout, plate.name, "ground")[:, 2]
+            friction = friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
             found.append((friction, float(lift_m.max())))
         return found
-
-    def _ball(self, place_m: float, height_m: float) -> RigidBody:
-        """Return a ball at a height above level ground."""
-        pose, shape = Pose(position_m=(place_m, 0.0, BALL_RADIUS_M + height_m)), Sphere(radius_m=BALL_RADIUS_M)
-        name = f"ball{place_m:+.1f}"
-        return RigidBody(name=name, shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg)
 
     def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
         """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""

@@ -15,6 +15,7 @@ from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
@@ -54,8 +55,7 @@ def _hold_scenario(material: str) -> Scenario:
 
 def _on_board_mm(rollout: Rollout) -> FloatArray:
     """Return displacements of the cube [mm], shape [sample_count, 3]: downhill, across, normal to the board."""
-    board = rollout.scene.body("board").pose.rotation
-    return np.asarray(1e3 * board.apply(rollout.displacement("cube"), inverse=True))
+    return 1e3 * moved_m(rollout, "cube", "board")
 
 
 def _downhill_mm(rollout: Rollout) -> FloatArray:
