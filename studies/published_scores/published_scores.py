@@ -155,7 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", required=True, help="engine of this package")
     parser.add_argument("--preset", help="preset of the engine; without it, the default of each scene")
-    parser.add_argument("--engine", required=True, choices=PUBLISHED_ENGINES, help="published engine")
+    parser.add_argument("--engine", required=True, choices=tuple(PUBLISHED_ENGINES), help="published engine")
     parser.add_argument("--only", default="*", help="pattern of variants, as SlopeSlider-*")
     parser.add_argument("--steps-late", type=int, default=0, help="steps of 1/180 s by which frames are late")
     given = parser.parse_args()

@@ -445,7 +445,7 @@ def step_text(step_s: float | None) -> str:
 GREY = "#707070"
 """Colour of engines that state none."""
 
-LEAST_SHOWN = 1e-4
+MIN_SHOWN = 1e-4
 """Errors below this are drawn at the lower edge."""
 
 ROW_IN = 2.3
@@ -495,7 +495,7 @@ def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str, kind: str)
             # The converged motion has no numerical error of its own.
             shown = [one for one in settings if not (error == "numerical" and one.is_converged)]
             points = [(min(one.costs(kind)), curve.over_scatter(getattr(one, error))) for one in shown]
-            known = [(cost, max(value, LEAST_SHOWN)) for cost, value in points if value is not None]
+            known = [(cost, max(value, MIN_SHOWN)) for cost, value in points if value is not None]
             axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
     if curves[0].measure.scatter:
         axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")
