@@ -8,20 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-if TYPE_CHECKING:
-    from gauge_envs.envs.episode import Episode
 
 Color = tuple[float, float, float, float]
 """Red, green, blue and opacity from 0 to 1."""
@@ -69,62 +65,47 @@ class Overlay:
         return len(self.markers_m) + len(self.recorded_m) + tubes
 
 
-def episode_overlay(
+def tracked_overlay(
     experiment: Experiment,
     reference: ReferencePath | None,
     *,
     time_s: float,
-    poses: Mapping[str, FloatArray],
+    samples: FloatArray,
     markers_m: FloatArray,
-    places_m: FloatArray | None,
+    poses: Mapping[str, FloatArray],
 ) -> Overlay:
     """Return the overlay of a moment of an episode.
 
-    Both the simulation and the reference have a path where g(t) is of positions. A body of the reference is drawn once
-    more as a ghost.
+    Tracked points are the markers of deformable bodies, and the recorded origins of rigid ones. Both the simulation and
+    the reference have a path where g(t) is of positions. A body of the reference is drawn once more as a ghost.
 
     Args:
         experiment: The experiment, with the trial that it starts from.
         reference: Places of its reference, or None.
         time_s: The moment [s].
-        poses: Poses of the simulated bodies at that moment, shape [7] each; others stand at their start.
-        markers_m: Tracked points at that moment [m], shape [point_count, 3].
-        places_m: Tracked points so far [m], shape [sample_count, point_count, 3]; None where g(t) is not of positions.
+        samples: g(t) up to the moment, in its unit, shape [sample_count, coordinate_count].
+        markers_m: Markers at the moment [m], shape [marker_count, 3].
+        poses: Poses of the simulated bodies at the moment, shape [7] each; others stand at their start.
     """
+    paths: tuple[FloatArray, ...] = ()
+    if experiment.score.observable in PLACES:
+        places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
+        markers_m, paths = places_m[-1], _paths(places_m)
+    if reference is None:
+        return Overlay(markers_m=markers_m, paths=paths)
     recorded_m, ghosts = _no_points(), {}
-    if reference is not None:
-        at = round(time_s * FRAME_RATE_HZ, 6)
-        if at <= len(reference.places_m) - 1:
-            recorded_m = between(reference.places_m, at)
-            ghosts = _ghosts(experiment, reference, recorded_m, time_s, poses)
+    at = round(time_s * FRAME_RATE_HZ, 6)
+    if at <= len(reference.places_m) - 1:
+        recorded_m = between(reference.places_m, at)
+        ghosts = _ghosts(experiment, reference, recorded_m, time_s, poses)
     if ghosts:
         recorded_m = np.array([pose[:3] for pose in ghosts.values()])
     return Overlay(
         markers_m=markers_m,
         recorded_m=recorded_m,
-        paths=_paths(places_m),
-        recorded_paths=_paths(None if reference is None else reference.places_m),
+        paths=paths,
+        recorded_paths=_paths(reference.places_m),
         ghosts=ghosts,
-    )
-
-
-def tracked_overlay(episode: Episode) -> Overlay:
-    """Return the overlay of an episode that has begun.
-
-    Tracked points are the markers of deformable bodies, and the recorded origins of rigid ones.
-    """
-    experiment, trajectory = episode.experiment, episode.trajectory()
-    markers_m, places_m = trajectory.markers_m[-1], None
-    if experiment.score.observable in PLACES:
-        places_m = 1e-3 * trajectory.samples.reshape(len(trajectory.samples), -1, 3)
-        markers_m = places_m[-1]
-    return episode_overlay(
-        experiment,
-        reference_path(experiment, episode.band),
-        time_s=(episode.frame or 0) / FRAME_RATE_HZ,
-        poses=episode.poses(),
-        markers_m=markers_m,
-        places_m=places_m,
     )
 
 
@@ -161,9 +142,9 @@ def _ghosts(
     return ghosts
 
 
-def _paths(places_m: FloatArray | None) -> tuple[FloatArray, ...]:
+def _paths(places_m: FloatArray) -> tuple[FloatArray, ...]:
     """Return the path of each point, every k-th place and the last one; none of many points."""
-    if places_m is None or places_m.shape[1] > MOST_PATHS:
+    if places_m.shape[1] > MOST_PATHS:
         return ()
     step = -(-len(places_m) // MOST_POINTS)
     thinned_m = np.concatenate([places_m[:-1:step], places_m[-1:]])

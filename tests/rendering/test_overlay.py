@@ -12,12 +12,13 @@ import pytest
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, load_experiment
+from gauge_envs.envs.pictures import episode_overlay
 from gauge_envs.errors import ParameterError, UnknownNameError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.rendering.camera import experiment_view
-from gauge_envs.rendering.overlay import RECORDED_COLOR, Overlay, tracked_overlay
+from gauge_envs.rendering.overlay import RECORDED_COLOR, Overlay
 from gauge_envs.rendering.renderer import SceneRenderer
 
 SIZE = {"width": 240, "height": 180}
@@ -161,7 +162,7 @@ def test_the_overlay_of_an_episode_holds_what_its_score_compares() -> None:
     env.reset(seed=0)
     for _ in range(5):
         env.step(0)
-    overlay = tracked_overlay(env.episode)
+    overlay = episode_overlay(env.episode)
     assert 1e3 * overlay.markers_m.ravel() == pytest.approx(env.trajectory().frames[-1])
     assert len(overlay.paths) == len(overlay.recorded_paths) == 1
     # The band holds the place along the slope; the drawn reference has it, frame by frame.
@@ -180,7 +181,7 @@ def test_a_recorded_toss_turns_its_ghost() -> None:
     env.reset(seed=0, options={"trial": 0})
     for _ in range(12):
         env.step(0)
-    ghost = tracked_overlay(env.episode).ghosts["cube"]
+    ghost = episode_overlay(env.episode).ghosts["cube"]
     _, turns = shots_of(env.episode.experiment).shot(0, "cube").poses_at(np.array([0.4]))
     simulated = env.episode.poses()["cube"]
     env.close()
@@ -191,7 +192,7 @@ def test_a_recorded_toss_turns_its_ghost() -> None:
 def test_an_episode_of_a_soft_body_shows_its_markers_alone() -> None:
     env = GaugeEnv("FoamTwisting-soft")
     env.reset(seed=0)
-    overlay = tracked_overlay(env.episode)
+    overlay = episode_overlay(env.episode)
     assert overlay.markers_m == pytest.approx(np.array(env.experiment.scene.markers.positions_m), abs=1e-6)
     assert not overlay.paths and not overlay.recorded_paths and not overlay.ghosts
     env.close()

@@ -17,10 +17,10 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import ENGINES, OURS, REAL, legend_above, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, configuration_labels
 from gauge_envs.pages.svg import runs
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, score_text, short_id, with_unit
+from gauge_envs.pages.text import GRADE_NOTES, interval_text, score_text, short_id, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.published import published_baselines
+from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -358,7 +358,7 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
             # Published scores are distances from real trials, and these are numerical errors.
             groups[f"{SCORE_METRICS[metric].title}, against the solved model"] = bars
             continue
-        for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
+        for (engine, title), color in zip(PUBLISHED_ENGINES.items(), ENGINES, strict=True):
             value = line.engines[engine]
             text = "not published" if value is None else score_text(value)
             bars.append(_Bar(f"{title}, paper", color, text, value or 0.0, (value or 0.0, value or 0.0)))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS
-from gauge_envs.pages.text import ENGINE_TITLES
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
 from gauge_envs.tools.compare.draws import ScoreSpread
@@ -118,7 +118,7 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
     axis.axvline(1.0, color=REAL, lw=1.2, ls="--", zorder=1)
     places = [1.0]
     for place, row in enumerate(rows):
-        for engine, marker in zip(ENGINE_TITLES, ENGINE_MARKERS, strict=True):
+        for engine, marker in zip(PUBLISHED_ENGINES, ENGINE_MARKERS, strict=True):
             value = row.published.get(engine)
             # A score of 0 has no place on a logarithmic axis.
             if value:
@@ -168,7 +168,7 @@ def _overview_legend(
     for index, label in enumerate(labels):
         axis.plot([], [], "o", color=OURS[index % len(OURS)], ms=5.5, label=label)
     if has_published:
-        for title, marker in zip(ENGINE_TITLES.values(), ENGINE_MARKERS, strict=True):
+        for title, marker in zip(PUBLISHED_ENGINES.values(), ENGINE_MARKERS, strict=True):
             axis.plot([], [], marker, label=f"{title}, paper", **HOLLOW)
     axis.fill_between([], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run")
     if any(map(_diverged, rows)):

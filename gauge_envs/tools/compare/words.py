@@ -12,7 +12,6 @@ from gauge_envs.pages.results import ALIGNED, PLAIN, SCORE_METRICS, configuratio
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     COST_TITLE,
-    ENGINE_TITLES,
     GRADE_NOTES,
     NORMALIZED_NOTE,
     counted,
@@ -24,6 +23,7 @@ from gauge_envs.pages.text import (
     with_unit,
 )
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
@@ -207,7 +207,7 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
     ]
     scores += [
         Column(f"published.{engine}", f"{title}, paper", score_text, is_number=True)
-        for engine, title in ENGINE_TITLES.items()
+        for engine, title in PUBLISHED_ENGINES.items()
     ]
     shown = []
     for row in rows:

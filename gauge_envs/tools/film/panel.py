@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
@@ -16,8 +17,7 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.results import SCORE_METRICS, normalized_score, raw_score, score_interval
 from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
-from gauge_envs.rendering.lazy import Pictures
-from gauge_envs.rendering.overlay import PLACES, Overlay, between, episode_overlay
+from gauge_envs.rendering.overlay import Overlay, between, tracked_overlay
 from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
@@ -142,32 +142,25 @@ class SimulatedPanel:
             time_s: The time [s].
             poses: Poses of the moving bodies at that time, shape [7] each.
         """
-        markers_m, places_m = self._tracked(min(time_s, self.last_s))
-        return episode_overlay(
+        replay = self._take.replay
+        assert self._take.result.trajectory is not None
+        times_s, samples = self._take.result.trajectory.arrays()
+        shown_s = min(time_s, self.last_s)
+        now = np.array([np.interp(shown_s, times_s, values) for values in samples.T])
+        # Steps from the start, and not from the present, keep the points of a path where they are.
+        past = samples[: np.searchsorted(times_s, shown_s)][::PATH_STEP][-PATH_POINTS:]
+        return tracked_overlay(
             self._take.experiment,
             self._take.reference,
             time_s=time_s,
+            samples=np.vstack([past, now]),
+            markers_m=between(replay.markers_m, shown_s * FRAME_RATE_HZ),
             poses=poses,
-            markers_m=markers_m,
-            places_m=places_m,
         )
 
     def close(self) -> None:
         """Free the OpenGL context."""
         self._canvas.close()
-
-    def _tracked(self, time_s: float) -> tuple[FloatArray, FloatArray | None]:
-        """Return the tracked points at a time [m], shape [n, 3], and those up to it, shape [view_count, n, 3]."""
-        if self._take.experiment.score.observable not in PLACES:
-            # Curvatures and areas are no places; their markers are known at the frames.
-            return between(self._take.replay.markers_m, time_s * FRAME_RATE_HZ), None
-        assert self._take.result.trajectory is not None
-        times_s, samples = self._take.result.trajectory.arrays()
-        now = np.array([np.interp(time_s, times_s, values) for values in samples.T])
-        # Steps from the start, and not from the present, keep the points of a path where they are.
-        past = samples[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
-        places_m = 1e-3 * np.vstack([past, now]).reshape(len(past) + 1, -1, 3)
-        return places_m[-1], places_m
 
 
 def score_line(result: Result, band: Band | None) -> str:

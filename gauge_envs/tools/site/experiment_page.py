@@ -12,9 +12,10 @@ from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
+from gauge_envs.pages.text import GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.geometry import FloatArray
@@ -128,7 +129,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         return []
     rows.sort(key=lambda row: row.value)
     rows += [
-        ForestRow(label=f"{ENGINE_TITLES.get(name, name)}, paper", color="var(--quiet)", value=value, interval=None)
+        ForestRow(label=f"{PUBLISHED_ENGINES.get(name, name)}, paper", color="var(--quiet)", value=value, interval=None)
         for name, value in (one.published(one.primary) or {}).items()
         if value is not None
     ]
@@ -160,7 +161,7 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     titles += FACTS
     for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
         row += [configuration.physics or "-", cost_text(cell)]
-    for engine, title in ENGINE_TITLES.items():
+    for engine, title in PUBLISHED_ENGINES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
             rows.append([f"{title}, paper", *map(score_text, values), *[""] * (len(FACTS) + has_trials)])

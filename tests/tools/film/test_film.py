@@ -15,12 +15,12 @@ from PIL import Image
 from typer.testing import CliRunner
 
 from gauge_envs.cli.app import app
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, RenderError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.rendering import renderer
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import ReplayError
