@@ -366,27 +366,15 @@ def replaced_whole(file: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def locked(folder: Path, *, name: str = ".lock", waits: bool = True, shared: bool = False) -> Iterator[None]:
-    """Hold the lock of a folder, which one process at a time has; the end of a process releases it.
-
-    Args:
-        folder: The folder.
-        name: Name of the file that carries the lock.
-        waits: Whether to wait for a process that holds it.
-        shared: Whether other processes may hold it, too, if they share it. Windows has no such lock, and takes none.
-    """
-    with (folder / name).open("a") as stream:
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which one process at a time has; the end of a process releases it."""
+    with (folder / ".lock").open("a") as stream:
         if sys.platform == "win32":
             import msvcrt
 
-            if not shared:
-                try:
-                    msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK if waits else msvcrt.LK_NBLCK, 1)
-                except PermissionError as error:
-                    raise BlockingIOError(error.errno, error.strerror) from None
+            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
         else:
             import fcntl
 
-            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-            fcntl.flock(stream, kind if waits else kind | fcntl.LOCK_NB)
+            fcntl.flock(stream, fcntl.LOCK_EX)
         yield

@@ -22,7 +22,8 @@ from PIL import Image
 from gauge_envs import load_experiment, reference_band
 from gauge_envs.backends.registry import backend_title
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
-from gauge_envs.runs.batch import planned_results, run_many
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME

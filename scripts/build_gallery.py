@@ -22,7 +22,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs.backends.registry import backend_title
-from gauge_envs.runs.batch import planned_results, run_many
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name

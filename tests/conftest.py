@@ -18,8 +18,8 @@ import pytest
 from hostile import install
 
 import gauge_envs
-from gauge_envs import files
-from gauge_envs.backends import Support, backend, registry
+from gauge_envs import files, registry
+from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory

@@ -119,7 +119,6 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         "envs/dm_env.py",
         "pages/figures.py",
         "tools/compare/",
-        "tools/cost/",
         "tools/diagnose/",
         "tools/transfer/",
     )

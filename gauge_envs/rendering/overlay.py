@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +16,9 @@ from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
+from gauge_envs.references.bands import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
-
-if TYPE_CHECKING:
-    from gauge_envs.envs.episode import Episode
 
 Color = tuple[float, float, float, float]
 """Red, green, blue and opacity from 0 to 1."""
@@ -116,23 +113,36 @@ def _check_color(color: Color) -> None:
 # --- episodes ---
 
 
-def tracked_overlay(episode: Episode) -> Overlay:
+def tracked_overlay(
+    experiment: Experiment,
+    band: Band | None,
+    *,
+    frame: int,
+    samples: FloatArray,
+    markers_m: FloatArray,
+    poses: Mapping[str, FloatArray],
+) -> Overlay:
     """Return the overlay of an episode that has begun.
 
     Tracked points are the markers of deformable bodies, and the recorded origins of rigid ones. Both the simulation and
     the reference have a path where g(t) is of positions. A body of the reference is drawn once more as a ghost.
+
+    Args:
+        experiment: The experiment.
+        band: Its band, or None.
+        frame: Number of the frame that is drawn.
+        samples: g(t) up to this frame, in its unit, shape [frame_count, coordinate_count].
+        markers_m: Markers at this frame [m], shape [marker_count, 3].
+        poses: Position [m] and quaternion w x y z of each rigid body at this frame, shape [7].
     """
-    experiment = episode.experiment
-    frame, trajectory = episode.frame or 0, episode.trajectory()
     observable = experiment.score.observable
-    markers_m = trajectory.markers_m[-1]
     paths: list[OverlayPath] = []
     if observable in (Observable.POSITION, Observable.MARKER_POSITION):
-        places_m = 1e-3 * trajectory.samples.reshape(len(trajectory.samples), -1, 3)
+        places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
         markers_m = places_m[-1]
         if markers_m.shape[0] <= MOST_PATHS:
             paths += [OverlayPath(points_m=_thinned(places_m[:, index])) for index in range(len(markers_m))]
-    reference = reference_path(experiment, episode.band)
+    reference = reference_path(experiment, band)
     recorded_m, ghosts = np.zeros((0, 3)), {}
     if reference is not None:
         if len(reference.names) <= MOST_PATHS:
@@ -142,9 +152,7 @@ def tracked_overlay(episode: Episode) -> Overlay:
             ]
         if frame < len(reference.places_m):
             recorded_m = reference.places_m[frame]
-            ghosts = reference_ghosts(
-                experiment, reference, recorded_m, time_s=frame / FRAME_RATE_HZ, poses=episode.poses()
-            )
+            ghosts = reference_ghosts(experiment, reference, recorded_m, time_s=frame / FRAME_RATE_HZ, poses=poses)
     return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
 
 

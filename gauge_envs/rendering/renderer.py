@@ -81,7 +81,7 @@ class SceneRenderer:
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
-        view: Perspective camera, or a parallel projection; None for a camera that frames the expected action.
+        view: Perspective camera, or a parallel projection; None for a camera by the rule.
         materials: Material of bodies by name, as `wood`; others have colours by how they move. A parallel projection
             states its own colours.
 
@@ -113,7 +113,7 @@ class SceneRenderer:
             self._model = flat_model(scene, self._skins, width, height, view)
             self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
         else:
-            self.camera = view or scene_view(scene, aspect=width / height)
+            self.camera = view or scene_view(scene)
             self._model = studio_model(scene, self._skins, rest_nodes_m, materials or {}, self.camera, width, height)
             # Size of a pixel in the middle of the scene.
             self._pixel_m = 2.0 * self.camera.distance_m * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / height

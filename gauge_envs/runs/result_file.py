@@ -24,7 +24,8 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import BUNDLED_DATA, DataSource
+from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
+from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
 
 MOST_RESULT_BYTES = 32 * MEGABYTE
@@ -165,11 +166,9 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
     record = asset.to_dict()
     # The scene of a model file is that of the variant; only its engine could read the file back.
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
-        from gauge_envs.tools.usd.writer import to_usd
-
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
-            to_usd(experiment.scene, path)
+            scene_files(path.suffix).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     if asset.kind is AssetKind.EXPERIMENT:
         from gauge_envs.experiments.user_file import FileExperiment, experiment_record
@@ -194,13 +193,12 @@ def recorded_experiment(result: Result) -> Experiment:
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
         )
     from gauge_envs.experiments.user_file import recorded_experiment_file
-    from gauge_envs.tools.usd.reader import from_usd
 
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             path.write_text(record["scene"], encoding="utf-8")
-            scene = from_usd(path)
+            scene = scene_files(path.suffix).read_scene(path).scene
         asset = Asset(
             path=Path(record["file"]),
             kind=AssetKind(record["kind"]),

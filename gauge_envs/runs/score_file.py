@@ -12,7 +12,8 @@ from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
-from gauge_envs.references.imported import DataSource, dataset_record
+from gauge_envs.references.imported import dataset_record
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ

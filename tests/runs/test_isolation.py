@@ -80,12 +80,6 @@ def test_an_engine_that_crashes_in_a_process_of_its_own_costs_one_episode(instal
     assert "signal 11 (segmentation fault)" in str(results[0].error)
 
 
-def test_an_engine_that_raised_something_foreign_is_isolated_from_then_on(installed: Callable[..., None]) -> None:
-    installed("exit")
-    results = run_many([RunRequest(variant, backend="exit") for variant in (WOOD, PLASTIC, METAL)])
-    assert [result.outcome.value for result in results] == ["finished", "failed", "finished"]
-
-
 def test_a_setting_that_json_does_not_have_costs_its_episode(installed: Callable[..., None], tmp_path: Path) -> None:
     installed("no-json")
     broken, healthy = run_many([RunRequest(WOOD, backend="no-json"), RunRequest(WOOD)], out=tmp_path / "out")

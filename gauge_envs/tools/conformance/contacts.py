@@ -1,19 +1,20 @@
 """Contacts: friction, rebound, and energy that must not grow."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, first_bounce, slide_friction
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     SLIDE_SLOPE_DEG,
-    acceleration_m_per_s2,
-    friction_of_slide,
     inertia_kg_m2,
     largest_mm,
     slide_acceleration,
@@ -97,7 +98,8 @@ def _slide_between(lab: Lab) -> Measurement:
     contacts = (contact("cube", "slab", friction=0.1), contact("slab", "board", friction=0.3))
     rollout = lab.rollout(replace(scene, bodies=bodies, contacts=contacts))
     measured = acceleration_m_per_s2(rollout.times_s, _along_slope(rollout, "cube")[:, 0])
-    return Measurement(measured=friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG)), expected=0.1)
+    friction = slide_friction(measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=G)
+    return Measurement(measured=friction, expected=0.1)
 
 
 @Check("spin-on-point")
@@ -168,31 +170,24 @@ def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity:
     return Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=seconds, gravity_m_per_s2=gravity)
 
 
-def _ratio_of_speeds(
-    rollout: Rollout, restitution: float, *, name: str = "ball", drop_m: float = DROP_M
-) -> Measurement:
-    """Measure the outgoing over the incoming speed of a ball or box that was dropped on a plane at height 0.
-
-    Energy gives the outgoing speed at the height of contact, as samples are 5.6 ms apart.
-    """
-    gravity = rollout.scene.gravity_m_per_s2
-    incoming = float(np.sqrt(2.0 * gravity * drop_m))
-    height, speed = rollout.position(name)[:, 2] - RADIUS_M, rollout.velocity(name)[:, 2]
-    falling = np.flatnonzero(speed < -0.36 * incoming)
-    if not len(falling):
-        return Measurement(measured=float("nan"), expected=restitution, hint="it does not fall")
-    rising = np.flatnonzero((speed > 0.018 * incoming) & (height > 2.5e-3 * drop_m))
-    rising = rising[rising > falling[0]]
-    if not len(rising):
-        return Measurement(measured=0.0, expected=restitution, hint="it does not leave the ground again")
-    outgoing = speed[rising[0]] ** 2 + 2.0 * gravity * height[rising[0]]
-    return Measurement(measured=float(np.sqrt(outgoing) / incoming), expected=restitution)
+def _measured_restitution(rollout: Rollout, restitution: float, *, name: str, drop_m: float) -> Measurement:
+    """Measure the restitution of a ball or box that was dropped on a plane at height 0."""
+    found = first_bounce(
+        rollout.times_s,
+        rollout.position(name)[:, 2] - RADIUS_M,
+        gravity_m_per_s2=rollout.scene.gravity_m_per_s2,
+        released_m=drop_m,
+    )
+    if found is None:
+        return Measurement(measured=math.nan, expected=restitution, hint="it does not fall")
+    hint = "it does not leave the ground again" if found.speed_out_m_per_s == 0.0 else ""
+    return Measurement(measured=found.restitution, expected=restitution, hint=hint)
 
 
 def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M) -> None:
     @Check(id)
     def measure(lab: Lab) -> Measurement:
-        return _ratio_of_speeds(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
+        return _measured_restitution(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
 
 
 for _restitution in (0.2, 0.5, 0.75, 0.95):

@@ -15,13 +15,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s, steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout, states_now
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, box, contact, fixed_box, push, ramp
-from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, box_inertia_kg_m2, mean_period_s, pendulum_period_s
+from gauge_envs.tools.bench.parts import body, box, contact, fixed_box, ramp
+from gauge_envs.tools.conformance.lab import Lab, push
+from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, pendulum_period_s
 from gauge_envs.tools.conformance.model import Measurement, recorded, rollout_of
 
 MASS_KG, FRICTION, JAW_M, PAD_M, SIZE_M = 0.2, 0.5, 2.0, 0.02, (0.04, 0.06, 0.16)
@@ -93,7 +95,7 @@ def grasp_sink(rollout: Rollout) -> Measurement:
 def grasp_creep(rollout: Rollout) -> Measurement:
     """Return the speed with which the box creeps down its pads [um/s]."""
     still = rollout.between(STILL_S, SHAKEN_S)
-    return Measurement(measured=-1e6 * float(np.polyfit(rollout.times_s[still], _from_pads(rollout)[still, 2], 1)[0]))
+    return Measurement(measured=-1e6 * steady_speed_m_per_s(rollout.times_s[still], _from_pads(rollout)[still, 2]))
 
 
 @_held.check("grasp-holds")

@@ -1,11 +1,13 @@
 """Shapes in contact: heights at rest of every shape on every other one; rolling and sliding on a leaning plane."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, slide_friction
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -22,8 +24,8 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, body, contact, driver, ground, ramp
-from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, friction_of_slide
+from gauge_envs.tools.bench.parts import body, contact, driver, ground, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
 # --- heights at rest -------------------------------------------------------------------------------------------------
@@ -271,7 +273,7 @@ def _slide_plane(lab: Lab) -> Measurement:
 def _slide_hint(measured: float, sine: float) -> str:
     if abs(measured) < 0.02 * G * sine:
         return "it does not slide: the leaning plane is level in the engine, or friction holds the brick"
-    friction = friction_of_slide(measured, float(np.arcsin(sine)))
+    friction = slide_friction(measured, math.asin(sine), gravity_m_per_s2=G)
     if friction < -0.02:
         return "it slides faster than without friction: the plane leans otherwise in the engine"
     return f"it slides as if the friction were {friction:.3g} instead of {SLIDE_FRICTION:.3g}"

@@ -13,7 +13,8 @@ from scipy.special import j0, jn_zeros
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, clamped, driven_box, driver, ramp
+from gauge_envs.tools.bench.parts import driven_box, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab, clamped
 from gauge_envs.tools.conformance.laws import (
     ATTACHED,
     NODES,

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from gauge_envs.envs.pictures import Pictures
 from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
@@ -17,7 +18,6 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.pages.results import SCORE_METRICS, normalized_score, raw_score, score_interval
 from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.rendering.overlay import MOST_PATHS, RECORDED_COLOR, Overlay, OverlayPath, reference_ghosts
 from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result

@@ -15,7 +15,7 @@ from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import counted
-from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.runs.result_file import load_result, result_file_name

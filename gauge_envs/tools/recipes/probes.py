@@ -17,6 +17,13 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.evaluation.estimators import (
+    acceleration_m_per_s2,
+    rest_depth,
+    restitution_of_bounce,
+    slide_friction,
+    steady_speed_m_per_s,
+)
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -31,7 +38,6 @@ from gauge_envs.scene import (
     Sphere,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance import friction_of_slide
 
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only where friction exceeds 4."""
@@ -81,9 +87,6 @@ SLIDE_FROM_S, CREEP_FROM_S, REST_FROM_S = 0.1, 0.5, 1.8
 
 SAMPLE_S = 1e-3
 """Desired time between samples [s]; a step that is longer is the time between samples."""
-
-NO_RISE_M = 1e-7
-"""Rise of a ball that is rounding [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -194,30 +197,32 @@ class Probe:
         rollout = self._rollout([plate], lean, build, CREEP_S)
         times_s, (path_m, _) = rollout.times_s, _downhill(rollout, plate.name, lean)
         seen = times_s >= CREEP_FROM_S
-        return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
+        return steady_speed_m_per_s(times_s[seen], path_m[seen])
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, build, REST_S)
         depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
-        seen = rollout.times_s >= REST_FROM_S
-        drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
+        settled = rest_depth(rollout.times_s, depth_m, settled_s=REST_FROM_S)
         return Rest(
-            penetration_m=float(depth_m[seen].mean()),
-            drift_m_s=drift,
+            penetration_m=settled.depth_m,
+            drift_m_s=settled.drift_m_per_s,
             time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
         )
 
     def drop(self, build: Build) -> Spread:
-        """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
+        """Return the restitution of balls that drop."""
         speed = math.sqrt(2.0 * G * DROP_M)
         later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
         places = ((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M for index in range(BALL_COUNT))
         balls = [self._ball(place, DROP_M + later) for place, later in zip(places, later_m, strict=True)]
         rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
-        heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
-        found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
+        found = []
+        for ball in balls:
+            height_m = rollout.position(ball.name)[:, 2] - BALL_RADIUS_M
+            released_m = float(height_m[0])
+            found.append(restitution_of_bounce(rollout.times_s, height_m, gravity_m_per_s2=G, released_m=released_m))
         return Spread.of(found)
 
     def turning(self, build: Build, name: str) -> float:
@@ -233,7 +238,8 @@ class Probe:
         )
         rollout = self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S)
         seen = rollout.times_s >= SLIDE_FROM_S
-        return -arm_m * float(np.polyfit(rollout.times_s[seen], rollout.angular_velocity(ball.name)[seen] @ axis, 1)[0])
+        spin_rad_per_s = rollout.angular_velocity(ball.name)[seen] @ axis
+        return -arm_m * steady_speed_m_per_s(rollout.times_s[seen], spin_rad_per_s)
 
     def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
@@ -243,9 +249,9 @@ class Probe:
         found = []
         for plate in plates:
             path_m, lift_m = _downhill(rollout, plate.name, lean)
-            # One fit for both, so that both accelerations are means with the same weights.
-            fit = np.polyfit(rollout.times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
-            friction = friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1]))
+            # Both accelerations are means over the same time with the same weights.
+            down, up = (acceleration_m_per_s2(rollout.times_s[seen], one[seen]) for one in (path_m, lift_m))
+            friction = slide_friction(down, slope, gravity_m_per_s2=G, lift_m_per_s2=up)
             found.append((friction, float(lift_m.max())))
         return found
 
@@ -288,36 +294,6 @@ class Probe:
             simulation.reset(0)
             limit = scene.speed_limit_m_per_s + G * seconds
             return record(simulation, scene, seconds, interval_s=interval_s, speed_limit_m_per_s=limit)
-
-
-def first_rebound(height_m: NDArray[np.float64], interval_s: float) -> float:
-    """Return the restitution of a ball's first rebound, the square root of the heights' ratio.
-
-    Positions under constant acceleration lie on a parabola in any scheme with constant steps. Its vertex is the height,
-    also between two samples, and of a ball that still rises at the end.
-
-    Args:
-        height_m: Height of the ball's lowest point above the ground [m], shape [sample_count], from its release on.
-        interval_s: Time between samples [s].
-    """
-    rises = np.diff(height_m)
-    fallen = np.flatnonzero((rises < 0.0) & (height_m[1:] < 0.5 * height_m[0]))
-    if not len(fallen):
-        return float("nan")
-    up = fallen[0] + np.flatnonzero(rises[fallen[0] :] > NO_RISE_M)
-    if not len(up):
-        return 0.0
-    down = up[0] + np.flatnonzero(rises[up[0] :] <= 0.0)
-    top = int(down[0]) if len(down) else len(height_m) - 1
-    highest = float(height_m[top])
-    middle = min(top, len(height_m) - 2)
-    if middle > 0:
-        before, at, after = height_m[middle - 1 : middle + 2]
-        bend = before - 2.0 * at + after
-        # Samples in contact do not lie on the parabola of the flight.
-        if abs(bend / (-G * interval_s**2) - 1.0) < 0.05:
-            highest = float(at - (after - before) ** 2 / (8.0 * bend))
-    return math.sqrt(max(highest, 0.0) / float(height_m[0]))
 
 
 MOST_NOISE = 0.01

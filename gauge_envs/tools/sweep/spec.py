@@ -36,7 +36,7 @@ MOST_EPISODES = 1_000_000
 """Largest number of episodes of a sweep."""
 
 LARGEST_SEED = 2**62
-"""Largest first seed: the store holds seeds in 64 bits, those of the repeats included."""
+"""Largest first seed: the seeds of all repeats fit into 64 bits."""
 
 Text = Annotated[str, Field(min_length=1)]
 

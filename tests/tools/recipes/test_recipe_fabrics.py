@@ -14,7 +14,7 @@ from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.tools.conformance.laws import hann_mean
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe, fabric_snippet
 
-SATIN = fabrics()["satin"]
+SATIN = fabrics("TextileFlinging")["satin"]
 G = 9.80665
 
 

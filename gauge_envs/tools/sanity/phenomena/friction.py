@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
@@ -93,7 +94,7 @@ def creeping(
 
     def speed_mm_per_s(rollout: Rollout) -> float:
         late = rollout.between(SETTLED_S, HOLD_S)
-        return float(np.polyfit(rollout.times_s[late], downhill_mm(rollout)[late], 1)[0])
+        return steady_speed_m_per_s(rollout.times_s[late], downhill_mm(rollout)[late])
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.zeros_like(times_s), bound * times_s
