@@ -131,7 +131,7 @@ def rows_of(kind: str, engine: str) -> list[list[str]]:
         cells = [contact_row(one) for one in known]
     else:
         by_name = {one["material"]: one for one in records(f"fabrics of {engine}")}
-        known = [by_name[name] for name in fabrics() if name in by_name]
+        known = [by_name[name] for name in fabrics("TextileFlinging") if name in by_name]
         cells = [fabric_row(one) for one in known]
     versions = ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items()) if known else ""
     return [[engine, versions, *row] for row in cells]
@@ -198,8 +198,8 @@ def measure_engine(engine: str) -> None:
             versions,
             lambda aim=aim: find_recipe(settings, aim).json(),  # type: ignore[misc]
         )
-    if backend_class(engine).fabric_constants(fabrics()["satin"]) is not None:
-        for name, fabric in fabrics().items():
+    if backend_class(engine).fabric_constants(fabrics("TextileFlinging")["satin"]) is not None:
+        for name, fabric in fabrics("TextileFlinging").items():
             measure(
                 f"fabrics of {engine}",
                 "material",

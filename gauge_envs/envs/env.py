@@ -171,7 +171,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         episode = self.episode
         self._check_running(started=episode.frame is not None, is_over=episode.is_over)
-        episode.advance(self.simulation, episode.checked(action))
+        episode.advance(episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
         return episode.observation(), episode.reward(), bool(fault), truncated, episode.info()
@@ -192,7 +192,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         if not self.episode.is_over:
             return None
-        self.episode.run_on(self.simulation)
+        self.episode.run_on()
         return self.episode.score()
 
     def deformation(self) -> DeformationScore | None:

@@ -244,13 +244,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self._check_record("deformations")
         return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
-        if self.render_mode is None:
-            return None
-
-        self._check_started("render", started=self._is_reset)
-        return tuple(episode_picture(self._pictures, one, drawn_as=self.episodes[0]) for one in self.episodes)
+    def _picture(self, number: int) -> NDArray[np.uint8]:
+        return episode_picture(self._pictures, self.episodes[number], drawn_as=self.episodes[0])
 
     def _free(self) -> None:
         super()._free()

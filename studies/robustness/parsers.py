@@ -5,8 +5,6 @@ from __future__ import annotations
 import io
 import json
 import os
-import pickle
-import sys
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -57,12 +55,11 @@ from gauge_envs.tools.leaderboard.words import leaderboard_document
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings
 from gauge_envs.tools.recipes.command import NUMBERS
 from gauge_envs.tools.recipes.explain import parsed_contact
-from gauge_envs.tools.sanity import configuration, export, judge
-from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, scenes
+from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.probe.program import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.transfer.policies.load import load_policy, read_normalization
+from gauge_envs.tools.transfer.policies.load import load_policy
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
@@ -133,39 +130,6 @@ sim:
     restitution_combine_mode: multiply}
 decimation: 4
 """
-
-MJLAB = """
-decimation: 4
-scene:
-  entities:
-    robot:
-      collisions: !!python/tuple
-      - {conaffinity: 1, condim: {'.*': 3}, contype: 1, geom_names_expr: !!python/tuple ['.*_collision'], priority: 0,
-         solref: !!python/tuple [0.03, 1], friction: !!python/tuple [0.8]}
-      articulation: {actuators: [{delay_max_lag: 2}]}
-      spec_fn: !!python/name:mjlab.robots.get_spec ''
-  terrain:
-    terrain_type: plane
-observations: {policy: {terms: {gyro: {delay_max_lag: 1}}}}
-sim:
-  mujoco:
-    cone: pyramidal
-    disableflags: !!python/tuple [eulerdamp]
-    gravity: !!python/tuple [0.0, 0.0, -9.81]
-    integrator: euler
-    iterations: 10
-    timestep: 0.005
-  njmax: 300
-"""
-
-MJLAB_FILES = {
-    "__init__.py": "from pathlib import Path\nPATH: Path = Path(__file__).parent",
-    "robots.py": "import mujoco\nfrom mjlab import PATH\n"
-    'def get_spec():\n    return mujoco.MjSpec.from_file(str(PATH / "dog.xml"))\n',
-    "dog.xml": '<mujoco><worldbody><body name="trunk" pos="0 0 .3"><freejoint/>'
-    '<geom name="trunk_collision" type="box" size=".2 .1 .05"/></body></worldbody></mujoco>',
-}
-"""A package with the structure of mjlab."""
 
 GENESIS = json.dumps(
     {
@@ -257,18 +221,6 @@ NUMBER_TEXTS = (
     "timestep_s=0.0005555555555555556 solver=Newton iterations=20",
 )
 """Numbers of the command line: jitter, limits, recipes, contacts, settings."""
-
-
-class VecNormalize:
-    """Stand-in of the class in files of `VecNormalize.save`."""
-
-
-def statistics(size: int) -> bytes:
-    """Return a file of `VecNormalize.save`."""
-    saved, saved.obs_rms = VecNormalize(), VecNormalize()
-    saved.obs_rms.mean, saved.obs_rms.var = np.zeros(size), np.ones(size)
-    saved.clip_obs, saved.epsilon = 10.0, 1e-8
-    return pickle.dumps(saved)
 
 
 def sb3_policies(size: int) -> list[bytes]:
@@ -520,49 +472,19 @@ def _of_imports(folder: Path) -> dict[str, Parser]:
 
 
 def _of_training(folder: Path) -> dict[str, Parser]:
-    (folder / "packages" / "mjlab").mkdir(parents=True)
-    for name, text in MJLAB_FILES.items():
-        (folder / "packages" / "mjlab" / name).write_text(text)
-    sys.path.append(str(folder / "packages"))
     probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     rows = [
         {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
     ]
-    exported = folder / "exported"
-    export(exported, only=["rebound"])
-    manifest = (exported / MANIFEST).read_bytes()
-    (scene,) = scenes(["rebound"])
-    motion_file = exported / scene.name / MOTION
-    bodies = [(name, scene.scenario.scene.body(name).pose) for name in scene.recorded]
-    lines = [
-        ",".join(map(str, (number / 100, name, *pose.position_m, *pose.quaternion)))
-        for number in range(200)
-        for name, pose in bodies
-    ]
-    motion = "\n".join([",".join(COLUMNS[:9]), *lines]).encode()
-
-    def manifest_read(file: Path) -> None:
-        motion_file.unlink(missing_ok=True)
-        (exported / MANIFEST).write_bytes(file.read_bytes())
-        judge(exported)
-
-    def motion_read(file: Path) -> None:
-        (exported / MANIFEST).write_bytes(manifest)
-        motion_file.write_bytes(file.read_bytes())
-        judge(exported, only=["rebound"])
-
     large = [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))]
     return {
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
         "g1": Parser(".yaml", large, configuration, share=0.02),
         "isaac_gym": Parser(".yaml", [GYM.encode()], configuration, share=0.3),
-        "mjlab": Parser(".yaml", [MJLAB.encode()], configuration, share=0.05),
         "genesis": Parser(".json", [GENESIS.encode()], configuration, damage.in_json, 0.3),
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
         "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
         "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
-        "manifest": Parser(".json", [manifest], manifest_read, damage.in_json, 0.3),
-        "motion": Parser(".csv", [motion], motion_read, share=0.05),
         "baseline": Parser(
             ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
         ),
@@ -574,13 +496,6 @@ def _of_policies() -> dict[str, Parser]:
     assert isinstance(env, ControlEnv)
     (size,) = env.observation_space.shape or (0,)
     return {
-        "statistics": Parser(
-            ".pkl",
-            [statistics(size)],
-            lambda file: read_normalization(file, observation_size=size),
-            damage.in_bytes,
-            2.0,
-        ),
         "sb3": Parser(
             ".zip",
             sb3_policies(size),

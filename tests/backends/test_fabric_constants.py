@@ -21,7 +21,7 @@ from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_sti
 from gauge_envs.tools.recipes.fabrics import fabric_constants
 from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
-SIX = fabrics()
+SIX = fabrics("TextileFlinging")
 NAMES = ("rayon", "satin", "uniform", "nylon", "oxford", "leather")
 # Uniform alone is inside the range of an isotropic sheet.
 ISAAC_POISSON = {"rayon": 0.30, "satin": 0.45, "nylon": 0.45, "oxford": 0.30, "leather": 0.30}

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from inspect import getsource, signature
+from inspect import getsource
 from typing import Any, get_args
 
 import gymnasium as gym
@@ -284,16 +284,20 @@ def engines() -> dict[str, list[str]]:
 def control() -> list[str]:
     """Limits, ranges and tolerances of the control tasks."""
     family = {
-        name: of(f"envs.control.{name.lower()}.{name}Limit") for name in ("Turntable", "Throw", "Fling", "Pendulum")
-    } | {name: of(f"envs.control.least_time.{name}Limit") for name in ("Carry", "Push")}
-    slope = of("envs.control.slope_slider.SlopeSliderLimit")
+        name: of(f"tools.control.{name.lower()}.{name}Limit")
+        for name in ("Turntable", "Throw", "Fling", "Pendulum", "Carry", "Push")
+    }
+    slope = of("tools.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
     uncertain = of("references.sensitivities.input_uncertainties")().friction
-    slip, rest = of("envs.control.friction.SLIP_SPEED_M_PER_S"), of("envs.control.least_time.REST_M_PER_S")
-    tolerance_m, tolerance_rad = of("envs.control.least_time.TOLERANCE_M"), of("envs.control.least_time.TOLERANCE_RAD")
+    slip, rest = of("tools.control.friction.SLIP_SPEED_M_PER_S"), of("tools.control.least_time.REST_M_PER_S")
+    tolerance_m, tolerance_rad = (
+        of("tools.control.least_time.TOLERANCE_M"),
+        of("tools.control.least_time.TOLERANCE_RAD"),
+    )
     push = family["Push"]
     braking = (
-        of("envs.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
+        of("tools.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
     )
     fling = family["Fling"]()
     (cloth,) = fling.experiment.scene.deformables
@@ -303,8 +307,8 @@ def control() -> list[str]:
     return [
         f"up to {family['Turntable'].ACCELERATION_RAD_PER_S2:g} rad/s^2",
         f"up to {slope.ACCELERATION_RAD_PER_S2:g} rad/s^2",
-        f"up to {of('envs.control.pendulum.TORQUE_SHARE'):g} of weight times length",
-        f"to {of('envs.control.pendulum.TARGET_RAD') / DEGREE:.0f} degrees | {limit('Pendulum-Limit-metal')} |",
+        f"up to {of('tools.control.pendulum.TORQUE_SHARE'):g} of weight times length",
+        f"to {of('tools.control.pendulum.TARGET_RAD') / DEGREE:.0f} degrees | {limit('Pendulum-Limit-metal')} |",
         f"up to {family['Carry'].ACCELERATION_M_PER_S2:g} m/s^2 | 4 D",
         f"up to {push.ACCELERATION_M_PER_S2:g} m/s^2 | 2 D",
         f"up to {family['Throw'].ACCELERATION_M_PER_S2:g} m/s^2",
@@ -315,14 +319,14 @@ def control() -> list[str]:
         f"| {limit('Fling-Limit-satin')} |",
         f"| Fling | {1.0 + 2.0 * stretch / fling._speed_m_per_s:.2f} |",
         f"lasts at most {min(durations):g} to {max(durations):g} s",
-        f"over {of('envs.control.friction.HOLD_S'):g} s without a slip",
+        f"over {of('tools.control.friction.HOLD_S'):g} s without a slip",
         f"moves at {1e3 * slip:g} mm/s on it",
         f"within {1e3 * tolerance_m:g} mm, {tolerance_rad / DEGREE:.0f} degrees and {1e3 * rest:g} mm/s of a goal",
-        f"lifts it by {1e3 * of('envs.control.least_time.LIFTED_M'):g} mm",
-        f"less than {1e2 * of('envs.control.throw.EDGE_M'):g} cm from its edge",
+        f"lifts it by {1e3 * of('tools.control.least_time.LIFTED_M'):g} mm",
+        f"less than {1e2 * of('tools.control.throw.EDGE_M'):g} cm from its edge",
         f"{100 * uncertain.std(1.0, 'wood'):.1f} % (wood), {100 * uncertain.std(1.0, 'plastic'):.1f} % (plastic), "
         f"{100 * uncertain.std(1.0, 'metal'):.1f} %",
-        f"length, {100 * of('envs.control.pendulum.LENGTH_SIGMA'):.1f} %",
+        f"length, {100 * of('tools.control.pendulum.LENGTH_SIGMA'):.1f} %",
         f"| Push | 1.03; {1 / (1 + braking / push.ACCELERATION_M_PER_S2):.2f} without an impact",
         f"slips below {1e3 * slip:g} mm/s do not count",
     ]
@@ -343,13 +347,12 @@ def readers() -> dict[str, list[str]]:
             f"| {mb('files.MOST_TOML_BYTES')}, {files[1]:,} frames; {mb('references.tables.MOST_TABLE_BYTES')} |",
             f"| USD | {mb('scene.usd.source.MOST_FILE_BYTES')}, text layers {mb('scene.usd.source.MOST_TEXT_BYTES')}; "
             f"{of('scene.usd.source.MOST_PRIMS'):,} prims, {of('scene.usd.reader.MOST_BODIES'):,} bodies |",
-            f"| MJCF | {mb('backends.mujoco.mjcf_reader.MOST_FILE_BYTES')}, a time step of at least "
-            f"{of('backends.mujoco.mjcf_reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
+            f"| MJCF | {mb('tools.mjcf.reader.MOST_FILE_BYTES')}, a time step of at least "
+            f"{of('tools.mjcf.reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
             f"of `gauge sanity` | {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}; "
             f"{mb('tools.sanity.stacks.mjcf.MOST_MODEL_BYTES')} without meshes |",
             f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MAX_EPISODES'):,} episodes |",
-            f"| {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')}; {mb('tools.transfer.policies.load.MOST_BYTES')}, "
-            f"{of('tools.transfer.policies.load.MOST_OPERATIONS'):,} operations |",
+            f"| policy | {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')} |",
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
@@ -375,8 +378,7 @@ def readers() -> dict[str, list[str]]:
         "docs/adding_a_stack.md": [
             f"{mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, {of('tools.sanity.stacks.documents.MOST_DEPTH')} "
             f"levels, {of('tools.sanity.stacks.documents.MOST_NODES'):,} values".replace("50,000", "50 000"),
-            f"{of('tools.sanity.python_source.source.DEEPEST_CALL')} nested calls, "
-            f"{mb('tools.sanity.python_source.source.MOST_BYTES')} a file",
+            f"| a probe file | `probe.py` in `stacks/` | {mb('tools.sanity.stacks.probe.MOST_PROBE_BYTES')}",
         ],
         "docs/sanity_stacks.md": [
             f"at most {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, "
@@ -556,7 +558,6 @@ def others() -> dict[str, list[str]]:
     table = (ROOT / "scoring" / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
     real = {tuple(line.split(",")[:2]): line.split(",")[3] for line in table}
     slopes = ", ".join(real[f"SlopeSlider-2-{material}", "a"] for material in ("wood", "plastic", "metal"))
-    ranges = signature(of("tools.transfer.randomization.ranges_of"))
     width, height = of("tools.video.tasks.REFERENCE_SIZE_PX")
     return {
         "docs/assets.md": [
@@ -573,7 +574,6 @@ def others() -> dict[str, list[str]]:
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
-            f"uniform ranges of {ranges.parameters['width'].default:g} sigma",
         ],
         "docs/world_models.md": [
             f"| {slopes} m/s²; 0 |",
@@ -613,7 +613,7 @@ TESTED = {
         ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
     ],
     "docs/world_models.md": [
-        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_own.py"),
+        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_phone_films.py"),
         ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
         ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
     ],

@@ -29,8 +29,8 @@ _TASKS = {
     "Turntable": ("gauge_envs.tools.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
     "SlopeSlider": ("gauge_envs.tools.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
     "Pendulum": ("gauge_envs.tools.control.pendulum:PendulumLimit", ("metal",)),
-    "Carry": ("gauge_envs.tools.control.least_time:CarryLimit", ("wood", "plastic", "metal")),
-    "Push": ("gauge_envs.tools.control.least_time:PushLimit", ("wood", "plastic", "metal")),
+    "Carry": ("gauge_envs.tools.control.carry:CarryLimit", ("wood", "plastic", "metal")),
+    "Push": ("gauge_envs.tools.control.push:PushLimit", ("wood", "plastic", "metal")),
     "Throw": ("gauge_envs.tools.control.throw:ThrowLimit", ("rubber",)),
     "Fling": ("gauge_envs.tools.control.fling:FlingLimit", ("satin",)),
 }

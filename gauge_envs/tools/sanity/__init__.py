@@ -13,9 +13,6 @@ from gauge_envs.registry import door
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.against import Comparison as Comparison, compare as compare
-    from gauge_envs.tools.sanity.exchange.judge import judge as judge
-    from gauge_envs.tools.sanity.exchange.loop import run as run_exported  # noqa: F401
-    from gauge_envs.tools.sanity.exchange.scenes import export as export
     from gauge_envs.tools.sanity.model import (
         Cause as Cause,
         ContactGroup as ContactGroup,

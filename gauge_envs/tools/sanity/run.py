@@ -81,7 +81,6 @@ def applied(
             name=configuration.name,
             source=configuration.source,
             spec=robot.spec,
-            unknown=robot.unknown,
             pair=robot.pair,
         )
         read = replace(

@@ -32,7 +32,7 @@ from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import COST_TITLE, shortened
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import USUAL
 from gauge_envs.rendering.renderer import STRING_RADIUS_M
 from gauge_envs.rendering.skin import Skin
@@ -50,7 +50,6 @@ from gauge_envs.scene import (
     Plane,
     Rod,
     Rope,
-    Scene,
     SoftBody,
     Sphere,
 )
@@ -323,8 +322,9 @@ def _packed(values: NDArray[Any]) -> str:
 # --- scene ---
 
 
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """Return the still part of a scene, JSON-ready: shapes, colours, strings and the camera."""
+def scene_data(experiment: Experiment) -> dict[str, Any]:
+    """Return the still part of the scene of an experiment, JSON-ready: shapes, colours, strings and the camera."""
+    scene = experiment.scene
     shapes: list[list[dict[str, Any]]] = []
     known: dict[Shape, int] = {}
     bodies = []
@@ -340,7 +340,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
                 "pose": _pose(body.pose),
             }
         )
-    view = scene_view(scene)
+    view = experiment_view(experiment)
     return {
         "shapes": shapes,
         "bodies": bodies,
@@ -402,7 +402,7 @@ def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, la
         "color": color,
         "rate": replay.rate_hz,
         "views": len(replay.poses),
-        "scene": scene_data(experiment.scene),
+        "scene": scene_data(experiment),
         "moving": list(replay.bodies),
         "positions": quantized(replay.poses[..., :3]),
         "turns": _packed(turns),

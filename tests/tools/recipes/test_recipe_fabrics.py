@@ -10,11 +10,11 @@ import pytest
 from gauge_envs.backends.mujoco import cloth as mujoco_cloth
 from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.experiments.task_files import fabrics
-from gauge_envs.tools.conformance.laws import hann_mean
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe, fabric_snippet
 
-SATIN = fabrics()["satin"]
+SATIN = fabrics("TextileFlinging")["satin"]
 G = 9.80665
 
 

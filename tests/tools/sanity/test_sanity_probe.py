@@ -279,7 +279,9 @@ def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        ("version", 2, "version 2 of the format.*run `gauge sanity probe` again"),
+        ("version", 3, "version 3 of the format.*run `gauge sanity probe` again"),
+        ("version", 0, "version 0 of the format"),
+        ("data.stack", "other", "data: stack"),
         ("kind", "pickle", "kind 'pickle' is not known; known are mujoco-model"),
         ("more", 1, "more"),
         ("name", 7, "name"),

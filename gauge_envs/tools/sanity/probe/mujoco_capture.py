@@ -40,6 +40,9 @@ STANDING = ("home", "stand", "standing")
 COUNTS = ("nflex", "flg_adhesion", "flg_surfacevel")
 """Numbers of a compiled model that show parts which are not written."""
 
+PLAYGROUND_PACKAGE, MJLAB_PACKAGE = "mujoco_playground", "mjlab"
+"""Packages whose environments and task configurations hold more than a model."""
+
 MODEL_PLACES = (
     *("mj_model", "_mj_model", "model", "_model", "sim.mj_model", "sim.model", "physics.model.ptr", "physics.model"),
     *("physics.model._model", "env.mj_model", "_env.mj_model"),
@@ -54,11 +57,22 @@ def mujoco_model(target: Any) -> Any:
     """Return the compiled model that a target is or holds; None where there is none."""
     if is_of(target, "mujoco", "MjSpec"):
         return target.compile()
+    if found(target, "sim.mujoco") is not None and found(target, "scene.entities") is not None:
+        return mjlab_model(target)
     for holder in (target, found(target, "unwrapped")):
         for value in (holder, *(found(holder, place) for place in MODEL_PLACES)):
             if is_of(value, "mujoco", "MjModel") or is_mjx_model(value):
                 return value
     return None
+
+
+def mjlab_model(cfg: Any) -> Any:
+    """Return the compiled model of a task configuration of mjlab, with its options; no simulation is started."""
+    from mjlab.scene import Scene
+
+    model = Scene(cfg.scene, device="cpu").compile()
+    cfg.sim.mujoco.apply(model)
+    return model
 
 
 def is_mjx_model(value: Any) -> bool:
@@ -98,6 +112,7 @@ def capture_mujoco(target: Any) -> dict[str, Any]:
     runs_on = implementation(target, model)
     data = {
         "implementation": runs_on,
+        "stack": stack(target),
         "options": options,
         "known_flags": known,
         "counts": {name: int(getattr(model, name)) for name in COUNTS if hasattr(model, name)},
@@ -183,11 +198,27 @@ def texts(model: Any, addresses: Any) -> list[str]:
 
 def implementation(target: Any, model: Any) -> str:
     """Return `mjx` or `mujoco_warp` where one of them runs the model, else `c`."""
-    packages = {part.__module__.split(".")[0] for part in type(target).__mro__}
     choice = str(found(target, "_config.impl") or found(target, "config.impl") or "")
-    if choice == "warp" or "mjlab" in packages:
+    if choice == "warp" or is_of_package(target, MJLAB_PACKAGE):
         return "mujoco_warp"
-    return "mjx" if is_mjx_model(model) or choice == "jax" or "mujoco_playground" in packages else "c"
+    is_mjx = is_mjx_model(model) or choice == "jax" or is_of_package(target, PLAYGROUND_PACKAGE)
+    return "mjx" if is_mjx else "c"
+
+
+def stack(target: Any) -> str:
+    """Return `playground` or `mjlab` for their environments and task configurations; else nothing."""
+    if is_of_package(target, PLAYGROUND_PACKAGE):
+        return "playground"
+    return "mjlab" if is_of_package(target, MJLAB_PACKAGE) else ""
+
+
+def is_of_package(target: Any, package: str) -> bool:
+    """Return whether a class of a target, or of the environment that it wraps, is of a package."""
+    for holder in (target, found(target, "unwrapped")):
+        for part in type(holder).__mro__:
+            if part.__module__.split(".")[0] == package:
+                return True
+    return False
 
 
 def limits(target: Any) -> dict[str, int]:
@@ -205,7 +236,7 @@ def limits(target: Any) -> dict[str, int]:
 def frame_skip(target: Any) -> int | None:
     """Return the steps of the engine for one action; None where the target does not state it."""
     for holder in (target, found(target, "unwrapped")):
-        for place in ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation"):
+        for place in ("frame_skip", "n_substeps", "_n_substeps", "cfg.decimation", "decimation"):
             value = found(holder, place)
             if isinstance(value, int) and not isinstance(value, bool):
                 return value

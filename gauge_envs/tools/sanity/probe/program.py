@@ -7,6 +7,9 @@ Run this file in the training environment. It needs Python 3.8 or later, and not
     python gauge_probe.py logs/rsl_rl/anymal/params/env.yaml
     python gauge_probe.py my_package.robots:make_model
     python gauge_probe.py "mujoco_playground:registry.load('CheetahRun')"
+    python gauge_probe.py "mjlab.tasks.registry:load_env_cfg('Mjlab-Velocity-Flat-Unitree-Go1')"
+    python gauge_probe.py "dm_control.suite:load('walker', 'walk')"
+    python gauge_probe.py "mani_skill.envs.tasks:PickCubeEnv"
 
 `MODULE:EXPRESSION` is Python, evaluated in that module; what can be called without arguments is called. A program that
 has the environment, model or configuration already writes it itself:
@@ -30,7 +33,7 @@ from typing import Any
 from gauge_envs.tools.sanity.probe.mujoco_capture import capture_mujoco, mujoco_model
 from gauge_envs.tools.sanity.probe.values import ProbeError, found, is_of, plain
 
-FORMAT, VERSION = "gauge-probe", 1
+FORMAT, VERSION = "gauge-probe", 2
 
 SUFFIX = ".gaugeprobe.json"
 

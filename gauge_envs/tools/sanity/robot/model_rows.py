@@ -129,8 +129,6 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
     if not model.body_geomnum[body]:
         return (np.nan,) * 3
     for geom in range(model.body_geomadr[body], model.body_geomadr[body] + model.body_geomnum[body]):
-        if geom in robot.unknown:
-            return (np.nan,) * 3
         centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
         turn = np.zeros(9)
         mujoco.mju_quat2Mat(turn, model.geom_quat[geom])
@@ -260,15 +258,13 @@ def _limbs(robot: Robot) -> list[list[int]]:
 def _feet(robot: Robot) -> Finding:
     model, standing = robot.model, standing_of(robot)
     within = SOLE_WITHIN * standing.height_m
-    known = [g for b in robot.bodies for g in _geoms(robot, b) if g not in robot.unknown]
-    lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in known}
+    geoms = [geom for body in robot.bodies for geom in _geoms(robot, body)]
+    lows = {geom: float(support_m(model, standing.stance, geom)[2]) for geom in geoms}
     touching = {geom: low for geom, low in lows.items() if geom in standing.support_m}
-    if not touching:
-        return Finding(declined="the shape of the feet is not known")
     lowest, ground = min(lows.values()), min(touching.values())
     lame = []
     for limb in _limbs(robot):
-        geoms = [geom for body in limb for geom in _geoms(robot, body) if geom in lows]
+        geoms = [geom for body in limb for geom in _geoms(robot, body)]
         reach = min((lows[geom] for geom in geoms), default=np.inf)
         if reach <= lowest + within and min(touching.get(geom, np.inf) for geom in geoms) > ground + within:
             lame.append(min(geoms, key=lambda geom: lows[geom]))

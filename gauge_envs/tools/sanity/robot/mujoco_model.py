@@ -64,7 +64,6 @@ def mujoco_configuration(
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
-    unknown: tuple[int, ...] = (),
     has_robot: bool = True,
 ) -> TrainingConfiguration:
     """Return the training configuration of a MuJoCo model, after a trial of its settings.
@@ -76,7 +75,6 @@ def mujoco_configuration(
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
-        unknown: Geoms whose shape is not known.
         has_robot: Whether masses, joints and actuators of the model are those of the target.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
@@ -89,7 +87,7 @@ def mujoco_configuration(
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
-    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, unknown=unknown, pair=pair)
+    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair)
     try:
         standing = find_standing(model, pairs, up)
         foot = read_foot(model, pairs, groups, standing)

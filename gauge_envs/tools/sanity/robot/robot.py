@@ -41,7 +41,6 @@ class Robot:
         up: Unit vector away from the ground, shape [3].
         standing: The robot that stands on the ground; None when there is none.
         spec: The model before it was compiled; None when only the compiled one is known.
-        unknown: Geoms whose shape is not known, since a substitute stands for a file.
         pair: Names of two geoms whose constants count; None for all on the ground.
         action_rad: Angle by which an action of 1 moves the target of a servo [rad]; None when the task states none.
         delay_s: Longest delay between an observation and the torque that answers it [s]; None when not stated.
@@ -52,7 +51,6 @@ class Robot:
     up: tuple[float, float, float]
     standing: Standing | None = None
     spec: mujoco.MjSpec | None = None
-    unknown: tuple[int, ...] = ()
     pair: tuple[str, str] | None = None
     action_rad: float | None = None
     delay_s: float | None = None

@@ -55,6 +55,7 @@ class ModelData(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     implementation: Literal["c", "mjx", "mujoco_warp"]
+    stack: Literal["", "playground", "mjlab"] = ""
     options: dict[Text, float | Numbers | Text | Texts]
     known_flags: dict[Text, Texts]
     counts: dict[Text, int]

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
 __all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
 
 TEXTS = {
-    "dm_control": r"dm_control:",
-    "playground": r"playground:",
-    "mjlab": r"mjlab:|.*\.ya?ml$",
-    "maniskill": r"maniskill:",
     "mjcf": r".*\.(xml|mjcf|urdf)$",
     # A settings file may be any JSON file.
     "genesis": r".*\.json$",
@@ -40,12 +36,12 @@ TEXTS = {
 """Stacks that a text may name a target of, and the form of such texts; the first reader that matches reads it."""
 
 OBJECTS = (
-    *("mjcf", "newton", "maniskill", "batched", "playground", "mjlab", "gymnasium_env", "genesis", "isaac_gym"),
+    *("mjcf", "newton", "maniskill", "batched", "mujoco_env", "gymnasium_env", "genesis", "isaac_gym"),
     "isaac_lab",
 )
 """Stacks with targets in this process, in the order in which their readers are tried."""
 
-LANGUAGES = {"toml": "", "isaac_lab_3": "isaac_lab"}
+LANGUAGES = {"toml": "", "isaac_lab_3": "isaac_lab", "playground": "mujoco_env", "mjlab": "mujoco_env"}
 """Stacks of the dialects that have another name than their stack."""
 
 
@@ -56,16 +52,15 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         target: One of
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
-            a task of dm_control's suite (`dm_control:walker/walk`), whose model file is read without dm_control;
-            a task of MuJoCo Playground (`playground:WalkerWalk`) or of mjlab (`mjlab:TASK`), read from its source;
-            `params/env.yaml` of a training run of mjlab, or its task configuration;
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
             a YAML file in the style of IsaacGym, or the same as a mapping or an object;
-            a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
-            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, or an env of MuJoCo Playground;
+            an environment of ManiSkill, or its SimConfig;
+            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, an env of MuJoCo Playground, or an
+            env or a task configuration of mjlab;
+            a file that the probe writes in the Python of any of these stacks (`NAME.gaugeprobe.json`);
             a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent

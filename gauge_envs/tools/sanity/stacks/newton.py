@@ -115,10 +115,7 @@ def newton_configuration(
     solver = target if hasattr(target, "model") else _default_solver(target)
     kind = type(solver).__name__
     if not is_of(solver, "newton", JUDGED):
-        raise TargetError(
-            f"{kind}: rigid bodies are judged with {JUDGED} only. Export the scenes with gauge sanity export, run them "
-            f"with {kind}, and judge them with gauge sanity judge"
-        )
+        raise TargetError(f"{kind}: rigid bodies are judged with {JUDGED} only")
     given = "" if solver is target else ", with the defaults of SolverMuJoCo"
     source = f"{type(target).__name__} of Newton {version('newton')}{given}"
     model = _compiled(solver)

@@ -22,7 +22,7 @@ from gauge_envs.cli.app import app  # noqa: E402
 from gauge_envs.errors import ParameterError, VideoError  # noqa: E402
 from gauge_envs.tools.video import PlaneView, PointPairs, Track, read_camera, score_track, video_task  # noqa: E402
 from gauge_envs.tools.video.frames import ArrayFrames  # noqa: E402
-from gauge_envs.tools.video.own import FrontalFilm, charuco, resistance, restitution  # noqa: E402
+from gauge_envs.tools.video.phone_films import FrontalFilm, charuco, resistance, restitution  # noqa: E402
 from gauge_envs.tools.video.plane import Board, frontal_task  # noqa: E402
 from gauge_envs.tools.video.words import TITLES  # noqa: E402
 

@@ -1,4 +1,4 @@
-"""Judge a film of one's own: a frontal picture of the plane of motion, made by a camera file or a board in the film.
+"""Judge a film of a phone: a frontal picture of the plane of motion, made by a camera file or a board in the film.
 
 With a ChArUco board in every frame the camera may be held by hand: its lens follows from the film, and its pose from
 each frame. What is judged is the object in a box of the first frame.
@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
@@ -27,7 +28,7 @@ from gauge_envs.tools.video.tracker import track_object
 
 SLOPE = "SlopeSlider-2-wood"
 MOTIONS = {"slide": SLOPE, "roll": SLOPE, "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
-"""Tasks whose laws judge one's own films, by the name of the motion."""
+"""Tasks whose laws judge films of a phone, by the name of the motion."""
 
 SQUARES = np.array([7, 5])
 """Squares of the board across and down."""
@@ -156,7 +157,7 @@ class FrontalFilm(Frames):
     def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
         """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
         if motion not in MOTIONS:
-            raise UnknownNameError("motion of an own film", motion, list(MOTIONS))
+            raise UnknownNameError("motion of a film", motion, list(MOTIONS))
         left, top, width, height = box_px
         corners = np.array([[left, top], [left + width, top], [left + width, top + height], [left, top + height]])
         places = self.to_grid_px(corners)
@@ -173,42 +174,67 @@ class FrontalFilm(Frames):
         )
 
 
+Corners: TypeAlias = tuple[FloatArray, FloatArray]
+"""Corners of the board in a frame: places on the board [m], shape [count, 3], and in the picture [px], [count, 2]."""
+
+
 def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneView | None]:
     """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
-    detector = cv2.aruco.CharucoDetector(charuco())
     # To the right and up from the middle of the board, and towards the camera.
-    corners_m = (charuco().getChessboardCorners() - [*(0.5 * SQUARES), 0.0]) * [1.0, -1.0, 0.0] * board.square_m
-    found: list[tuple[FloatArray, FloatArray] | None] = []
+    middle = np.array([*(0.5 * SQUARES), 0.0])
+    corners_m = (charuco().getChessboardCorners() - middle) * [1.0, -1.0, 0.0] * board.square_m
+    found = _board_corners(source, corners_m)
+    seen = [corners for corners in found if corners is not None]
+    lens = view.lens or _calibrated(seen, source.size_px)
+    outer_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
+    plane_m = outer_m + np.array([0.0, 0.0, board.offset_m])
+    uncertainty: dict[str, float] = {}
+    views: list[PlaneView | None] = []
+    for corners in found:
+        if corners is None:
+            views.append(None)
+            continue
+        places_m, places_px = corners
+        # The pose of the board in the frame of the camera: a rotation vector and a translation.
+        _, turn, away = cv2.solvePnP(places_m, places_px, *lens.coefficients)
+        if not uncertainty:
+            missed_px = _projected_px(places_m, turn, away, lens) - places_px
+            tilt = board.offset_sigma_m / float(np.linalg.norm(away))
+            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+            sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
+            uncertainty = {"sigma_px": float(missed_px.std()), "sigma_m": sigma_m}
+        plane_px = _projected_px(plane_m, turn, away, lens)
+        pairs = PointPairs(px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty)
+        views.append(replace(view, lens=lens, source=pairs))
+    return views
+
+
+def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None]:
+    """Return the corners of the board in each frame; None where too few are seen."""
+    detector = cv2.aruco.CharucoDetector(charuco())
+    found: list[Corners | None] = []
     for picture in source.native():
         places, ids, *_ = detector.detectBoard(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
-        is_seen = ids is not None and len(ids) >= LEAST_CORNERS
-        found.append((corners_m[ids.ravel()], places.reshape(-1, 2).astype(float)) if is_seen else None)
-    seen = [one for one in found if one is not None]
-    unseen = [str(number) for number, one in enumerate(found) if one is None]
+        if ids is None or len(ids) < LEAST_CORNERS:
+            found.append(None)
+        else:
+            found.append((corners_m[ids.ravel()], places.reshape(-1, 2).astype(float)))
+    unseen = [str(number) for number, corners in enumerate(found) if corners is None]
     if found[0] is None or len(unseen) > MOST_UNSEEN * len(found):
         raise VideoError(
             f"{source.name}: {LEAST_CORNERS} corners of the board must be seen in the first frame and in "
             f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
         )
-    lens = view.lens or _calibrated(seen, source.size_px)
-    ends_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
-    first: list[float] = []
-
-    def placed(one: tuple[FloatArray, FloatArray]) -> PlaneView:
-        _, rvec, tvec = cv2.solvePnP(*one, *lens.coefficients)
-        if not first:
-            away = cv2.projectPoints(one[0], rvec, tvec, *lens.coefficients)[0][:, 0] - one[1]
-            relative = board.offset_sigma_m / float(np.linalg.norm(tvec))
-            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
-            first.extend([float(away.std()), 2.0 * math.hypot(board.sigma_m, relative * np.linalg.norm(ends_m[0]))])
-        px = cv2.projectPoints(ends_m + np.array([0.0, 0.0, board.offset_m]), rvec, tvec, *lens.coefficients)[0][:, 0]
-        pairs = PointPairs(px=px.tolist(), m=ends_m[:, :2].tolist(), sigma_px=first[0], sigma_m=first[1])
-        return replace(view, lens=lens, source=pairs)
-
-    return [None if one is None else placed(one) for one in found]
+    return found
 
 
-def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, int]) -> Lens:
+def _projected_px(places_m: FloatArray, turn: Any, away: Any, lens: Lens) -> FloatArray:
+    """Return where the camera sees places on the board [px], shape [count, 2]."""
+    places_px, _ = cv2.projectPoints(places_m, turn, away, *lens.coefficients)
+    return np.asarray(places_px[:, 0])
+
+
+def _calibrated(seen: list[Corners], size_px: tuple[int, int]) -> Lens:
     """Return the lens by which a film sees the board: its focal length and one coefficient of distortion."""
     chosen = seen[:: math.ceil(len(seen) / MOST_CALIBRATED)]
     start = np.array([[size_px[0], 0.0, 0.5 * size_px[0]], [0.0, size_px[0], 0.5 * size_px[1]], [0.0, 0.0, 1.0]])
@@ -219,7 +245,9 @@ def _calibrated(seen: list[tuple[FloatArray, FloatArray]], size_px: tuple[int, i
     return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
 
 
-def score_own(film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None) -> VideoScore:
+def score_phone_film(
+    film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None
+) -> VideoScore:
     """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
 
     Args:
@@ -310,11 +338,12 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
     period, damping = result.metrics["pd_s"], result.details.get("damping_per_s", 0.0)
 
     def judged(view: PlaneView, sample: Track) -> float:
-        own = frontal_task(view, sample, task)
-        track = frontal_track(view, sample, own)
+        frontal = frontal_task(view, sample, task)
+        track = frontal_track(view, sample, frontal)
         if period is None:
-            return restitution(track, own)
-        angles, guess = laws.swing_angles_rad(track, own), (damping, 2.0 * math.pi / period)
+            return restitution(track, frontal)
+        angles = laws.swing_angles_rad(track, frontal)
+        guess = (damping, 2.0 * math.pi / period)
         swung = rows[rows >= first]
         return laws.fit_damped_oscillation(track.times_s[swung], angles[swung], guess=guess).damping_per_s
 
@@ -330,28 +359,51 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
 
 
 def restitution(track: Track, task: VideoTask) -> float:
-    """Return the mean ratio of the speeds after and before the impacts of a ball: flights share one gravity."""
+    """Return the mean ratio of the speeds after and before the impacts of a ball.
+
+    Between impacts the ball flies free: z_k(t) = z_k + v_k t - g t^2 / 2. All flights share one gravity, so that one
+    linear least-squares fit gives z_k, v_k and g. Flights k and k + 1 meet at the time of an impact, where Newton's law
+    gives e = -(v_{k+1} - g t) / (v_k - g t).
+    """
     rows = np.flatnonzero(track.is_found)
-    times, heights = track.times_s[rows], -task.scale_m_per_px * track.points_px[rows, 1]
-    drop = float(np.ptp(heights))
-    start = int(np.flatnonzero(heights < heights[0] - LEAST_FALL * drop)[0])
-    inner = np.arange(start + 1, len(rows) - 1)
-    lowest = inner[(heights[inner] < heights[inner - 1]) & (heights[inner] <= heights[inner + 1])]
-    lowest = [one for one in lowest if np.ptp(heights[max(0, one - REACH) : one + REACH + 1]) > LEAST_FALL * drop]
-    # The frames beside an impact may be exposed across it.
-    cuts = [start - 2, *lowest, len(rows) + 1]
-    flights = [np.arange(low + 2, high - 1) for low, high in pairwise(cuts)]
-    whole = next((n for n, flight in enumerate(flights) if len(flight) < LEAST_FLIGHT), len(flights))
-    if whole < 2:
-        raise ParameterError("restitution: two flights of five frames are needed")
-    used, count = np.concatenate(flights[:whole]), np.repeat(np.arange(whole), [len(one) for one in flights[:whole]])
-    basis = np.zeros((len(used), 2 * whole + 1))
-    clock = times[used]
-    basis[np.arange(len(used)), 2 * count] = 1.0
-    basis[np.arange(len(used)), 2 * count + 1] = clock
-    basis[:, -1] = -0.5 * clock**2
-    found = np.linalg.lstsq(basis, heights[used], rcond=None)[0]
-    places, speeds = found[:-1:2], found[1::2]
-    impacts = -np.diff(places) / np.diff(speeds)
-    ratios = -(speeds[1:] - found[-1] * impacts) / (speeds[:-1] - found[-1] * impacts)
-    return float(ratios.mean())
+    times_s = track.times_s[rows]
+    heights_m = -task.scale_m_per_px * track.points_px[rows, 1]
+    flights = _flights(heights_m)
+    if len(flights) < 2:
+        raise ParameterError(f"restitution: two flights of {LEAST_FLIGHT} frames are needed")
+    used = np.concatenate(flights)
+    flight_of = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
+    sample = np.arange(len(used))
+    clock_s = times_s[used]
+    # Unknowns: z_0, v_0, z_1, v_1, ..., g.
+    basis = np.zeros((len(used), 2 * len(flights) + 1))
+    basis[sample, 2 * flight_of] = 1.0
+    basis[sample, 2 * flight_of + 1] = clock_s
+    basis[:, -1] = -0.5 * clock_s**2
+    unknowns = np.linalg.lstsq(basis, heights_m[used], rcond=None)[0]
+    starts_m, speeds_m_per_s, gravity_m_per_s2 = unknowns[:-1:2], unknowns[1::2], unknowns[-1]
+    impacts_s = -np.diff(starts_m) / np.diff(speeds_m_per_s)
+    before_m_per_s = speeds_m_per_s[:-1] - gravity_m_per_s2 * impacts_s
+    after_m_per_s = speeds_m_per_s[1:] - gravity_m_per_s2 * impacts_s
+    return float((-after_m_per_s / before_m_per_s).mean())
+
+
+def _flights(heights_m: FloatArray) -> list[NDArray[np.intp]]:
+    """Return the samples of each flight of a ball between its impacts, up to the first flight that is too short."""
+    drop_m = float(np.ptp(heights_m))
+    start = int(np.flatnonzero(heights_m < heights_m[0] - LEAST_FALL * drop_m)[0])
+    cuts = [start - 2]
+    for row in range(start + 1, len(heights_m) - 1):
+        is_lowest = heights_m[row] < heights_m[row - 1] and heights_m[row] <= heights_m[row + 1]
+        beside_m = heights_m[max(0, row - REACH) : row + REACH + 1]
+        if is_lowest and np.ptp(beside_m) > LEAST_FALL * drop_m:
+            cuts.append(row)
+    cuts.append(len(heights_m) + 1)
+    flights = []
+    for low, high in pairwise(cuts):
+        # The frames beside an impact may be exposed across it.
+        flight = np.arange(low + 2, high - 1)
+        if len(flight) < LEAST_FLIGHT:
+            break
+        flights.append(flight)
+    return flights
