@@ -111,7 +111,7 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 @lru_cache(maxsize=64)
 def _refusal(content: bytes) -> str | None:
     """Return why a model must not be compiled in this process, or None."""
-    return child_refusal(Path(__file__).with_name("mjcf_probe.py"), content=content)
+    return child_refusal(Path(__file__).with_name("probe.py"), content=content)
 
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
