@@ -217,9 +217,9 @@ def sanity_probe(
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.sanity.probe import program_text
 
+    program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
     if out is None:
-        echo(program_text(), nl=False)
+        echo(program, nl=False)
     else:
-        message(save_file(out, program_text()))
+        message(save_file(out, program))
