@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.tools import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.against import Comparison, compare
+    from gauge_envs.tools.sanity.comparison import Comparison, compare
     from gauge_envs.tools.sanity.model import (
         Cause,
         ContactGroup,
@@ -62,6 +62,6 @@ __all__ = [
 if not TYPE_CHECKING:  # With it, a type checker would accept any name.
     __getattr__ = door(
         __name__,
-        *("model", "robot.foot", "stacks", "run", "against", "stacks.gymnasium_env", "stacks.newton"),
+        *("model", "robot.foot", "stacks", "run", "comparison", "stacks.gymnasium_env", "stacks.newton"),
         "mujoco_warp_run",
     )

@@ -187,13 +187,13 @@ def _compare(
     form: ReportFormat,
 ) -> int:
     """Print what changes between two targets, and return the exit code."""
-    from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.words import against_document
+    from gauge_envs.tools.sanity.comparison import Change, compare
+    from gauge_envs.tools.sanity.words import comparison_document
 
     comparison = compare(trained, deployed, **options)
     if form.value not in {one.value for one in Format}:
         raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
-    print_document(against_document(comparison), Format(form.value), files=files)
+    print_document(comparison_document(comparison), Format(form.value), files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
         fail_on or FailOn.NEVER, ()
     )
