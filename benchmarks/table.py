@@ -29,7 +29,7 @@ import step
 import worlds
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.envs import lockstep
+from gauge_envs.envs import stepper
 from gauge_envs.errors import MissingExtraError
 
 BUSY = 0.3
@@ -114,7 +114,7 @@ def many_worlds() -> Iterator[Row]:
 
 def threads() -> Iterator[Row]:
     """Yield the speed of make_vec in threads over that in one thread."""
-    count = lockstep.processors()
+    count = stepper.processors()
     for name, number, least in (("SlopeSlider-2-wood", 16, 0.9), ("TextileBending-satin", 2, 0.8)):
         busy = os.getloadavg()[0] > BUSY * count or count < 2
         ratio = None if busy else _one_thread_s(name, number, 1) / _one_thread_s(name, number, count)
@@ -122,11 +122,11 @@ def threads() -> Iterator[Row]:
 
 
 def _one_thread_s(name: str, worlds_count: int, thread_count: int) -> float:
-    processors, lockstep.processors = lockstep.processors, lambda: thread_count
+    processors, stepper.processors = stepper.processors, lambda: thread_count
     try:
         envs = gymnasium.make_vec(f"GAUGE/{name}", num_envs=worlds_count)
     finally:
-        lockstep.processors = processors
+        stepper.processors = processors
     envs.reset(seed=0)
     actions, times = np.zeros(envs.action_space.shape, envs.action_space.dtype), []
     for _ in range(10):

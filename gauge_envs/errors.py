@@ -75,6 +75,10 @@ class PolicyError(GaugeError, ValueError):
     """A policy cannot be loaded, or does not fit the task; the message names the file and what is expected."""
 
 
+class RegistryError(GaugeError, RuntimeError):
+    """An instrument is declared wrongly, or no installed one does what is asked."""
+
+
 class RenderError(GaugeError, RuntimeError):
     """A picture cannot be rendered; usually an OpenGL library is missing."""
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from generated import write_or_check
@@ -17,13 +16,14 @@ from gauge_envs.backends.base import scene_support
 from gauge_envs.backends.registry import uninstalled_backend
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import beyond_variants, variants
+from gauge_envs.registry import engine_points
 from gauge_envs.tools.catalog.listing import facts_of
 from gauge_envs.tools.catalog.overview import STORED, inputs
 
 
 def generate(_: Path) -> Mapping[Path, str]:
     """Return the file with its text."""
-    points = {point.name: point.value for point in entry_points(group="gauge_envs.backends")}
+    points = {point.name: point.value for point in engine_points()}
     bundled = {name: value for name, value in sorted(points.items()) if value.startswith("gauge_envs.")}
     engines = {name: uninstalled_backend(name) for name in bundled}
     experiments = [load_experiment(variant) for variant in (*variants(), *beyond_variants())]

@@ -116,12 +116,9 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         "backends/physx/",
         "backends/pybullet/",
         "backends/rapier/",
-        "envs/bounds_kernel.py",
         "envs/dm_env.py",
-        "evaluation/score_kernels.py",
         "pages/figures.py",
         "tools/compare/",
-        "tools/cost/",
         "tools/diagnose/",
         "tools/transfer/",
     )

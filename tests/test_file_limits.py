@@ -291,7 +291,7 @@ def test_a_trajectory_in_a_bomb_is_refused(tmp_path: Path, monkeypatch: pytest.M
 def test_a_table_that_is_no_csv_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "band.csv"
     file.write_text(f"frame,{'x' * 200_000}\n")
-    with pytest.raises(ReferenceFileError, match="line 1: is not CSV in UTF-8: field larger than field limit"):
+    with pytest.raises(ReferenceFileError, match="line 1: is not CSV in UTF-8: "):
         csv_header(file)
 
 

@@ -14,19 +14,23 @@ Then, every 1/180 s, the environment drives each kinematic body and advances the
 `gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, Pose, Scene
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.motors import Servo, TorqueMotor
 
 
@@ -61,9 +65,8 @@ class ModelFile:
 class Recording:
     """States of all worlds on the engine's device, as `Worlds.record` returns them.
 
-    The arrays are NumPy's, or follow the DLPack protocol (`__dlpack__`), are contiguous and hold 64-bit floats. They
-    stay valid until the next recording of the same worlds, which may reuse their memory. Those on the CPU are scored
-    with NumPy, those on a GPU by kernels of Warp, which the extra `newton` installs.
+    The arrays are contiguous and hold 64-bit floats. They stay valid until the next recording of the same worlds, which
+    may reuse their memory.
 
     Attributes:
         device: Name of the device, as `cuda:0` or `cpu`.
@@ -71,11 +74,87 @@ class Recording:
             [sample_count, world_count, body_count, 3].
         states: Poses and velocities at the start and after each frame, shape
             [frame_count, world_count, body_count, 13]; see `World.body_states`.
+        kernels: What scores and judges the arrays where they lie. None if they lie on the CPU, as arrays of NumPy or of
+            a library that follows the DLPack protocol (`__dlpack__`).
     """
 
     device: str
     positions_m: Any
     states: Any
+    kernels: RecordingKernels | None = None
+
+
+class RigidLimits(Protocol):
+    """Bounds of rigid bodies in all worlds, beyond which a state is suspect.
+
+    Attributes:
+        masses_kg: Masses, shape [world_count, body_count].
+        distances_m: Largest coordinate of a position, shape [world_count].
+        speeds_m_per_s: Largest component of a velocity, shape [world_count].
+        energies_j: Largest kinetic energy of translation, shape [world_count].
+    """
+
+    masses_kg: NDArray[np.float64]
+    distances_m: NDArray[np.float64]
+    speeds_m_per_s: NDArray[np.float64]
+    energies_j: NDArray[np.float64]
+
+
+class RecordingKernels(ABC):
+    """Computations on the device of a `Recording`, which copy their results alone to the host.
+
+    `gauge_envs.backends.newton.recordings.WarpKernels` is one for arrays that follow the DLPack protocol.
+    """
+
+    @abstractmethod
+    def copied(self, array: Any) -> NDArray[np.float64]:
+        """Return an array on the host."""
+
+    @abstractmethod
+    def squares(
+        self,
+        positions_m: Any,
+        *,
+        rows: Sequence[int],
+        sample_counts: NDArray[np.intp],
+        projection: NDArray[np.float64],
+        mean: NDArray[np.float64],
+        shift_limit: int,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return squared distances of worlds from the mean of a band, summed over frames and coordinates.
+
+        Between two whole shifts the distance is a parabola, whose minimum is exact. A world that is shifted stays at
+        its first and last sample.
+
+        Args:
+            positions_m: `Recording.positions_m`.
+            rows: Numbers of the observed bodies.
+            sample_counts: Number of samples of each world that count, shape [world_count].
+            projection: Matrix from positions [mm] of the observed bodies to coordinates of the band, shape
+                [coordinate_count, 3 * len(rows)].
+            mean: Mean of the band, shape [frame_count, coordinate_count]; NaN where it is not known.
+            shift_limit: Largest time shift [samples].
+
+        Returns:
+            Squares as the worlds are, NaN for a world that lacks a known frame; the time shift that fits each world
+            best [samples]; and the squares with it; shape [world_count] each.
+        """
+
+    @abstractmethod
+    def suspects(
+        self, recording: Recording, limits: RigidLimits, *, later: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Find worlds that may be out of bounds, and copy them alone.
+
+        Args:
+            recording: The record.
+            limits: Bounds of the worlds.
+            later: Frame from which a sample that is not finite counts too.
+
+        Returns:
+            The first such frame of each world, shape [world_count], the frame count if there is none; and the states
+            and positions of the worlds with one.
+        """
 
 
 class World(ABC):
@@ -485,6 +564,9 @@ class Backend(ABC):
 
     Attributes:
         name: Name that users type, as in `backend="mujoco"`.
+        title: Name as the engine's authors write it, for pages; empty for `name`.
+        color: Colour in figures, as `#0072b2`; empty for a grey that engines without a colour share.
+        marker: Marker in figures, by matplotlib's names.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
@@ -500,6 +582,9 @@ class Backend(ABC):
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    color: ClassVar[str] = ""
+    marker: ClassVar[str] = "*"
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     corrections: ClassVar[tuple[str, ...]] = ()
@@ -562,6 +647,11 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
+        return None
+
+    @staticmethod
+    def fabric_constants(fabric: Fabric) -> FabricConstants | None:
+        """Return a measured fabric in the engine's own constants; None where no mapping is known."""
         return None
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:

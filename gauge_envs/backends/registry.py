@@ -1,33 +1,19 @@
-"""Registry of backends, which installed packages provide through the entry-point group `gauge_envs.backends`."""
+"""Registry of backends, which installed packages provide through an entry-point group; see `gauge_envs.registry`."""
 
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
-from typing import Any
 
 from gauge_envs.backends.base import Backend, FileBackend, Support, with_declared
 from gauge_envs.errors import BackendError, GaugeError, ParameterError, UnknownNameError
+from gauge_envs.registry import BUNDLED, engine_points
 from gauge_envs.scene import Scene
-
-ENTRY_POINT_GROUP = "gauge_envs.backends"
-
-
-@cache
-def _scanned(scan: Callable[..., Any], path: tuple[str, ...]) -> tuple[EntryPoint, ...]:
-    return tuple(scan(group=ENTRY_POINT_GROUP))
-
-
-def _points() -> tuple[EntryPoint, ...]:
-    """Return the entry points of backends. A scan takes 25 ms, so it is done once for each search path."""
-    return _scanned(entry_points, tuple(sys.path))
 
 
 def backend_names() -> tuple[str, ...]:
     """Return the sorted names of all installed backends, without importing any."""
-    return tuple(sorted({point.name for point in _points()}))
+    return tuple(sorted({point.name for point in engine_points()}))
 
 
 @cache
@@ -39,7 +25,7 @@ def backend(name: str) -> Backend:
         MissingExtraError: Its engine is not installed.
         BackendError: Its package cannot be imported for another reason, or its class is no backend of that name.
     """
-    for point in _points():
+    for point in engine_points():
         if point.name == name:
             place = f"backend {name!r} ({point.value})"
             with _as_backend_error(place):
@@ -57,8 +43,27 @@ def backend(name: str) -> Backend:
 
 def is_bundled(name: str) -> bool:
     """Return whether the backend of a name is part of this package."""
-    values = [point.value for point in _points() if point.name == name]
-    return bool(values) and values[0].startswith("gauge_envs.")
+    values = [point.value for point in engine_points() if point.name == name]
+    return bool(values) and values[0].startswith(BUNDLED)
+
+
+def backend_class(name: str) -> type[Backend]:
+    """Return the class of a backend, whose attributes are the same whether or not its engine is installed.
+
+    `Backend` stands for a name that no installed package provides as a class.
+    """
+    for point in engine_points():
+        if point.name == name:
+            with suppress(GaugeError), _as_backend_error(name):
+                loaded = point.load()
+                if isinstance(loaded, type) and issubclass(loaded, Backend):
+                    return loaded
+    return Backend
+
+
+def backend_title(name: str) -> str:
+    """Return the name of an engine as its authors write it; the name of the backend where no title is known."""
+    return backend_class(name).title or name
 
 
 def uninstalled_backend(name: str) -> Backend:
@@ -66,8 +71,7 @@ def uninstalled_backend(name: str) -> Backend:
 
     It cannot build; the answers are the same whether or not the engine is installed.
     """
-    (point,) = (point for point in _points() if point.name == name and is_bundled(name))
-    return object.__new__(point.load())
+    return object.__new__(backend_class(name))
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
-from gauge_envs.cli.commands import COMMANDS, check_spelling, load
+from gauge_envs.cli.arguments import check_spelling
 from gauge_envs.cli.interrupts import (
     EXIT_INTERRUPTED,
     command_runs,
@@ -21,6 +21,7 @@ from gauge_envs.cli.interrupts import (
 from gauge_envs.cli.output import EXIT_USAGE, echo, message
 from gauge_envs.cli.streams import open_closed_streams, reserved_stdout
 from gauge_envs.errors import GaugeError, ParameterError, UnknownNameError
+from gauge_envs.registry import command_lines, instruments_by
 
 UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Errors of a full or broken disk."""
@@ -28,14 +29,14 @@ UNWRITABLE = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 
 def load_command(name: str) -> Any:
     """Return a command, imported from its instrument, or a group."""
-    instrument, line = COMMANDS[name]
-    if not instrument:
-        return _Group(name=name, help=line, no_args_is_help=True)
-    function = load(instrument, name)
+    instrument = instruments_by("commands").get(name)
+    if instrument is None:
+        return _Group(name=name, help=command_lines()[name], no_args_is_help=True)
+    function = instrument.function(name)
     # Rich would keep the ends of lines within a paragraph.
     text = re.sub(r"(?<!\n)\n(?!\n)", " ", cleandoc(function.__doc__ or ""))
     single = typer.Typer(add_completion=False, pretty_exceptions_enable=False)
-    below = [f"gauge {other}: {COMMANDS[other][1]}" for other in _below(name)]
+    below = [f"gauge {other}: {command_lines()[other]}" for other in _below(name)]
     epilog = "\n\n".join(["See also", *below]) if below else None
     single.command(name, cls=_Command, help=text, epilog=epilog)(function)
     return typer.main.get_command(single)
@@ -43,7 +44,7 @@ def load_command(name: str) -> Any:
 
 def _below(name: str) -> list[str]:
     """Return the names of the commands that are listed under a name; empty for the command line itself."""
-    return [other for other in COMMANDS if other.rpartition(" ")[0] == name]
+    return [other for other in command_lines() if other.rpartition(" ")[0] == name]
 
 
 class _Command(typer.core.TyperCommand):
@@ -86,22 +87,22 @@ class _Group(typer.core.TyperGroup):
     """Commands by their names; the name of one may have two words, as `sanity probe` beside `sanity TARGET`."""
 
     def list_commands(self, ctx: Any) -> list[str]:
-        name = self.name if self.name in COMMANDS else ""
+        name = self.name if self.name in command_lines() else ""
         return [other.removeprefix(f"{name} ") for other in _below(name)]
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         full = self._full(cmd_name)
-        return _Named(name=cmd_name, help=COMMANDS[full][1]) if full in COMMANDS else None
+        return _Named(name=cmd_name, help=command_lines()[full]) if full in command_lines() else None
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         for count in (2, 1):
             name = self._full(" ".join(args[:count]))
-            if name in COMMANDS:
+            if name in command_lines():
                 return name, self.get_command(ctx, " ".join(args[:count])), args[count:]
         raise UnknownNameError("command", name, map(self._full, self.list_commands(ctx)))
 
     def _full(self, name: str) -> str:
-        return f"{self.name} {name}" if self.name in COMMANDS else name
+        return f"{self.name} {name}" if self.name in command_lines() else name
 
 
 class _Root(_Group):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from fnmatch import fnmatchcase
 from inspect import isfunction
@@ -114,7 +114,7 @@ def parsed_use(text: str, *names: str) -> dict[str, Any]:
         text: Words of `--use` with commas, as `imported,withheld`.
         names: The keyword arguments.
     """
-    from gauge_envs.references.imported import DataSource
+    from gauge_envs.references.user_data import DataSource
 
     known = [word for word, changed in USES.items() if set(changed) & set(names)]
     used: set[str] = set()
@@ -181,6 +181,21 @@ def split_details(words: Sequence[str] | None, **known: Any) -> tuple[list[str],
         except ValidationError as error:
             raise ParameterError(f"{name}: {first_fault(error)[1]}") from None
     return others, values
+
+
+def check_spelling(command: str, option: str, details: Iterable[str]) -> None:
+    """Raise an error that states the detail which an option is meant for: `--hold-s 1` is `hold_s=1`.
+
+    Args:
+        command: Name of the command.
+        option: An option that it does not have.
+        details: Names of its details, NAME=VALUE.
+    """
+    plain = option.removeprefix("--").replace("-", "_")
+    similar = [name for name in details if name.startswith(plain) or plain.startswith(f"{name}_")]
+    if similar:
+        nearest = min(similar, key=lambda name: abs(len(name) - len(plain)))
+        raise ParameterError(f"`gauge {command} {option}` is `gauge {command} {nearest}=...`")
 
 
 def split_subject(words: Sequence[str], **known: Any) -> tuple[str, dict[str, Any]]:

@@ -3,15 +3,14 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from enum import Enum
-from os import PathLike, fspath
+from os import PathLike
 from typing import Any, TypedDict
 
 import numpy as np
-from gymnasium.envs.registration import EnvSpec
+from gymnasium import spaces
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
-from gauge_envs.errors import GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
+from gauge_envs.errors import ActionError, GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
 from gauge_envs.evaluation.reference import load_band, reference_band, reward_band
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import resolve_experiment, shots_of, with_trial
@@ -20,8 +19,8 @@ from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import DataSource
-from gauge_envs.references.user_data import has_import
+from gauge_envs.references.user_data import DataSource, has_import
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.jitter import Jitter, jittered
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -113,31 +112,31 @@ class EnvKeywords(TypedDict, total=False):
     asset: str | PathLike[str] | None
 
 
-def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
-    """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts."""
-    if spec is None:
-        return None
-    return replace(spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()})
+NO_RATES = np.zeros(0)
 
 
-def _plain(name: str, value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        entries = [_plain(name, entry) for entry in value]
-        return tuple(entries) if isinstance(value, tuple) else entries
-    if isinstance(value, np.ndarray | np.generic):
-        return value.tolist()
-    if isinstance(value, Enum):
-        return value.value
-    if isinstance(value, PathLike):
-        return fspath(value)
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    raise ParameterError(
-        f"argument {name} = {value!r} cannot be stored in the spec of an environment. "
-        "Give numbers, text, paths, or lists and mappings of them."
-    )
+def checked_action(action: Any, space: spaces.Space[Any]) -> FloatArray:
+    """Return an action as numbers, shape [action_size], or raise an `ActionError`.
+
+    Args:
+        action: The action.
+        space: A Box from -1 to 1, or `Discrete(1)`, whose only action has no numbers.
+    """
+    if isinstance(space, spaces.Discrete):
+        is_zero = isinstance(action, int | np.integer) and action == 0
+        if is_zero or (isinstance(action, np.ndarray) and space.contains(action)):
+            return NO_RATES
+        raise ActionError(f"action {action!r}: this experiment has no driven body, so the only action is 0")
+    try:
+        numbers = np.asarray(action, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ActionError(f"action {action!r} is not an array of numbers") from error
+    if numbers.shape != space.shape:
+        raise ActionError(f"action has shape {numbers.shape}, expected {space.shape}")
+    # A comparison with NaN is false.
+    if not (np.abs(numbers) <= 1.0).all():
+        raise ActionError(f"action {numbers.tolist()} must hold numbers from -1 to 1")
+    return numbers
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """Bases of the environments: engine, spec, renderer, copies that continue bit for bit, and worlds in lockstep."""
 
+from abc import abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
@@ -7,17 +8,16 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.core import ActType, ObsType
-from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
-from gauge_envs.envs.arguments import check_support, plain_spec
+from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.pictures import RENDER_MODES, Pictures
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.rendering.lazy import RENDER_MODES, Pictures
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 WORLD_LIMIT = 100_000
@@ -43,7 +43,6 @@ class EngineEnvironment:
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": int(FRAME_RATE_HZ)}
-    _spec: EnvSpec | None = None
 
     def __init__(
         self, experiment: Experiment, pictures: Pictures, *, backend: str, settings: Mapping[str, Any] | None
@@ -60,15 +59,6 @@ class EngineEnvironment:
     @property
     def _engine(self) -> Backend:
         return backend_for(self.backend_name, self.experiment.model_file)
-
-    @property
-    def spec(self) -> EnvSpec | None:
-        """How Gymnasium makes this environment again; `EnvSpec.to_json` accepts its arguments."""
-        return self._spec
-
-    @spec.setter
-    def spec(self, spec: EnvSpec | None) -> None:
-        self._spec = plain_spec(spec)
 
     @property
     def _label(self) -> str:
@@ -116,25 +106,16 @@ class SimulationEnvironment(EngineEnvironment, gymnasium.Env[ObsType, ActType]):
 
     def _state(self) -> dict[str, Any]:
         """Return the state of what `_build` makes."""
-        return {"settings": dict(self.simulation.settings), "simulation": self.simulation.state()}
+        return {"simulation": self.simulation.state()}
 
     def _restore(self, state: Mapping[str, Any]) -> None:
         """Restore what `_state` returned."""
-        before, now = state["settings"], self.simulation.settings
-        changed = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-        if changed:
-            was, is_now = (", ".join(f"{name} = {one.get(name)}" for name in changed) for one in (before, now))
-            raise BackendError(
-                f"{self._label}: the pickle is from a simulation with {was}, here it is {is_now}. "
-                "A state continues only with the same settings: install the version of gauge-envs "
-                "that made it, or run the episode again."
-            )
         self.simulation.restore(state["simulation"])
 
     def __getstate__(self) -> dict[str, Any]:
         """Return the plain attributes and the state of the simulation; an engine's model does not pickle."""
-        plain = {name: value for name, value in vars(self).items() if name not in self.REBUILT}
-        return {"attributes": plain, "state": self._state()}
+        attributes = {name: value for name, value in vars(self).items() if name not in self.REBUILT}
+        return {"attributes": attributes, "state": self._state()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build the simulation and restore its state."""
@@ -173,6 +154,8 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
+    _is_reset = False
+
     def _set_spaces(self, world_count: int, first: Any) -> None:
         """Set the spaces of a number of worlds that are like the first."""
         self.num_envs = world_count
@@ -192,6 +175,17 @@ class WorldsEnvironment(EngineEnvironment, VectorEnv[ObsType, Any, NDArray[Any]]
                 f"{len(seed)} seeds for {self.num_envs} worlds: give one for each world, or a single number"
             )
         return list(seed)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
+        if self.render_mode is None:
+            return None
+        self._check_started("render", started=self._is_reset)
+        return tuple(self._picture(number) for number in range(self.num_envs))
+
+    @abstractmethod
+    def _picture(self, number: int) -> NDArray[np.uint8]:
+        """Return the picture of a world."""
 
     def close_extras(self, **_: Any) -> None:
         """Free the worlds and the renderer."""

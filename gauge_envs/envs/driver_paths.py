@@ -1,22 +1,28 @@
-"""Drive the kinematic bodies of a scene interval by interval."""
+"""Drive the kinematic bodies and the motors of a scene interval by interval."""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from gauge_envs.backends.base import Simulation
+from gauge_envs.backends.base import Simulation, World
 from gauge_envs.scene import Scene
 from gauge_envs.scene.driver_path import DriverPath, motor_commands
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
 
 class DriverPaths:
-    """Recorded motions of a scene's kinematic bodies, cut into intervals.
+    """Recorded motions of a scene's kinematic bodies, and commands of its motors, cut into intervals.
 
     Args:
         scene: The scene.
         seconds: Time for which the scene will be driven [s].
         interval_s: Length of an interval [s].
+
+    Attributes:
+        is_passive: Whether nothing is driven or commanded.
+        no_rates: Residual rates of zero, shape [motion_count].
     """
 
     def __init__(self, scene: Scene, seconds: float, interval_s: float = SAMPLE_INTERVAL_S) -> None:
@@ -24,11 +30,40 @@ class DriverPaths:
         self._interval_s = interval_s
         self._commands = motor_commands(scene, math.ceil(seconds / interval_s) + 1, interval_s)
         self._paths = [DriverPath(driver, scene, frame_count, interval_s=interval_s) for driver in scene.drivers]
+        self.is_passive = not self._paths and not self._commands.size
+        self.no_rates = np.zeros(sum(path.motion_count for path in self._paths))
+
+    def reset(self) -> None:
+        """Return to the recorded motion."""
+        for path in self._paths:
+            path.reset()
+
+    def drive(self, world: World, index: int, rates: FloatArray) -> None:
+        """Prescribe the motion of all kinematic bodies, and command the motors, for an interval, counted from 0.
+
+        Args:
+            world: A world of the scene.
+            index: Number of the interval.
+            rates: Normalized residual rate of each motion, shape [motion_count].
+        """
+        first = 0
+        for path in self._paths:
+            end = first + path.motion_count
+            world.drive(path.body, *path.interval(index, rates[first:end]))
+            first = end
+        if self._commands.size:
+            world.command(self._commands[index])
 
     def advance(self, simulation: Simulation, index: int) -> None:
-        """Drive all kinematic bodies and joints through an interval, counted from 0, and simulate it."""
-        for path in self._paths:
-            simulation.drive(path.body, *path.interval(index, np.zeros(path.motion_count)))
-        if self._commands.size:
-            simulation.command(self._commands[index])
+        """Drive a scene through an interval of its recorded motion, counted from 0, and simulate it."""
+        self.drive(simulation, index, self.no_rates)
         simulation.advance(self._interval_s)
+
+    def offsets(self) -> list[FloatArray]:
+        """Return the displacements by actions so far, for `restore`."""
+        return [path.offsets.copy() for path in self._paths]
+
+    def restore(self, offsets: Sequence[FloatArray]) -> None:
+        """Restore displacements by actions."""
+        for path, values in zip(self._paths, offsets, strict=True):
+            path.offsets = values.copy()

@@ -16,11 +16,11 @@ from gauge_envs.envs.arguments import (
 )
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.episode import Episode, Observation, Trajectory
+from gauge_envs.envs.pictures import Pictures, episode_picture
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
-from gauge_envs.rendering.lazy import Pictures, episode_picture
 from gauge_envs.scene.jitter import Jitter
 
 
@@ -171,7 +171,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         episode = self.episode
         self._check_running(started=episode.frame is not None, is_over=episode.is_over)
-        episode.advance(self.simulation, episode.checked(action))
+        episode.advance(episode.checked(action))
         fault = episode.end_frame()
         truncated = not fault and episode.is_complete
         return episode.observation(), episode.reward(), bool(fault), truncated, episode.info()
@@ -192,7 +192,7 @@ class GaugeEnv(SimulationEnvironment[Observation, Any]):
         """
         if not self.episode.is_over:
             return None
-        self.episode.run_on(self.simulation)
+        self.episode.run_on()
         return self.episode.score()
 
     def deformation(self) -> DeformationScore | None:

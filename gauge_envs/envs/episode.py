@@ -1,7 +1,7 @@
 """One episode of one experiment on one world: it drives, observes, records and judges, frame by frame.
 
-A world that is a simulation of its own advances by `Episode.advance`. Worlds that share a simulation advance together:
-`Episode.simulated` yields where they must, six times a frame. `envs.lockstep` does both for many worlds.
+`Episode.simulated` is one frame. `Episode.advance` runs it for a world that is a simulation of its own. Worlds that
+share a simulation advance together where it yields, six times a frame. `envs.stepper` does both for many worlds.
 """
 
 from collections.abc import Callable, Generator, Mapping, Sequence
@@ -10,12 +10,13 @@ from typing import Any, cast
 
 import numpy as np
 from gymnasium import spaces
-from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation, World
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.divergence import DeformableBounds, RigidBounds
-from gauge_envs.errors import ActionError, EpisodeError
+from gauge_envs.envs.driver_paths import DriverPaths
+from gauge_envs.errors import EpisodeError
 from gauge_envs.evaluation.deformation import DeformationScore, score_deformation
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.evaluation.reference import reward_band
@@ -26,17 +27,15 @@ from gauge_envs.observables.observer import MarkerProxy, Observer, ObserverMarke
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import POINT_SIGMA_MM
-from gauge_envs.scene.driver_path import DriverPath, motor_commands
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-NO_RATES = np.zeros(0)
 
 LATER_FRAMES = round(MAX_RELEASE_OFFSET_S * FRAME_RATE_HZ)
 """Frames that an aligned episode is simulated on after its last one."""
 
-Observation = dict[str, NDArray[np.float64]]
+Observation = dict[str, FloatArray]
 
-View = tuple[dict[str, NDArray[np.float64]], dict[str, NDArray[np.float64]]]
+View = tuple[dict[str, FloatArray], dict[str, FloatArray]]
 """Poses of rigid bodies and nodes of deformable ones, by name."""
 
 
@@ -57,16 +56,16 @@ class Trajectory:
         later_samples: g(t) at those times, shape [later_count, coordinate_count].
     """
 
-    times_s: NDArray[np.float64]
-    samples: NDArray[np.float64]
-    frames: NDArray[np.float64]
-    bodies: NDArray[np.float64]
-    markers_m: NDArray[np.float64]
-    later_times_s: NDArray[np.float64]
-    later_samples: NDArray[np.float64]
+    times_s: FloatArray
+    samples: FloatArray
+    frames: FloatArray
+    bodies: FloatArray
+    markers_m: FloatArray
+    later_times_s: FloatArray
+    later_samples: FloatArray
 
     @property
-    def dense(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def dense(self) -> tuple[FloatArray, FloatArray]:
         """All times [s], shape [sample_count + later_count], and g(t) at those times."""
         return (np.concatenate([self.times_s, self.later_times_s]), np.concatenate([self.samples, self.later_samples]))
 
@@ -117,9 +116,7 @@ class Episode:
         self._later_frames = LATER_FRAMES if is_aligned else 0
         self._later, self._later_limit = 0, self._later_frames
         self._last_view: View | None = None
-        driven_frames = experiment.frame_count + self._later_frames
-        self._drivers = [DriverPath(driver, scene, driven_frames) for driver in scene.drivers]
-        self._commands = motor_commands(scene, driven_frames * SAMPLES_PER_FRAME)
+        self._drivers = DriverPaths(scene, (experiment.frame_count + self._later_frames) / FRAME_RATE_HZ)
         self._driven = tuple(driver.body for driver in scene.drivers)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
         rows = [self._dynamic.index(name) for name in experiment.recorded]
@@ -178,72 +175,55 @@ class Episode:
 
     def restart(self) -> None:
         """Return to frame 0 without recording it, for a caller that records it in the arrays of `record_in`."""
-        for path in self._drivers:
-            path.reset()
+        self._drivers.reset()
         self.frame, self.fault = 0, None
         self._later, self._later_limit, self._last_view = 0, self._later_frames, None
 
     @property
-    def no_rates(self) -> NDArray[np.float64]:
+    def no_rates(self) -> FloatArray:
         """Residual rates of zero, which replay the recorded motion, shape [motion_count]."""
-        return np.zeros(self.action_space.shape or 0)
+        return self._drivers.no_rates
 
-    def simulated(self, rates: NDArray[np.float64]) -> Generator[None]:
-        """Drive and observe the next frame of a world that someone else advances.
+    def simulated(self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None) -> Generator[None]:
+        """Drive and observe the next frame. It yields where a world that someone else advances must do so, by 1/180 s.
 
-        It yields where the world must advance by 1/180 s.
-
-        Args:
-            rates: Residual rates from `checked`, shape [motion_count].
-        """
-        first = self._simulated_frame * SAMPLES_PER_FRAME
-        for sample in range(first, first + SAMPLES_PER_FRAME):
-            self._drive(sample, rates)
-            yield
-            self._samples[sample + 1] = self.observer.now(self._world)
-
-    def advance(
-        self, simulation: Simulation, rates: NDArray[np.float64], *, after_sample: Callable[[int], None] | None = None
-    ) -> None:
-        """Drive, advance and observe the next frame of a world that is a simulation of its own.
+        A world that is a simulation of its own advances here, and nothing is yielded: engines advance and read it
+        faster in one call.
 
         Args:
-            simulation: The world.
             rates: Residual rates from `checked`, shape [motion_count].
             after_sample: Called after each sample with its number in the frame, from 0 to 5; it does not change g(t).
         """
+        world = self._world
         first = self._simulated_frame * SAMPLES_PER_FRAME
         rows = self._samples[first + 1 : first + 1 + SAMPLES_PER_FRAME]
-        if not self._drivers and not self._commands.size and after_sample is None:
+        simulation = world if isinstance(world, Simulation) else None
+        if simulation is not None and self._drivers.is_passive and after_sample is None:
             rows[:] = self.observer.sample(simulation, SAMPLES_PER_FRAME, SAMPLE_INTERVAL_S)
             return
         for sample, row in enumerate(rows):
-            self._drive(first + sample, rates)
-            row[:] = self.observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
+            self._drivers.drive(world, first + sample, rates)
+            if simulation is not None:
+                row[:] = self.observer.sample(simulation, 1, SAMPLE_INTERVAL_S)[0]
+            else:
+                yield
+                row[:] = self.observer.now(world)
             if after_sample is not None:
                 after_sample(sample)
 
-    def _drive(self, sample: int, rates: NDArray[np.float64]) -> None:
-        """Prescribe the motion of the driven bodies, and command the motors, for a sample, counted from the start."""
-        offset = 0
-        for path in self._drivers:
-            end = offset + path.motion_count
-            self._world.drive(path.body, *path.interval(sample, rates[offset:end]))
-            offset = end
-        if self._commands.size:
-            self._world.command(self._commands[sample])
+    def advance(self, rates: FloatArray, *, after_sample: Callable[[int], None] | None = None) -> None:
+        """Run the next frame of a world that is a simulation of its own; the arguments are those of `simulated`."""
+        next(self.simulated(rates, after_sample=after_sample), None)
 
-    def play(self, simulation: Simulation, *, after_sample: Callable[[int], None] | None = None) -> None:
+    def play(self, *, after_sample: Callable[[int], None] | None = None) -> None:
         """Run the episode without actions, on a world that is a simulation of its own and at its start.
 
         Args:
-            simulation: The world.
-            after_sample: As for `advance`.
+            after_sample: As for `simulated`.
         """
         self.begin()
-        rates = self.no_rates
         while not self.is_over:
-            self.advance(simulation, rates, after_sample=after_sample)
+            self.advance(self.no_rates, after_sample=after_sample)
             self.end_frame()
 
     def end_frame(self) -> str | None:
@@ -262,16 +242,17 @@ class Episode:
         """Whether the world must run on after the last frame before the episode can be scored."""
         return self.is_complete and self.fault is None and self._later < self._later_limit
 
-    def run_on(self, simulation: Simulation) -> None:
+    def run_on(self) -> None:
         """Simulate on past the last frame, so that the release alignment knows the later motion.
 
         Driven bodies continue their recorded motion without actions. The simulation then returns to the last frame.
         """
-        if not self.runs_on:
+        world = self._world
+        if not self.runs_on or not isinstance(world, Simulation):
             return
-        state = simulation.state()
-        run_on_together([self], lambda _: self.advance(simulation, self.no_rates))
-        simulation.restore(state)
+        state = world.state()
+        run_on_together([self], lambda _: self.advance(self.no_rates))
+        world.restore(state)
 
     def begin_later_frame(self, view: View | None = None) -> None:
         """Keep the view of the last frame before the world runs on.
@@ -298,7 +279,7 @@ class Episode:
         """Largest number of frames that the world runs on after the last one."""
         return self._later_limit
 
-    def _later_rows(self) -> NDArray[np.float64]:
+    def _later_rows(self) -> FloatArray:
         first = ((self.frame or 0) * SAMPLES_PER_FRAME) + 1
         return self._samples[first : first + self._later * SAMPLES_PER_FRAME]
 
@@ -309,7 +290,7 @@ class Episode:
             "fault": self.fault,
             "later": (self._later, self._later_limit),
             "last_view": self._last_view,
-            "offsets": [path.offsets.copy() for path in self._drivers],
+            "offsets": self._drivers.offsets(),
             "recorded": [record.copy() for record in self._records()],
         }
 
@@ -318,14 +299,11 @@ class Episode:
         self.frame, self.fault = state["frame"], state["fault"]
         self._later, self._later_limit = state["later"]
         self._last_view = state["last_view"]
-        for path, offsets in zip(self._drivers, state["offsets"], strict=True):
-            path.offsets = offsets.copy()
+        self._drivers.restore(state["offsets"])
         for record, kept in zip(self._records(), state["recorded"], strict=True):
             record[:] = kept
 
-    def record_in(
-        self, samples: NDArray[np.float64], bodies: NDArray[np.float64], markers_m: NDArray[np.float64]
-    ) -> None:
+    def record_in(self, samples: FloatArray, bodies: FloatArray, markers_m: FloatArray) -> None:
         """Record in arrays of the caller from now on, which may be parts of those of many worlds.
 
         Args:
@@ -342,7 +320,7 @@ class Episode:
         count, width = self._samples.shape
         return count, width
 
-    def _records(self) -> tuple[NDArray[np.float64], ...]:
+    def _records(self) -> tuple[FloatArray, ...]:
         return self._samples, self._bodies, self._markers_m
 
     @property
@@ -384,20 +362,20 @@ class Episode:
 
     # --- reading ---
 
-    def poses(self) -> dict[str, NDArray[np.float64]]:
+    def poses(self) -> dict[str, FloatArray]:
         """Return the pose of each rigid body that moves: position [m] and quaternion w x y z, shape [7]."""
         if self._last_view is not None:
             return self._last_view[0]
         moving = (*self._dynamic, *self._driven)
         return dict(zip(moving, self._world.body_states(moving)[:, :7], strict=True))
 
-    def nodes_m(self) -> dict[str, NDArray[np.float64]]:
+    def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body [m], shape [node_count, 3]."""
         if self._last_view is not None:
             return self._last_view[1]
         return {body.name: self._world.nodes(body.name).copy() for body in self.experiment.scene.deformables}
 
-    def _record(self) -> NDArray[np.float64]:
+    def _record(self) -> FloatArray:
         """Record bodies and markers of the frame; return the states of the dynamic bodies, shape [body_count, 13]."""
         states = self._world.body_states(self._dynamic)
         frame = self.frame or 0
@@ -406,26 +384,9 @@ class Episode:
             self._markers_m[frame] = self.observer.markers_m
         return states
 
-    def checked(self, action: Any) -> NDArray[np.float64]:
+    def checked(self, action: Any) -> FloatArray:
         """Return the residual rates of an action, shape [motion_count]."""
-        space = self.action_space
-        if isinstance(space, spaces.Discrete):
-            if isinstance(action, int | np.integer) and action == 0:
-                return NO_RATES
-            if isinstance(action, np.ndarray) and space.contains(action):
-                return NO_RATES
-            raise ActionError(f"action {action!r}: this experiment has no driven body, so the only action is 0")
-        try:
-            rates = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ActionError(f"action {action!r} is not an array of numbers") from error
-        if rates.shape != space.shape:
-            raise ActionError(
-                f"action has shape {rates.shape}, expected {space.shape}: one entry for each driven motion"
-            )
-        if not np.isfinite(rates).all() or np.abs(rates).max() > 1.0:
-            raise ActionError(f"action {rates.tolist()} must hold numbers from -1 to 1")
-        return rates
+        return checked_action(action, self.action_space)
 
     def observation(self) -> Observation:
         """Return the observation of the current frame."""
@@ -463,7 +424,7 @@ class Episode:
         deviation = projection.dot(here) - mean[frame]
         return -float(np.abs(deviation).dot(weight[frame]))
 
-    def fault_of(self, states: NDArray[np.float64]) -> str | None:
+    def fault_of(self, states: FloatArray) -> str | None:
         """Return why the simulation counts as diverged, or None.
 
         Args:
@@ -527,7 +488,7 @@ def run_on_together(episodes: Sequence[Episode], advance: Callable[[Sequence[int
             episodes[number].end_later_frame()
 
 
-def reward_terms(band: Band | None) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]] | None:
+def reward_terms(band: Band | None) -> tuple[FloatArray, FloatArray, FloatArray] | None:
     """Return projection, mean and weights such that |deviation| @ weight is the mean of |z| over known coordinates.
 
     z is the deviation over sigma, or over the uncertainty of the mean where that is larger.

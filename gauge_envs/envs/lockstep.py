@@ -5,79 +5,23 @@ engine and experiment. `EpisodesAtOnce` of `envs.at_once` takes all worlds in ar
 one call and the experiment allows it.
 """
 
-from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar, cast
+from typing import Any, cast
 
 import numpy as np
 from gymnasium.vector.utils import batch_space, concatenate, create_empty_array
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, Worlds
+from gauge_envs.backends.base import Worlds
 from gauge_envs.envs.episode import Episode, Observation, run_on_together
+from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ActionError
-from gauge_envs.files import processors
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 
 Numbers = NDArray[np.intp]
-Result = TypeVar("Result")
 AddInfo = Callable[[dict[str, Any], dict[str, Any], int], dict[str, Any]]
 """Function of `VectorEnv` that adds the `info` of a world to those of all."""
-
-
-def run_frames(
-    frames: Mapping[int, Generator[None, None, Result]], advance: Callable[[Iterable[int]], None]
-) -> dict[int, Result]:
-    """Run a frame of each of several worlds, and return what the frames return.
-
-    Args:
-        frames: Frames by the number of their world; each yields where its world must advance by 1/180 s.
-        advance: Function that advances the worlds of some numbers.
-    """
-    running, results = dict(frames), {}
-    while running:
-        for number, frame in list(running.items()):
-            try:
-                next(frame)
-            except StopIteration as end:
-                results[number] = end.value
-                del running[number]
-        if running:
-            advance(running)
-    return results
-
-
-class WorldThreads:
-    """Threads that share the worlds of an engine which frees Python's lock; for other engines, this thread alone.
-
-    Args:
-        worlds: The worlds.
-    """
-
-    def __init__(self, worlds: Worlds) -> None:
-        is_free = all(isinstance(world, Simulation) and world.frees_python for world in worlds.worlds)
-        self._count = min(processors(), len(worlds.worlds)) if is_free else 1
-        self._threads = ThreadPoolExecutor(self._count) if self._count > 1 else None
-
-    def run(self, function: Callable[[int], None], numbers: Sequence[int]) -> None:
-        """Call a function for the number of each world; an error of a call is raised at the end.
-
-        Args:
-            function: Function that changes nothing but its world.
-            numbers: Numbers of the worlds.
-        """
-
-        def run(part: Sequence[int]) -> None:
-            for number in part:
-                function(number)
-
-        if self._threads is None or len(numbers) < 2:
-            run(numbers)
-            return
-        for _ in self._threads.map(run, [numbers[first :: self._count] for first in range(self._count)]):
-            pass
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,7 +62,7 @@ class EpisodesOneByOne:
         self.worlds = worlds
         self.ran: Numbers = np.arange(len(episodes))
         self._observations: list[Observation] = []
-        self._threads = WorldThreads(worlds)
+        self._stepper = Stepper(worlds)
 
     @property
     def episodes(self) -> Sequence[Episode]:
@@ -158,16 +102,7 @@ class EpisodesOneByOne:
 
     def _advance(self, rates: Mapping[int, FloatArray]) -> None:
         """Drive, advance and observe a frame of the worlds of some numbers."""
-        worlds = self.worlds.worlds
-        if all(isinstance(world, Simulation) for world in worlds):
-
-            def run(number: int) -> None:
-                self.episodes[number].advance(cast("Simulation", worlds[number]), rates[number])
-
-            self._threads.run(run, [*rates])
-        else:
-            frames = {number: self.episodes[number].simulated(one) for number, one in rates.items()}
-            run_frames(frames, lambda _: self.worlds.advance(SAMPLE_INTERVAL_S))
+        self._stepper.run({number: self.episodes[number].simulated(one) for number, one in rates.items()})
 
     def play(self, seed: int) -> None:
         """Run all episodes without actions to their ends, and past them as far as their scores need.

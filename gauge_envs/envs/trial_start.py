@@ -9,8 +9,9 @@ from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import AnyExperiment
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.imported import START_FRAMES, DataSource, ImportedVariant, load_imported
+from gauge_envs.references.imported import START_FRAMES, ImportedVariant, load_imported
 from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Hinge, Pose, RigidBody, Scene, Sphere, Tether
 from gauge_envs.scene.contact_faces import blocked_directions
 from gauge_envs.scene.geometry import FloatArray, Vector, vector

@@ -27,6 +27,7 @@ from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
 from gauge_envs.envs.episode import Episode, Observation
 from gauge_envs.envs.lockstep import Rollout
+from gauge_envs.envs.pictures import Pictures, episode_picture
 from gauge_envs.errors import ActionError, EpisodeError, ParameterError
 from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
@@ -34,7 +35,6 @@ from gauge_envs.evaluation.worlds import score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.rendering.lazy import Pictures, episode_picture
 from gauge_envs.scene.jitter import Jitter
 
 Step = tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]
@@ -244,13 +244,8 @@ class GaugeVectorEnv(WorldsEnvironment[Observation]):
         self._check_record("deformations")
         return tuple(episode.deformation() if episode.is_over else None for episode in self.episodes)
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
-        if self.render_mode is None:
-            return None
-
-        self._check_started("render", started=self._is_reset)
-        return tuple(episode_picture(self._pictures, one, drawn_as=self.episodes[0]) for one in self.episodes)
+    def _picture(self, number: int) -> NDArray[np.uint8]:
+        return episode_picture(self._pictures, self.episodes[number], drawn_as=self.episodes[0])
 
     def _free(self) -> None:
         super()._free()

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from gauge_envs.errors import ShapeError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.deformation import DeformationReference, bundled_deformation
-from gauge_envs.references.imported import DataSource, load_imported
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene.geometry import FloatArray
 
 

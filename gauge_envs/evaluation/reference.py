@@ -7,10 +7,11 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment, shots_of
 from gauge_envs.references.bands import Band, bundled_band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import DataSource, load_imported
+from gauge_envs.references.imported import load_imported
 from gauge_envs.references.models import end_band, solved_model
 from gauge_envs.references.published import CarriedLaw, UniaxialLaw, carried_band, law_for, uncontacted_band
 from gauge_envs.references.single_shot import single_shots
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 

@@ -9,8 +9,8 @@ from typing import Any
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import coordinate_names
-from gauge_envs.references.imported import DataSource
 from gauge_envs.references.published import Baseline, Reference, published_baselines
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import Scene
 
 

@@ -13,8 +13,9 @@ from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.task_format import Placement
 from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file, task_path
-from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
+from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import carried

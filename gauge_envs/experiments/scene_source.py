@@ -11,22 +11,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import AssetError
 from gauge_envs.experiments.experiment import Asset, AssetKind
 from gauge_envs.files import MEGABYTE, os_errors, read_regular
 from gauge_envs.references.metrics import EVENT_METRICS
+from gauge_envs.registry import scene_files, scene_suffixes
 from gauge_envs.scene import Hinge, Motion
 from gauge_envs.scene.diff import scene_changes
 
 if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment, TaskExperiment
-    from gauge_envs.tools.usd.reader import UsdScene
-
-
-USD_SUFFIXES = (".usd", ".usda", ".usdc", ".usdz")
-"""Suffixes of USD layers."""
 
 MOST_ASSET_BYTES = 256 * MEGABYTE
 """Largest size of an asset or of a file that it refers to."""
@@ -57,8 +53,8 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
 
     contents = [read_bytes(path)]
     changes: tuple[str, ...]
-    if path.suffix in USD_SUFFIXES:
-        layer = _usd_scene(experiment, path)
+    if path.suffix in scene_suffixes():
+        layer = _scene_of_file(experiment, path)
         kind, scene = AssetKind.USD, layer.scene
         contents += map(read_bytes, layer.used_files)
         changes = tuple(scene_changes(experiment.scene, scene))
@@ -66,7 +62,8 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
         kind, file = AssetKind.MODEL, engine.read_file(path, experiment.scene)
         scene, changes = file.scene, file.changes
     else:
-        raise AssetError(path, "", f"suffix {path.suffix!r} is neither USD ({', '.join(USD_SUFFIXES)}) nor an engine's")
+        known = ", ".join(scene_suffixes())
+        raise AssetError(path, "", f"suffix {path.suffix!r} is neither that of a scene file ({known}) nor an engine's")
     found = replace(
         experiment,
         scene=scene,
@@ -77,11 +74,9 @@ def with_asset(experiment: TaskExperiment, path: Path) -> TaskExperiment:
     return found
 
 
-def _usd_scene(experiment: TaskExperiment, path: Path) -> UsdScene:
-    from gauge_envs.tools.usd.reader import read_usd
-
+def _scene_of_file(experiment: TaskExperiment, path: Path) -> Any:
     duration_s = experiment.scene.duration_s
-    found = read_usd(path, duration_s=duration_s)
+    found = scene_files(path.suffix).read_scene(path, duration_s=duration_s)
     of = found.metadata.get("variant", experiment.name)
     if of != experiment.name:
         raise AssetError(

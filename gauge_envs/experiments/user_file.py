@@ -24,8 +24,9 @@ from gauge_envs.files import outside_reason, toml_document
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
-from gauge_envs.references.published import ENGINES, Baseline, Reference
+from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
+from gauge_envs.registry import scene_files
 from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
@@ -200,7 +201,7 @@ def _file_experiment(
             unit=METRICS[metric].unit_of(unit),
             mean=stated.mean,
             std=stated.std,
-            engines=dict.fromkeys(ENGINES),
+            engines=dict.fromkeys(PUBLISHED_ENGINES),
         )
         for metric, stated in definition.baseline.items()
     }
@@ -247,11 +248,11 @@ def recorded_experiment_file(
 
 def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, tuple[str, ...], tuple[Path, ...]]:
     """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
-    from gauge_envs.tools.usd.reader import read_usd
-
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
     has_markers = definition.markers is None
-    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
+    found = scene_files(layer.suffix).read_scene(
+        layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers
+    )
     scene = replace(found.scene, duration_s=duration_s)
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
@@ -284,12 +285,10 @@ def _names(path: Path, layer: Path, paths: Mapping[str, str]) -> Names:
 
 
 def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Markers:
-    from gauge_envs.tools.usd.reader import read_points
-
     stated = spec.model_dump(exclude={"prim"})
     if spec.prim is not None:
         try:
-            stated["positions_m"] = read_points(layer, spec.prim).tolist()
+            stated["positions_m"] = scene_files(layer.suffix).read_points(layer, spec.prim).tolist()
         except AssetError as error:
             raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
     try:

@@ -145,12 +145,12 @@ def model_text(score: Score, backend: str | None) -> str:
     if backend is not None and backend in score.rmse_without:
         *first, last = sorted(set(score.rmse_without) - {backend})
         others = f"{', '.join(first)} and {last}" if first else last
-        own = amount(score.rmse_without[backend])
-        text += f"; it helped to make this reference: to the solution of {others} alone {own}"
+        apart = amount(score.rmse_without[backend])
+        text += f"; it helped to make this reference: to the solution of {others} alone {apart}"
     return text
 
 
-MOST_CAUSES = 3
+MAX_CAUSES = 3
 """Number of inputs that are named as possible causes of an error."""
 
 
@@ -179,7 +179,7 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
     error = getattr(score, score.primary)
     causes = [
         f"{one.name} (+- {one.std:.2g}{'' if one.unit == '1' else f' {one.unit}'}) {score_text(error - one.left)}"
-        for one in (score.explained or ())[:MOST_CAUSES]
+        for one in (score.explained or ())[:MAX_CAUSES]
     ]
     if causes:
         whole = with_unit(score_text(error), score.unit)

@@ -15,7 +15,6 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
-from enum import StrEnum
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -30,7 +29,7 @@ from gauge_envs.references.bands import Band
 from gauge_envs.references.deformation import DeformationReference
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.tables import FileModel, read_content
-from gauge_envs.references.user_data import trials_folder
+from gauge_envs.references.user_data import DataSource, trials_folder
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import SampledProfile
@@ -44,19 +43,6 @@ START_FRAMES = 3
 
 READ_ATTEMPTS = 5
 """Number of times that a variant is read while imports replace it."""
-
-
-class DataSource(StrEnum):
-    """Source of driven motion or of the band. An argument selects it; an import alone changes nothing."""
-
-    BUNDLED = "bundled"
-    """The package: the task file's drivers, the bundled bands and laws."""
-    IMPORTED = "imported"
-    """The real trials that `gauge data import` read."""
-
-
-BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
-"""Data sources of a result that uses no import."""
 
 
 class SpreadRecord(FileModel):

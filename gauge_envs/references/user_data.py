@@ -1,11 +1,25 @@
-"""The folder of imported data, in a module that imports nothing heavy."""
+"""Bundled or imported data: the choice, and the folder of imports, in a module that imports nothing heavy."""
 
 import os
+from enum import StrEnum
 from pathlib import Path
 
 from platformdirs import user_data_path
 
 from gauge_envs.errors import DatasetError
+
+
+class DataSource(StrEnum):
+    """Source of driven motion or of the band. An argument selects it; an import alone changes nothing."""
+
+    BUNDLED = "bundled"
+    """The package: the task file's drivers, the bundled bands and laws."""
+    IMPORTED = "imported"
+    """The real trials that `gauge data import` read."""
+
+
+BUNDLED_DATA = {"drivers": DataSource.BUNDLED.value, "reference": DataSource.BUNDLED.value}
+"""Data sources of a result that uses no import."""
 
 
 def user_data_folder() -> Path:

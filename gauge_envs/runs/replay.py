@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends import backend_for, engine_call, is_bundled, versions_of
-from gauge_envs.backends.base import Simulation
 from gauge_envs.envs.arguments import TrialStart, check_support, jittered_experiment
 from gauge_envs.envs.episode import Episode
 from gauge_envs.errors import GaugeError, ParameterError, chosen
@@ -40,7 +39,7 @@ RIGID_VIEWS_PER_FRAME = 2
 VIEWS_PER_FRAME = (1, 2, 3, SAMPLES_PER_FRAME)
 """Numbers of views in a frame that divide its samples."""
 
-MOST_REPLAY_BYTES = 512 * MEGABYTE
+MAX_REPLAY_BYTES = 512 * MEGABYTE
 
 
 class ReplayError(GaugeError, RuntimeError):
@@ -104,7 +103,7 @@ def replay(result: Result, *, views_per_frame: int | None = None) -> Replay:
                 experiment, simulation, band=None, marker_proxy=chosen(MarkerProxy, result.marker_proxy, "marker_proxy")
             )
             views = views_per_frame or default_views_per_frame(experiment.scene)
-            recorded = _recorded(episode, simulation, experiment.scene, views)
+            recorded = _recorded(episode, experiment.scene, views)
     finally:
         simulation.close()
     _check_same(result, episode, installed)
@@ -167,7 +166,7 @@ def _start(result: Result) -> Jitter | TrialStart | None:
     return Jitter(**result.jitter)
 
 
-def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int) -> Replay:
+def _recorded(episode: Episode, scene: Scene, views: int) -> Replay:
     """Run an episode to its end with zero actions, and return its views, a number in each frame."""
     samples_per_view = SAMPLES_PER_FRAME // views
     names = tuple(episode.poses())
@@ -184,7 +183,7 @@ def _recorded(episode: Episode, simulation: Simulation, scene: Scene, views: int
 
     # The start is a view too; the world is there.
     look(-1)
-    episode.play(simulation, after_sample=look)
+    episode.play(after_sample=look)
     return Replay(
         rate_hz=FRAME_RATE_HZ * views,
         bodies=names,
@@ -223,7 +222,7 @@ def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None
         bodies = (*(body.name for body in scene.dynamic_bodies), *(driver.body for driver in scene.drivers))
         names = {f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)}
         wanted = ("key", "rate_hz", "poses", "markers_m", *names)
-        arrays = npz_arrays(read_regular(path, MOST_REPLAY_BYTES), wanted, MOST_REPLAY_BYTES)
+        arrays = npz_arrays(read_regular(path, MAX_REPLAY_BYTES), wanted, MAX_REPLAY_BYTES)
     except (OSError, ValueError, GaugeError):
         return None
     if len(arrays) < len(wanted) or not np.array_equal(arrays["key"], key):

@@ -14,7 +14,7 @@ from gauge_envs.evaluation.deformation import DeformationScore
 from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.experiment import AssetKind, Experiment
 from gauge_envs.files import json_ready, versions
-from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 BULKY = ("scene", "experiment")

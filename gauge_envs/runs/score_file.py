@@ -12,7 +12,8 @@ from gauge_envs.experiments.resolve import resolve_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import json_ready
-from gauge_envs.references.imported import DataSource, dataset_record
+from gauge_envs.references.imported import dataset_record
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record, load_result, recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -77,7 +78,7 @@ def _experiment_of_file(
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
         parameters = origin.parameters if known else "calibrated"
     experiment = resolve_experiment(name, parameters, reference=reference)
-    stated = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
-    if stated is not None and stated != experiment.id:
+    file_id = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
+    if file_id is not None and file_id != experiment.id:
         raise TrajectoryFileError(f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for")
     return experiment

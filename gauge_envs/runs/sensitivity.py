@@ -134,7 +134,7 @@ def _frames(
     try:
         simulation.reset(0)
         episode = Episode(experiment, simulation, band=None, marker_proxy=request.proxy)
-        episode.play(simulation)
+        episode.play()
         if episode.fault is not None:
             raise EpisodeError(f"{experiment.id}: diverged: {episode.fault}")
         return episode.trajectory().frames, simulation.settings

@@ -75,7 +75,7 @@ def sampled(env: GaugeEnv) -> tuple[Counter[tuple[str, str]], float]:
                     break
             steps_s = time.process_time() - start - scoring_s
             if env.episode.is_over:
-                env.episode.run_on(env.simulation)
+                env.episode.run_on()
                 steps_s, before = time.process_time() - start - scoring_s, time.process_time()
                 env.episode.score()
                 env.deformation()

@@ -29,9 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.tools.control.carry import CarryLimit
 from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.friction import HOLD_FRAMES, FrictionLimit
-from gauge_envs.tools.control.least_time import CarryLimit, LeastTimeLimit
+from gauge_envs.tools.control.least_time import LeastTimeLimit
 from gauge_envs.tools.control.limit import Ending
 from gauge_envs.tools.control.pendulum import PendulumLimit
 from gauge_envs.tools.control.slope_slider import SlopeSliderLimit

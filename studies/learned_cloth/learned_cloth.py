@@ -40,7 +40,7 @@ def draw_curves(folder: Path, file: Path) -> None:
         writer = csv.DictWriter(opened, [*rows[0]])
         writer.writeheader()
         writer.writerows(rows)
-    env = FlingLimit(settings={"preset": "training"})
+    env = FlingLimit("satin", settings={"preset": "training"})
     law = play(env, lambda _: env.law_action(1.0)).ratio
     figure = Figure(figsize=(6.5, 3.4), layout="constrained")
     axis = figure.subplots()

@@ -5,11 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
-import pickle
-import sqlite3
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -62,8 +59,7 @@ from gauge_envs.tools.sanity import configuration
 from gauge_envs.tools.sanity.gauge_probe import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.sweep.store import SweepFolder, update_store
-from gauge_envs.tools.transfer.policies.load import load_policy, read_normalization
+from gauge_envs.tools.transfer.policies.load import load_policy
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
@@ -225,18 +221,6 @@ NUMBER_TEXTS = (
     "timestep_s=0.0005555555555555556 solver=Newton iterations=20",
 )
 """Numbers of the command line: jitter, limits, recipes, contacts, settings."""
-
-
-class VecNormalize:
-    """Stand-in of the class in files of `VecNormalize.save`."""
-
-
-def statistics(size: int) -> bytes:
-    """Return a file of `VecNormalize.save`."""
-    saved, saved.obs_rms = VecNormalize(), VecNormalize()
-    saved.obs_rms.mean, saved.obs_rms.var = np.zeros(size), np.ones(size)
-    saved.clip_obs, saved.epsilon = 10.0, 1e-8
-    return pickle.dumps(saved)
 
 
 def sb3_policies(size: int) -> list[bytes]:
@@ -413,21 +397,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     column = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
     list(run_column(column, ["free-fall", "foam-start", "slide-plane"], None))
     matrix = write_columns([column], folder / "column.json").read_bytes()
-    swept = SweepFolder(folder / "swept")
-    swept.create()
-    swept.write(result, "a.json")
-    update_store(swept.path)
-
-    def store_read(file: Path) -> None:
-        """Read a damaged store beside a result file that is whole: it has one row."""
-        swept.store_path.write_bytes(file.read_bytes())
-        try:
-            with closing(sqlite3.connect(update_store(swept.path))) as store:
-                ((count,),) = store.execute("SELECT count(*) FROM results").fetchall()
-        finally:
-            for left in swept.path.glob("sweep.sqlite*"):
-                left.unlink()
-        assert count == 1, count
 
     def replay_read(file: Path) -> None:
         """Read a damaged replay beside a result that is whole: it counts, or the episode runs again."""
@@ -478,7 +447,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
         "submission": Parser(".json", results, submission_read, documents, 0.01),
         "statement": Parser(".toml", [STATEMENT.encode()], statement_read),
         "sweep": Parser(".toml", [SWEEP.encode()], sweep_read),
-        "store": Parser(".sqlite", [swept.store_path.read_bytes()], store_read, damage.in_bytes, 0.05),
         "matrix": Parser(
             ".json",
             [matrix],
@@ -528,13 +496,6 @@ def _of_policies() -> dict[str, Parser]:
     assert isinstance(env, ControlEnv)
     (size,) = env.observation_space.shape or (0,)
     return {
-        "statistics": Parser(
-            ".pkl",
-            [statistics(size)],
-            lambda file: read_normalization(file, observation_size=size),
-            damage.in_bytes,
-            2.0,
-        ),
         "sb3": Parser(
             ".zip",
             sb3_policies(size),

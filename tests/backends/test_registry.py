@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from gauge_envs.backends import Backend, Support, backend, backend_names, registry
+from gauge_envs.backends import Backend, Support, backend, backend_names
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene import Scene
@@ -55,7 +55,7 @@ def installed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
         EntryPoint("broken", broken),
         EntryPoint("other", missing),
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    monkeypatch.setattr("gauge_envs.registry.entry_points", lambda group: points)
     backend.cache_clear()
     yield
     backend.cache_clear()

@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Mapping
 from functools import cache
 from importlib import import_module
-from inspect import getsource, signature
+from inspect import getsource
 from typing import Any, get_args
 
 import gymnasium as gym
@@ -21,7 +21,7 @@ from test_docs import NOTE_WORDS
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.backends.settings import SteppedSettings
-from gauge_envs.cli.commands import COMMANDS
+from gauge_envs.registry import command_lines
 
 DEGREE = math.pi / 180.0
 
@@ -274,8 +274,8 @@ def engines() -> dict[str, list[str]]:
             f"boxes sink by {-measured('drake', 'rest-box'):.0f} mm",
         ],
         "docs/engines/isaac_sim.md": [
-            f"{of('scene.fabrics.ISAAC_POISSON_BELOW'):.2f} if that is negative, "
-            f"{of('scene.fabrics.ISAAC_POISSON_ABOVE'):.2f} if it is 0.5 or more",
+            f"{of('tools.usd.isaac_fabric.POISSON_BELOW'):.2f} if that is negative, "
+            f"{of('tools.usd.isaac_fabric.POISSON_ABOVE'):.2f} if it is 0.5 or more",
             f"{of('tools.assets.isaac_sim.VOLUME_HZ')} Hz with foam",
         ],
     }
@@ -284,16 +284,20 @@ def engines() -> dict[str, list[str]]:
 def control() -> list[str]:
     """Limits, ranges and tolerances of the control tasks."""
     family = {
-        name: of(f"envs.control.{name.lower()}.{name}Limit") for name in ("Turntable", "Throw", "Fling", "Pendulum")
-    } | {name: of(f"envs.control.least_time.{name}Limit") for name in ("Carry", "Push")}
-    slope = of("envs.control.slope_slider.SlopeSliderLimit")
+        name: of(f"tools.control.{name.lower()}.{name}Limit")
+        for name in ("Turntable", "Throw", "Fling", "Pendulum", "Carry", "Push")
+    }
+    slope = of("tools.control.slope_slider.SlopeSliderLimit")
     durations = [task.DURATION_S for task in (*family.values(), slope)]
     uncertain = of("references.sensitivities.input_uncertainties")().friction
-    slip, rest = of("envs.control.friction.SLIP_SPEED_M_PER_S"), of("envs.control.least_time.REST_M_PER_S")
-    tolerance_m, tolerance_rad = of("envs.control.least_time.TOLERANCE_M"), of("envs.control.least_time.TOLERANCE_RAD")
+    slip, rest = of("tools.control.friction.SLIP_SPEED_M_PER_S"), of("tools.control.least_time.REST_M_PER_S")
+    tolerance_m, tolerance_rad = (
+        of("tools.control.least_time.TOLERANCE_M"),
+        of("tools.control.least_time.TOLERANCE_RAD"),
+    )
     push = family["Push"]
     braking = (
-        of("envs.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
+        of("tools.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
     )
     fling = family["Fling"]()
     (cloth,) = fling.experiment.scene.deformables
@@ -303,8 +307,8 @@ def control() -> list[str]:
     return [
         f"up to {family['Turntable'].ACCELERATION_RAD_PER_S2:g} rad/s^2",
         f"up to {slope.ACCELERATION_RAD_PER_S2:g} rad/s^2",
-        f"up to {of('envs.control.pendulum.TORQUE_SHARE'):g} of weight times length",
-        f"to {of('envs.control.pendulum.TARGET_RAD') / DEGREE:.0f} degrees | {limit('Pendulum-Limit-metal')} |",
+        f"up to {of('tools.control.pendulum.TORQUE_SHARE'):g} of weight times length",
+        f"to {of('tools.control.pendulum.TARGET_RAD') / DEGREE:.0f} degrees | {limit('Pendulum-Limit-metal')} |",
         f"up to {family['Carry'].ACCELERATION_M_PER_S2:g} m/s^2 | 4 D",
         f"up to {push.ACCELERATION_M_PER_S2:g} m/s^2 | 2 D",
         f"up to {family['Throw'].ACCELERATION_M_PER_S2:g} m/s^2",
@@ -315,14 +319,14 @@ def control() -> list[str]:
         f"| {limit('Fling-Limit-satin')} |",
         f"| Fling | {1.0 + 2.0 * stretch / fling._speed_m_per_s:.2f} |",
         f"lasts at most {min(durations):g} to {max(durations):g} s",
-        f"over {of('envs.control.friction.HOLD_S'):g} s without a slip",
+        f"over {of('tools.control.friction.HOLD_S'):g} s without a slip",
         f"moves at {1e3 * slip:g} mm/s on it",
         f"within {1e3 * tolerance_m:g} mm, {tolerance_rad / DEGREE:.0f} degrees and {1e3 * rest:g} mm/s of a goal",
-        f"lifts it by {1e3 * of('envs.control.least_time.LIFTED_M'):g} mm",
-        f"less than {1e2 * of('envs.control.throw.EDGE_M'):g} cm from its edge",
+        f"lifts it by {1e3 * of('tools.control.least_time.LIFTED_M'):g} mm",
+        f"less than {1e2 * of('tools.control.throw.EDGE_M'):g} cm from its edge",
         f"{100 * uncertain.std(1.0, 'wood'):.1f} % (wood), {100 * uncertain.std(1.0, 'plastic'):.1f} % (plastic), "
         f"{100 * uncertain.std(1.0, 'metal'):.1f} %",
-        f"length, {100 * of('envs.control.pendulum.LENGTH_SIGMA'):.1f} %",
+        f"length, {100 * of('tools.control.pendulum.LENGTH_SIGMA'):.1f} %",
         f"| Push | 1.03; {1 / (1 + braking / push.ACCELERATION_M_PER_S2):.2f} without an impact",
         f"slips below {1e3 * slip:g} mm/s do not count",
     ]
@@ -333,12 +337,12 @@ def readers() -> dict[str, list[str]]:
     start, baseline, motion = (
         of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
     )
-    (download_size,) = re.findall(r"\d+ GB", COMMANDS["data download"][1])
+    (download_size,) = re.findall(r"\d+ GB", command_lines()["data download"])
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
     return {
         "docs/limits.md": [
             f"| trial of the dataset | {mb('tools.dataset.trial.MOST_TRIAL_BYTES')}, {files[0]:,} objects and lists |",
-            f"| {mb('runs.result_file.MOST_RESULT_BYTES')}; arrays of an NPZ file "
+            f"| {mb('runs.result_file.MAX_RESULT_BYTES')}; arrays of an NPZ file "
             f"{mb('evaluation.trajectory_file.MOST_ARRAY_BYTES')} |",
             f"| {mb('files.MOST_TOML_BYTES')}, {files[1]:,} frames; {mb('references.tables.MOST_TABLE_BYTES')} |",
             f"| USD | {mb('scene.usd.source.MOST_FILE_BYTES')}, text layers {mb('scene.usd.source.MOST_TEXT_BYTES')}; "
@@ -347,17 +351,16 @@ def readers() -> dict[str, list[str]]:
             f"{of('backends.mujoco.mjcf_reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
             f"of `gauge sanity` | {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}; "
             f"{mb('tools.sanity.stacks.mjcf.MOST_MODEL_BYTES')} without meshes |",
-            f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MOST_EPISODES'):,} episodes |",
-            f"| {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')}; {mb('tools.transfer.policies.load.MOST_BYTES')}, "
-            f"{of('tools.transfer.policies.load.MOST_OPERATIONS'):,} operations |",
+            f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MAX_EPISODES'):,} episodes |",
+            f"| policy | {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')} |",
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
             f"is read every {of('runs.isolation.LOOK_S'):g} s",
             jitter("The jitter of {position} is that of real starts where it was measured; the {angle} are"),
         ],
         "docs/leaderboard.md": [
-            f"{mb('runs.result_file.MOST_RESULT_BYTES')} for a result and "
-            f"{mb('tools.leaderboard.submission.MOST_TOTAL_BYTES')} for a submission",
+            f"{mb('runs.result_file.MAX_RESULT_BYTES')} for a result and "
+            f"{mb('tools.leaderboard.submission.MAX_TOTAL_BYTES')} for a submission",
             f"within {start['mm']:g} mm, {start['mm^2']:g} mm^2 or {start['rad']:.0e} rad".replace("e-06", "e-6"),
             f"{100 * baseline:g} % of the distance of real trials from their mean or {100 * motion:g} % of the motion",
             f"at most {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the distance",
@@ -555,7 +558,6 @@ def others() -> dict[str, list[str]]:
     table = (ROOT / "scoring" / "published" / "world_model_results.csv").read_text(encoding="utf-8").splitlines()
     real = {tuple(line.split(",")[:2]): line.split(",")[3] for line in table}
     slopes = ", ".join(real[f"SlopeSlider-2-{material}", "a"] for material in ("wood", "plastic", "metal"))
-    ranges = signature(of("tools.transfer.randomization.ranges_of"))
     width, height = of("tools.video.tasks.REFERENCE_SIZE_PX")
     return {
         "docs/assets.md": [
@@ -568,11 +570,10 @@ def others() -> dict[str, list[str]]:
             f"at {100 * of('tools.compare.grades.ERROR_RATE'):.0f} % the two are *distinguishable*",
             f"A difference of at most {of('tools.compare.significance.NEGLIGIBLE')}, which tables do not show",
         ],
-        "docs/report_site.md": [f"after {of('tools.site.experiment_page.MOST_SECONDS'):g} s"],
+        "docs/report_site.md": [f"after {of('tools.site.experiment_page.MAX_SECONDS'):g} s"],
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
-            f"uniform ranges of {ranges.parameters['width'].default:g} sigma",
         ],
         "docs/world_models.md": [
             f"| {slopes} m/s²; 0 |",
@@ -612,7 +613,7 @@ TESTED = {
         ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
     ],
     "docs/world_models.md": [
-        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_own.py"),
+        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_phone_films.py"),
         ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
         ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
     ],

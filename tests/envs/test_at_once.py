@@ -17,7 +17,7 @@ from gauge_envs import GaugeEnv
 from gauge_envs.backends.base import Simulation, World, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
-from gauge_envs.envs import lockstep
+from gauge_envs.envs import stepper
 from gauge_envs.envs.at_once import EpisodesAtOnce
 from gauge_envs.envs.lockstep import EpisodesOneByOne
 from gauge_envs.envs.vector import ScoreEpisodes
@@ -139,7 +139,7 @@ def test_worlds_in_threads_have_the_bits_of_one_thread(name: str, monkeypatch: p
 
     monkeypatch.setattr(SimulationMuJoCo, "_step", noted)
     for count in (1, 3):
-        monkeypatch.setattr(lockstep, "processors", lambda count=count: count)
+        monkeypatch.setattr(stepper, "processors", lambda count=count: count)
         used.clear()
         envs = gymnasium.make_vec(name, num_envs=3)
         envs.reset(seed=1)

@@ -29,7 +29,7 @@ from gauge_envs import GaugeEnv, Jitter, Score, ScoreEpisode, find_variant, load
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.references.imported import DataSource
+from gauge_envs.references.user_data import DataSource
 
 RIGID, DRIVEN, SOFT = "SlopeSlider-2-wood", "SlopeSlider-3-metal", "StickStack-soft"
 ALL_KINDS = (RIGID, DRIVEN, SOFT)

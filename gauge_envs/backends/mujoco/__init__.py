@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType
+from types import MappingProxyType, ModuleType
 from typing import Any
 
 from gauge_envs.backends.base import Feature, ModelFile
 from gauge_envs.backends.mujoco.deformables import unsupported_features
-from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
+from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -15,7 +15,7 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
-from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
@@ -25,8 +25,12 @@ class BackendMuJoCo(BundledBackend):
     """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""
 
     name = "mujoco"
+    title = "MuJoCo"
+    color = "#0072b2"
+    marker = "o"
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
+    fabric_constants = staticmethod(flex_constants)
     file_suffixes = (".xml",)
     corrections = ("the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",)
     features = frozenset(Feature)
@@ -57,7 +61,7 @@ class BackendMuJoCo(BundledBackend):
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
         """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""
-        return read_model(path, scene, self.build(scene))
+        return _mjcf_reader().read_model(path, scene, self.build(scene))
 
     def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
@@ -66,4 +70,13 @@ class BackendMuJoCo(BundledBackend):
                 f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
                 "change them in the file"
             )
-        return SimulationMuJoCo(scene, *load_model(path, scene))
+        return SimulationMuJoCo(scene, *_mjcf_reader().load_model(path, scene))
+
+
+def _mjcf_reader() -> ModuleType:
+    """Return the reader of MJCF files, which scenes of task files do not need."""
+    try:
+        from gauge_envs.backends.mujoco import mjcf_reader
+    except ImportError as error:
+        raise BackendError(f"MJCF files cannot be read, as a module of this package is missing: {error}") from error
+    return mjcf_reader

@@ -2,13 +2,10 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.assets.export import SOURCE
-    from gauge_envs.tools.assets.urdf import BodyFile, body_files
-
-__all__ = ["SOURCE", "BodyFile", "body_files"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "export", "urdf")
+    from gauge_envs.tools.assets.export import SOURCE as SOURCE
+    from gauge_envs.tools.assets.urdf import BodyFile as BodyFile, body_files as body_files
+else:
+    __getattr__, __all__ = door(__name__)

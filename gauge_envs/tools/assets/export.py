@@ -22,7 +22,7 @@ from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import os_errors
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.usd.writer import scene_stage
+from gauge_envs.tools.usd import scene_stage
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "

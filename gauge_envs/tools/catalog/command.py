@@ -8,16 +8,19 @@ from typing import Annotated
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.commands import LISTINGS, load
 from gauge_envs.cli.output import Format, message, note, print_document
 from gauge_envs.errors import TaskFileError
+from gauge_envs.registry import id_modules, instruments_by
+
+KINDS = instruments_by("listings")
+"""Instrument of each kind that `gauge list` knows beside experiments."""
 
 
 def list_(
     words: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[KIND] [PATTERN]...", help=f"experiments by default, {', '.join(LISTINGS)}; ids, patterns."
+            metavar="[KIND] [PATTERN]...", help=f"experiments by default, {', '.join(KINDS)}; ids, patterns."
         ),
     ] = None,
     scored: Annotated[bool, typer.Option("--scored", help="Only ids with a reference, and so with a reward.")] = False,
@@ -30,10 +33,10 @@ def list_(
     """
     from gauge_envs.pages.document import Document
 
-    kind, *patterns = words if words and words[0] in ("experiments", *LISTINGS) else ["experiments", *(words or ())]
+    kind, *patterns = words if words and words[0] in ("experiments", *KINDS) else ["experiments", *(words or ())]
     if kind == "experiments":
         return _list_experiments(patterns, scored, form)
-    print_document(Document(parts=load(LISTINGS[kind], f"list {kind}")(patterns)), form)
+    print_document(Document(parts=KINDS[kind].function(f"list {kind}")(patterns)), form)
     return False
 
 
@@ -43,7 +46,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     from gauge_envs.pages.document import Document, Paragraph
     from gauge_envs.pages.text import counted
     from gauge_envs.references.grades import BandGrade
-    from gauge_envs.tools.catalog.overview import control_summary, list_table, stored_rows
+    from gauge_envs.tools.catalog.overview import list_table, stored_rows
 
     variants = dict.fromkeys(variant for pattern in patterns or ["*"] for variant in matching_variants(pattern))
     faults: Mapping[str, TaskFileError] = {}
@@ -61,7 +64,7 @@ def _list_experiments(patterns: Sequence[str], scored: bool, form: Format) -> bo
     lines = [f"{counted(len(rows), 'id')} in {families} {'family' if families == 1 else 'families'}"]
     if patterns in ([], ["*"]) and not scored:
         beyond = ", ".join(dict.fromkeys(f"{variant.family}-*" for variant in beyond_variants()))
-        lines = [control_summary(), f"Beyond the benchmark: {beyond}", *lines]
+        lines = [*(ids.summary() for ids in id_modules()), f"Beyond the benchmark: {beyond}", *lines]
     print_document(Document(parts=[list_table(rows), *map(Paragraph, lines)]), form)
     return bool(faults)
 
@@ -77,13 +80,13 @@ def show(
     `--format wide` adds the scene, decisions and the source of each number. For a control task: law, limit and reward.
     """
     from gauge_envs.experiments.resolve import resolve_experiment
-    from gauge_envs.tools.catalog.description import control_description, description
-    from gauge_envs.tools.catalog.words import control_document, experiment_document
-    from gauge_envs.tools.control.tasks import control_tasks, find_control_task
+    from gauge_envs.tools.catalog.description import description
+    from gauge_envs.tools.catalog.words import experiment_document
 
-    if name.removeprefix("GAUGE/") in {task.name for task in control_tasks()}:
-        document = control_document(control_description(find_control_task(name)))
-    else:
-        experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
-        document = experiment_document(description(experiment), detailed=form is not Format.TEXT)
-    print_document(document, form)
+    plain_name = name.removeprefix("GAUGE/")
+    for ids in id_modules():
+        if plain_name in ids.names():
+            print_document(ids.document(plain_name), form)
+            return
+    experiment = resolve_experiment(name, asset=asset, **arguments.parsed_use(use, "drivers", "reference"))
+    print_document(experiment_document(description(experiment), detailed=form is not Format.TEXT), form)

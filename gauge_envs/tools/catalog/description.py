@@ -1,15 +1,13 @@
-"""All that defines an experiment or a control task, with the source of each number, JSON-ready.
+"""All that defines an experiment, with the source of each number, JSON-ready.
 
 The terminal page of `gauge show` and the page of a family in the documentation are both made from it.
 """
 
 import dataclasses
-import inspect
 import math
 from fnmatch import fnmatchcase
 from typing import Any
 
-import gymnasium
 import numpy as np
 from pydantic import Field, PositiveFloat, PositiveInt
 
@@ -22,18 +20,16 @@ from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import data_folder, json_ready
 from gauge_envs.pages.results import convergence_rows
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import DataSource, DriverRecord, load_imported
+from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
 from gauge_envs.references.published import law_for
 from gauge_envs.references.tables import FileModel, read_rows, read_toml
-from gauge_envs.references.user_data import has_import
+from gauge_envs.references.user_data import DataSource, has_import
 from gauge_envs.scene import Deformable, Hinge, RigidBody
 from gauge_envs.scene.hinged import joint_fields
 from gauge_envs.scene.profiles import Profile, SampledProfile
 from gauge_envs.tools.catalog.listing import engine_rows
 from gauge_envs.tools.catalog.spaces import action_rows, observation_rows
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.tasks import ControlTask
 
 
 class Limit(FileModel):
@@ -287,21 +283,4 @@ def _recorded_note(record: DriverRecord) -> str:
     return (
         f"mean motion of the body in {record.trial_count} imported trials, from its calibrated start, which is "
         f"{record.start_offset_mm:.2g} mm from theirs; its motions leave {record.residual_mm:.2g} mm{angle} out (rms)"
-    )
-
-
-def control_description(task: ControlTask) -> dict[str, Any]:
-    """Return what defines one control task, JSON-ready."""
-    env = gymnasium.make(task.id).unwrapped
-    assert isinstance(env, ControlEnv)
-    bases = [base for base in type(env).__mro__ if issubclass(base, ControlEnv) and base is not ControlEnv]
-    return json_ready(
-        {
-            "id": task.id,
-            "scene": env.experiment.id,
-            "duration_s": env.DURATION_S,
-            "observed": env.OBSERVED,
-            "limit": dataclasses.asdict(env.limit),
-            "task": "\n\n".join((inspect.getdoc(base) or "").partition("\n\nArgs:")[0] for base in bases),
-        }
     )

@@ -7,7 +7,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
-from importlib.metadata import PackageNotFoundError, entry_points, version
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,7 @@ from gauge_envs.experiments.variants import Variant, task_files
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id, shortened
 from gauge_envs.references.user_data import has_import
-from gauge_envs.tools.control.tasks import control_tasks
+from gauge_envs.registry import engine_points
 
 STORED = Path(__file__).with_name("overview.json")
 
@@ -38,8 +38,7 @@ def stored_rows(variants: Iterable[Variant]) -> list[dict[str, Any]] | None:
     Whether an engine is installed is looked up, and not whether it works.
     """
     stored = json.loads(STORED.read_bytes())
-    points = {point.name: point.value for point in entry_points(group="gauge_envs.backends")}
-    if stored["inputs"] != inputs() or points != stored["engines"]:
+    if stored["inputs"] != inputs() or {point.name: point.value for point in engine_points()} != stored["engines"]:
         return None
     absent = {}
     for name, modules in stored["modules"].items():
@@ -81,9 +80,3 @@ def _usable_text(backends: Mapping[str, Sequence[str]], *, working: Collection[s
     if len(usable) > 2 and len(others) < 2:
         return f"all {len(usable)}" if not others else f"all but {others[0]}"
     return ", ".join(usable) or "none"
-
-
-def control_summary() -> str:
-    """Return the control tasks in a line."""
-    ids = [task.id for task in control_tasks()]
-    return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"

@@ -1,4 +1,4 @@
-"""Experiments and control tasks in words: the list, and each in full."""
+"""Experiments in words: the list, and each in full."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
@@ -10,7 +10,6 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
-    ENGINE_TITLES,
     GRADE_NOTES,
     METRIC_TITLES,
     NORMALIZED_NOTE,
@@ -20,10 +19,10 @@ from gauge_envs.pages.text import (
     score_text,
     shortened,
     vector_text,
-    with_unit,
 )
 from gauge_envs.references.bands import SigmaSource
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
 SIGMA_NOTES = {
@@ -35,24 +34,6 @@ SIGMA_NOTES = {
 
 SHORT_NOTE = "Engines: score over that of real trials, as published (GAUGE, Table 5)."
 COST_NOTE = "s/s: processor time over simulated time, least and most of the family's ids (studies/cost)."
-
-
-def control_document(values: Mapping[str, Any]) -> Document:
-    """Return the dictionary of `control_description` in words."""
-    limit = values["limit"]
-    value = with_unit(f"{limit['value']:.4g} +- {limit['sigma']:.2g}", limit["unit"])
-    facts = {
-        "scene": f"that of {values['scene']}, with the action instead of the driver",
-        "episode": f"{values['duration_s']:g} s, one step is 1/30 s",
-        "observed": ", ".join(values["observed"]),
-        "law": limit["law"],
-        "limit": f"{limit['quantity']}: {value}",
-        "uncertainty": limit["sigma_source"],
-    }
-    title = Paragraph(f"{values['id']}  control task", Tone.ANSWER)
-    # Docstrings are wrapped at the width of the code.
-    task = (Paragraph(" ".join(lines.split())) for lines in values["task"].split("\n\n"))
-    return Document(parts=(title, Facts(facts), Heading("Task"), *task), rows=[values])
 
 
 def experiment_document(values: Mapping[str, Any], *, detailed: bool) -> Document:
@@ -319,7 +300,7 @@ def published_table(
             *columns,
             Column("metric", "metric", METRIC_TITLES.__getitem__),
             Column("", "real trials", trials, is_number=True),
-            *(Column(f"engines.{key}", engine, score_text, is_number=True) for key, engine in ENGINE_TITLES.items()),
+            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in PUBLISHED_ENGINES.items()),
         ),
         rows=lines,
         notes=(note,) if lines else (),

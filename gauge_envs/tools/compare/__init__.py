@@ -2,29 +2,29 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.compare.comparison import Cell, Comparison, ExperimentComparison, compare
-    from gauge_envs.tools.compare.grades import DIFFERENT, PUBLISHED, GradeComparison, GradeScore, PairComparison
-    from gauge_envs.tools.compare.words import comparison_document, deciding_text, mean_rank_text, p_text, verdict_text
-
-__all__ = [
-    "DIFFERENT",
-    "PUBLISHED",
-    "Cell",
-    "Comparison",
-    "ExperimentComparison",
-    "GradeComparison",
-    "GradeScore",
-    "PairComparison",
-    "compare",
-    "comparison_document",
-    "deciding_text",
-    "mean_rank_text",
-    "p_text",
-    "verdict_text",
-]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "comparison", "grades", "words")
+    from gauge_envs.tools.compare.comparison import (
+        Cell as Cell,
+        Comparison as Comparison,
+        ExperimentComparison as ExperimentComparison,
+        compare as compare,
+    )
+    from gauge_envs.tools.compare.grades import (
+        DIFFERENT as DIFFERENT,
+        PUBLISHED as PUBLISHED,
+        GradeComparison as GradeComparison,
+        GradeScore as GradeScore,
+        PairComparison as PairComparison,
+    )
+    from gauge_envs.tools.compare.words import (
+        comparison_document as comparison_document,
+        cost_text as cost_text,
+        deciding_text as deciding_text,
+        mean_rank_text as mean_rank_text,
+        p_text as p_text,
+        verdict_text as verdict_text,
+    )
+else:
+    __getattr__, __all__ = door(__name__)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
 from gauge_envs.cli import arguments
-from gauge_envs.cli.commands import DRAWINGS, load
 from gauge_envs.cli.output import Format, echo, note, print_document
 from gauge_envs.cli.results import loaded_results
 from gauge_envs.errors import ParameterError, UnknownNameError
+from gauge_envs.registry import instruments_by
+
+KINDS = instruments_by("pictures")
+"""Instrument of each kind of picture."""
 
 
 def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEXT) -> bool:
@@ -35,7 +38,7 @@ def compare(sources: arguments.Sources = None, form: arguments.Form = Format.TEX
 
 def plot(
     sources: arguments.Sources = None,
-    kind: Annotated[str, typer.Option(help=f"{', '.join(DRAWINGS)}, which is the error over cost.")] = "experiments",
+    kind: Annotated[str, typer.Option(help=f"{', '.join(KINDS)}, which is the error over cost.")] = "experiments",
     out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("plots"),
     name: Annotated[str | None, typer.Option("--id", metavar="ID", help="With diagnose: of trajectory files.")] = None,
     use: arguments.Use = "",
@@ -45,12 +48,12 @@ def plot(
     Details after the results: metric=rmse and corrected=false for compare; order=release,offset,rate and
     measured_only=true for diagnose. Cost needs results with several steps. Exit code 1 when a damaged file was skipped.
     """
-    if kind not in DRAWINGS:
-        raise UnknownNameError("kind of picture", kind, DRAWINGS)
+    if kind not in KINDS:
+        raise UnknownNameError("kind of picture", kind, KINDS)
     options: dict[str, Any] = {key: value for key, value in {"name": name, "use": use}.items() if value}
     if options and kind != "diagnose":
         raise ParameterError("--id and --use go with --kind diagnose: leave them out")
-    files, skipped = load(DRAWINGS[kind], f"draw {kind}")(sources, out, **options)
+    files, skipped = KINDS[kind].function(f"draw {kind}")(sources, out, **options)
     for file in files:
         echo(file)
     return bool(skipped)
@@ -73,24 +76,24 @@ def draw_compare(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Pat
     return save_comparison(list(results.values()), out, metric=next(iter(names), None)), skipped
 
 
-def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterator[Path], int]:
+def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
     """Write error over cost as a picture, in Markdown and in JSON."""
+    from gauge_envs.pages.document import as_markdown, as_rows, save_file
+    from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.compare.cost import cost_curves, cost_document, draw_costs
+
     results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
-
-    def written() -> Iterator[Path]:
-        from gauge_envs.pages.document import as_markdown, as_rows, save_file
-        from gauge_envs.pages.figures import save_png
-        from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
-
-        found = tradeoff(results.values())
-        for text in found.notes:
-            note(text)
-        document = pareto_document(found)
-        yield save_png(draw_pareto(found), out / "pareto.png")
-        yield save_file(out / "pareto.md", as_markdown(document))
-        yield save_file(out / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
-
-    return written(), skipped
+    notes: list[str] = []
+    curves = cost_curves(results.values(), notes)
+    for text in dict.fromkeys(notes):
+        note(text)
+    document = cost_document(curves)
+    files = (
+        save_png(draw_costs(curves), out / "pareto.png"),
+        save_file(out / "pareto.md", as_markdown(document)),
+        save_file(out / "pareto.json", json.dumps(as_rows(document), indent=1) + "\n"),
+    )
+    return files, skipped
 
 
 def _split_details(words: Sequence[str] | None) -> tuple[list[str], list[str], bool]:

@@ -9,6 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import mean_period_s
+from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -25,8 +27,8 @@ from gauge_envs.scene import (
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, push
-from gauge_envs.tools.conformance.laws import mean_period_s, pendulum_period_s
+from gauge_envs.tools.bench.parts import body
+from gauge_envs.tools.conformance.lab import Lab, push
 from gauge_envs.tools.conformance.model import Check, Measurement, Recorded, Tolerance
 
 

@@ -22,8 +22,9 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
-from gauge_envs.tools.conformance.lab import Lab, body, box
-from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, inertia_kg_m2, largest_mm, torque_free_orientation
+from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import inertia_kg_m2, largest_mm, torque_free_orientation
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins, spinning_brick, spinning_solid
 

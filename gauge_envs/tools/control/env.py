@@ -1,4 +1,9 @@
-"""Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials."""
+"""Base of the control tasks: a calibrated scene whose driver is the action, stepped at the frame rate of the trials.
+
+The module of a task reads in the order of dm_control's suite: constants; the scene and its limit; *physics*, which
+drives the world and reads quantities from it; *task*, which starts, observes and ends an episode; *reward*; and the
+policy of the law.
+"""
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Mapping
@@ -11,24 +16,22 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import World
 from gauge_envs.backends.settings import check_drive_interval
+from gauge_envs.envs.arguments import checked_action
 from gauge_envs.envs.base import SimulationEnvironment
 from gauge_envs.envs.divergence import DeformableBounds, speed_fault
-from gauge_envs.envs.lockstep import run_frames
-from gauge_envs.errors import ActionError, EpisodeError, ParameterError
+from gauge_envs.envs.pictures import Pictures
+from gauge_envs.envs.stepper import run_frame
+from gauge_envs.errors import EpisodeError, ParameterError
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant, find_variant
 from gauge_envs.references.sensitivities import input_uncertainties
-from gauge_envs.rendering.lazy import Pictures
 from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 from gauge_envs.tools.control.limit import Ending, Limit, LimitReport, pair_friction
-
-Frame = Generator[None, None, tuple[float, Ending | None]]
-"""A frame of a task, which yields where the world must advance by 1/180 s, and returns reward and ending."""
 
 Step = tuple[FloatArray, float, bool, bool, dict[str, Any]]
 """What `step` returns."""
@@ -44,7 +47,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     for bit, also in another process with the same versions of the engine.
 
     Args:
-        variant: Experiment that states the scene, as `Turntable-1-wood`.
+        material: Material of the cube, the ball or the cloth.
         backend: Name of an installed physics engine.
         parameters: `calibrated`, another parameter set of the task file, or overrides such as
             `{"cube.friction": 0.3}`.
@@ -55,7 +58,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         is_world: Whether it is one of many worlds, which get `world` from `ControlWorlds` and build no simulation.
 
     Attributes:
-        FAMILY: Family of the experiment that states the scene.
+        SCENE: Variant that states the scene, without its material, as `Turntable-1`.
         LAW: The law, in words and symbols.
         SIGMA_SOURCE: Source of the limit's uncertainty.
         DURATION_S: Length of an episode [s].
@@ -65,11 +68,12 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         experiment: The experiment, with the drivers and the duration of the task.
         limit: The best that the law allows.
         world: The simulation, or the world of it.
+        moving: Names of the bodies that move.
         rest_nodes_m: Nodes of each deformable body at the start of the episode [m], shape [node_count, 3], by name.
     """
 
     REBUILT: ClassVar[tuple[str, ...]] = ("simulation", "world")
-    FAMILY: ClassVar[str]
+    SCENE: ClassVar[str]
     LAW: ClassVar[str]
     SIGMA_SOURCE: ClassVar[str]
     DURATION_S: ClassVar[float]
@@ -79,7 +83,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def __init__(
         self,
-        variant: str,
+        material: str,
         *,
         backend: str = "mujoco",
         parameters: Parameters = "calibrated",
@@ -90,7 +94,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         is_world: bool = False,
     ) -> None:
         pictures = Pictures(render_mode, width=width, height=height)
-        self._variant = find_variant(variant)
+        self._variant = find_variant(f"{self.SCENE}-{material}")
         stated = load_experiment(self._variant, self._start_parameters(self._variant, parameters))
         scene = replace(self._scene(stated.scene), duration_s=self.DURATION_S)
         experiment = replace(stated, scene=scene, frame_count=self.frame_count)
@@ -99,9 +103,11 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
             self._build(experiment)
             check_drive_interval(self.simulation.settings)
         self._dynamic = tuple(body.name for body in scene.dynamic_bodies)
+        self.moving = (*self._dynamic, *(driver.body for driver in scene.drivers))
         self._frame: int | None = None
         self._ending: Ending | None = None
         self._observations: list[FloatArray] = []
+        self._prepare(scene)
         self.limit = self._limit()
         self.observation_space = spaces.Box(-np.inf, np.inf, (len(self.OBSERVED),), np.float64)
         # Learners act in single precision.
@@ -131,33 +137,45 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         Drivers have no motion of their own; their residual rates state how fast actions may move them.
         """
 
+    def _prepare(self, scene: Scene) -> None:
+        """Compute what stays the same in all episodes, from the scene of the task."""
+
     @abstractmethod
     def _limit(self) -> Limit:
         """Return the best that the law allows."""
+
+    def _limit_of(self, quantity: str, unit: str, value: float, sigma: float) -> Limit:
+        """Return a limit of the task's law; the arguments are those of `Limit`."""
+        return Limit(
+            quantity=quantity, unit=unit, value=value, sigma=sigma, law=self.LAW, sigma_source=self.SIGMA_SOURCE
+        )
 
     def _friction_limit(self, pair: tuple[str, str], quantity: str) -> Limit:
         """Return the limit of a quantity that is at most the friction of two bodies."""
         # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
         calibrated = pair_friction(load_experiment(self._variant).scene, *pair)
-        return Limit(
-            quantity=quantity,
-            unit="1",
-            value=pair_friction(self.experiment.scene, *pair),
-            sigma=input_uncertainties().friction.std(calibrated, self._variant.material),
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+        sigma = input_uncertainties().friction.std(calibrated, self._variant.material)
+        return self._limit_of(quantity, "1", pair_friction(self.experiment.scene, *pair), sigma)
 
     @abstractmethod
     def _begin(self) -> None:
         """Record the start of an episode; the simulation is at it."""
 
     @abstractmethod
-    def _advance(self, command: FloatArray) -> Frame:
-        """Drive a frame with an action; return its reward and, if it ended the episode, the ending.
+    def _drive(self, command: FloatArray) -> None:
+        """Drive the world with an action in the next 1/180 s."""
 
-        It yields before each interval of 1/180 s, when the world is driven, and continues when the world has advanced.
-        """
+    @abstractmethod
+    def _look(self) -> Ending | None:
+        """Read the world, which has advanced by 1/180 s; return the ending, if the episode ended in it."""
+
+    def _frame_ending(self) -> Ending | None:
+        """Return the ending, if the episode ended with the frame, after its last look."""
+        return None
+
+    @abstractmethod
+    def _reward(self, ending: Ending | None) -> float:
+        """Return the reward of the frame, which may have ended the episode."""
 
     @abstractmethod
     def _observation(self) -> FloatArray:
@@ -219,7 +237,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def step(self, action: Any) -> Step:
         """Simulate one frame, 1/30 s."""
-        return run_frames({0: self.frame(action)}, lambda _: self.simulation.advance(SAMPLE_INTERVAL_S))[0]
+        return run_frame(self.frame(action), self.simulation)
 
     def frame(self, action: Any) -> Generator[None, None, Step]:
         """Drive one frame of a world that someone else advances; return what `step` returns.
@@ -228,7 +246,18 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
         frame.
         """
         self._check_running(started=self._frame is not None, is_over=self._ending is not None)
-        reward, ending = yield from self._advance(self._checked(action))
+        return self._run(checked_action(action, self.action_space))
+
+    def _run(self, command: FloatArray) -> Generator[None, None, Step]:
+        ending = None
+        for _ in range(SAMPLES_PER_FRAME):
+            self._drive(command)
+            yield
+            ending = self._look()
+            if ending is not None:
+                break
+        ending = ending or self._frame_ending()
+        reward = self._reward(ending)
         self._frame = (self._frame or 0) + 1
         info = self._info()
         fault = self._fault()
@@ -254,18 +283,6 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _info(self) -> dict[str, Any]:
         return {"frame": self._frame, "time_s": self.time_s}
-
-    def _checked(self, action: Any) -> FloatArray:
-        try:
-            command = np.asarray(action, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise ActionError(f"action {action!r} is not an array of numbers") from error
-        if command.shape != self.action_space.shape:
-            raise ActionError(f"action has shape {command.shape}, expected {self.action_space.shape}")
-        # A comparison with NaN is false.
-        if not (np.abs(command) <= 1.0).all():
-            raise ActionError(f"action {command.tolist()} must be numbers from -1 to 1")
-        return command
 
     def _fault(self) -> str | None:
         """Return why the simulation counts as diverged, or None."""
@@ -301,8 +318,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def moving_poses(self) -> dict[str, FloatArray]:
         """Return position [m] and quaternion of each body that moves, shape [7], by name."""
-        moving = (*self._dynamic, *(driver.body for driver in self.experiment.scene.drivers))
-        return dict(zip(moving, self.world.body_states(moving)[:, :7], strict=True))
+        return dict(zip(self.moving, self.world.body_states(self.moving)[:, :7], strict=True))
 
     def nodes_m(self) -> dict[str, FloatArray]:
         """Return the nodes of each deformable body now [m], shape [node_count, 3], by name."""

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Scene
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.profiles import CosineProfile
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 from gauge_envs.tools.control.stage import FRAME_S, Stage, stage_driver
 
@@ -56,7 +56,7 @@ class FlingLimit(ControlEnv):
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
     """
 
-    FAMILY = "TextileFlinging"
+    SCENE = "TextileFlinging"
     LAW = "seen from the rod, sqrt(2 E / M) grows by |dv| at most, so g h <= U^2 / 2 with U the sum of all |dv|"
     SIGMA_SOURCE = "the rod's largest speed in the recording, half of U: 0.67 +- 0.05 m/s"
 
@@ -75,15 +75,6 @@ class FlingLimit(ControlEnv):
     )
     _at_time_limit = Ending.MISSED
 
-    def __init__(self, material: str = "satin", **options: Any) -> None:
-        super().__init__(f"{self.FAMILY}-{material}", **options)
-        scene = self.experiment.scene
-        (recorded,) = load_experiment(self._variant).scene.drivers[0].motions[0].profiles
-        assert isinstance(recorded, CosineProfile)
-        self._most_m_per_s2 = recorded.largest_rate * math.pi / recorded.duration_s
-        self._stroke_m = 0.5 * abs(recorded.amount)
-        self._stage = Stage(scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m]))
-
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene, in which actions translate the rod."""
         (motion,) = stated.drivers[0].motions
@@ -91,23 +82,33 @@ class FlingLimit(ControlEnv):
             stated, drivers=(stage_driver(ROD, (motion.axis,), largest_speed_m_per_s=motion.profiles[0].largest_rate),)
         )
 
-    @property
-    def _speed_m_per_s(self) -> float:
-        """Sum of all changes of the rod's speed: it speeds up to the largest speed and brakes."""
-        return 2.0 * self.experiment.scene.drivers[0].motions[0].residual_rate
+    def _prepare(self, scene: Scene) -> None:
+        (recorded,) = load_experiment(self._variant).scene.drivers[0].motions[0].profiles
+        assert isinstance(recorded, CosineProfile)
+        self._most_m_per_s2 = recorded.largest_rate * math.pi / recorded.duration_s
+        # The rod speeds up to its largest speed and brakes.
+        self._speed_m_per_s = 2.0 * scene.drivers[0].motions[0].residual_rate
+        self._stroke_m = 0.5 * abs(recorded.amount)
+        self._stage = Stage(scene.drivers[0], scene.body(ROD).pose, stroke_m=np.array([self._stroke_m]))
 
     def _limit(self) -> Limit:
         value = 0.5 * self._speed_m_per_s**2 / self.experiment.scene.gravity_m_per_s2
-        return Limit(
-            quantity="rise of the centre of mass",
-            unit="m",
-            value=value,
-            sigma=2.0 * SPEED_SIGMA * value,
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+        return self._limit_of("rise of the centre of mass", "m", value, 2.0 * SPEED_SIGMA * value)
 
-    # --- rollout ---
+    # --- physics ---
+
+    def _drive(self, command: FloatArray) -> None:
+        """Accelerate the rod, by no more than the speed that is left."""
+        self._rate_before = self._stage.rate_m_per_s[0]
+        most = self._left_m_per_s / SAMPLE_INTERVAL_S
+        self._stage.drive(self.world, np.clip(command * self._most_m_per_s2, -most, most))
+
+    def _places(self) -> FloatArray:
+        """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
+        (nodes_m,) = self.nodes_m().values()
+        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset_m[0], 0.0]
+
+    # --- task ---
 
     def _begin(self) -> None:
         self._stage.begin()
@@ -116,33 +117,23 @@ class FlingLimit(ControlEnv):
         self._weights = place_weights(cloth, self.rest_nodes_m[cloth.name])
         self._start_m = self._places()
         self._places_m, self._velocities = np.zeros((2, *self._start_m.shape))
-        self._left_m_per_s, self._highest_m = self._speed_m_per_s, 0.0
+        self._left_m_per_s = self._speed_m_per_s
+        self._highest_m = self._rewarded_m = 0.0
 
-    def _places(self) -> FloatArray:
-        """Return y and z of centre and lines, seen from the rod [m], shape [1 + line_count, 2]."""
-        (nodes_m,) = self.nodes_m().values()
-        return (self._weights @ nodes_m)[:, 1:] - [self._stage.offset_m[0], 0.0]
-
-    def _advance(self, command: FloatArray) -> Frame:
-        before_m, ending = self._highest_m, None
-        for _ in range(SAMPLES_PER_FRAME):
-            rate, rises = self._stage.rate_m_per_s[0], self._velocities[0, 1] > 0.0
-            most = self._left_m_per_s / SAMPLE_INTERVAL_S
-            self._stage.drive(self.world, np.clip(command * self._most_m_per_s2, -most, most))
-            yield
-            places_m = self._places() - self._start_m
-            self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
-            self._places_m = places_m
-            if abs(self._stage.offset_m[0]) >= self._stroke_m:
-                ending = Ending.LOST
-                break
-            self._left_m_per_s = max(self._left_m_per_s - abs(float(self._stage.rate_m_per_s[0] - rate)), 0.0)
-            self._highest_m = max(self._highest_m, float(places_m[0, 1]))
-            # What is left after the last push is a rounding error.
-            if self._left_m_per_s < 1e-9 and rises and self._velocities[0, 1] <= 0.0:
-                ending = Ending.REACHED
-                break
-        return (self._highest_m - before_m) / self.limit.value, ending
+    def _look(self) -> Ending | None:
+        rose = self._velocities[0, 1] > 0.0
+        places_m = self._places() - self._start_m
+        self._velocities = (places_m - self._places_m) / SAMPLE_INTERVAL_S
+        self._places_m = places_m
+        if abs(self._stage.offset_m[0]) >= self._stroke_m:
+            return Ending.LOST
+        change = abs(float(self._stage.rate_m_per_s[0] - self._rate_before))
+        self._left_m_per_s = max(self._left_m_per_s - change, 0.0)
+        self._highest_m = max(self._highest_m, float(places_m[0, 1]))
+        # What is left after the last push is a rounding error.
+        if self._left_m_per_s < 1e-9 and rose and self._velocities[0, 1] <= 0.0:
+            return Ending.REACHED
+        return None
 
     def _observation(self) -> FloatArray:
         return np.array(
@@ -157,8 +148,17 @@ class FlingLimit(ControlEnv):
             ]
         )
 
+    # --- reward ---
+
+    def _reward(self, ending: Ending | None) -> float:
+        gained_m = self._highest_m - self._rewarded_m
+        self._rewarded_m = self._highest_m
+        return gained_m / self.limit.value
+
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0
+
+    # --- policy of the law ---
 
     def _law_command(self, fraction: float) -> float:
         """Return the action that turns the rod's speed, fraction U / 9, against the swing at its lowest point."""

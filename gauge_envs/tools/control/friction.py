@@ -2,16 +2,15 @@
 
 import math
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.scene import Scene
-from gauge_envs.scene.geometry import Pose, vector
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.scene.geometry import FloatArray, Pose, vector
+from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 
 CUBE = "cube"
@@ -37,15 +36,15 @@ the law allows, 0.8 to 1.2 % of it.
 class _Turned:
     """A vector that turns about an axis."""
 
-    def __init__(self, axis: NDArray[np.float64], start: NDArray[np.float64]) -> None:
+    def __init__(self, axis: FloatArray, start: FloatArray) -> None:
         self._along = axis * (axis @ start)
         self._across, self._aside = start - self._along, np.cross(axis, start)
 
-    def at(self, angle_rad: float) -> NDArray[np.float64]:
+    def at(self, angle_rad: float) -> FloatArray:
         """Return the vector at an angle."""
         return self._along + math.cos(angle_rad) * self._across + math.sin(angle_rad) * self._aside
 
-    def rate(self, angle_rad: float) -> NDArray[np.float64]:
+    def rate(self, angle_rad: float) -> FloatArray:
         """Return its derivative by the angle."""
         return math.cos(angle_rad) * self._aside - math.sin(angle_rad) * self._across
 
@@ -80,11 +79,9 @@ class FrictionLimit(ControlEnv):
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
 
     Attributes:
-        SUBTASK: Subtask of the experiment that states the scene.
         ACCELERATION_RAD_PER_S2: Angular acceleration that an action of 1 commands.
     """
 
-    SUBTASK: ClassVar[str]
     ACCELERATION_RAD_PER_S2: ClassVar[float]
     COMMANDED: ClassVar[tuple[str, ...]] = ("angular_acceleration",)
     OBSERVED: ClassVar[tuple[str, ...]] = (
@@ -95,14 +92,24 @@ class FrictionLimit(ControlEnv):
         "time_s",
     )
     _at_time_limit = Ending.HELD
+    _pose: Pose
+    _velocity: FloatArray
+    _corners_on_carrier: FloatArray
 
-    def __init__(self, material: str, **options: Any) -> None:
-        super().__init__(f"{self.FAMILY}-{self.SUBTASK}-{material}", **options)
-        scene = self.experiment.scene
+    def _scene(self, stated: Scene) -> Scene:
+        """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
+        driver = stated.drivers[0]
+        fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
+        motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
+        return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
+
+    def _prepare(self, scene: Scene) -> None:
         driver = scene.drivers[0]
-        motion, self._start = driver.motions[0], scene.body(driver.body).pose
+        motion = driver.motions[0]
+        self._start = scene.body(driver.body).pose
         self._carrier = driver.body
-        self._axis, self._point_m = np.asarray(motion.axis), np.asarray(motion.point_m)
+        self._axis = np.asarray(motion.axis)
+        self._point_m = np.asarray(motion.point_m)
         self._place = _Turned(self._axis, np.asarray(self._start.position_m) - self._point_m)
         self._normal = _Turned(self._axis, self._start.rotation.apply((0.0, 0.0, 1.0)))
         self._quaternion = np.array(self._start.quaternion)
@@ -114,51 +121,17 @@ class FrictionLimit(ControlEnv):
         self._gravity = np.array([0.0, 0.0, -scene.gravity_m_per_s2])
         self._corners_m = scene.body(CUBE).shape.corners_m
 
-    def _scene(self, stated: Scene) -> Scene:
-        """Return the scene, in which the carrier turns about the axis of the experiment by actions alone."""
-        driver = stated.drivers[0]
-        fastest = self.ACCELERATION_RAD_PER_S2 * self.DURATION_S
-        motion = replace(driver.motions[0], profiles=(), residual_rate=fastest)
-        return replace(stated, drivers=(replace(driver, motions=(motion,), provenance="action"),))
-
     def _limit(self) -> Limit:
         return self._friction_limit((CUBE, self.experiment.scene.drivers[0].body), "friction used")
 
-    @property
-    def largest_reward(self) -> float:
-        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
-        return self.limit.value * (self.frame_count - 1)
+    # --- physics ---
 
-    # --- rollout ---
-
-    def _begin(self) -> None:
-        self._angle = self._rate = 0.0
-        self._pose = self._start
-        self._velocity = np.zeros(6)
-        self._used: list[float] = []
-        self._used_now = 0.0
-        self._slip_m_per_s = 0.0
-        self._corners_on_carrier = self._corners()
-
-    def _advance(self, command: NDArray[np.float64]) -> Frame:
-        acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
-        used = []
-        for _ in range(SAMPLES_PER_FRAME):
-            self._turn(acceleration)
-            yield
-            used.append(self._friction_used(acceleration))
-        self._used_now = sum(used) / len(used)
-        self._slip_m_per_s = self._slip()
-        if not self._slip_m_per_s < SLIP_SPEED_M_PER_S:
-            return -sum(self._used[-HOLD_FRAMES:]), Ending.SLIPPED
-        self._used.append(self._used_now)
-        return self._used_now, None
-
-    def _turn(self, acceleration: float) -> None:
-        """Turn the carrier in the next 1/180 s with a uniform acceleration."""
+    def _drive(self, command: FloatArray) -> None:
+        """Turn the carrier with a uniform acceleration."""
         step, before = SAMPLE_INTERVAL_S, self._angle
-        self._angle += (self._rate + 0.5 * acceleration * step) * step
-        self._rate += acceleration * step
+        self._acceleration = float(command[0]) * self.ACCELERATION_RAD_PER_S2
+        self._angle += (self._rate + 0.5 * self._acceleration * step) * step
+        self._rate += self._acceleration * step
         pose = self._carrier_pose()
         # A uniform acceleration that ends exactly at the pose.
         moved_m = np.subtract(pose.position_m, self._pose.position_m)
@@ -173,14 +146,14 @@ class FrictionLimit(ControlEnv):
         w, x, y, z = (math.cos(half) * self._quaternion + math.sin(half) * self._half_turned).tolist()
         return Pose(position_m=vector(self._point_m + self._place.at(self._angle)), quaternion=(w, x, y, z))
 
-    def _friction_used(self, acceleration: float) -> float:
+    def _friction_used(self) -> float:
         """Return the friction used: tangential over normal part of the force that carries the cube."""
         around = self._turning @ (self.world.body_states((CUBE,))[0, :3] - self._point_m)
-        force = acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
-        held = float(force @ self._normal.at(self._angle))
-        return math.sqrt(max(float(force @ force) - held**2, 0.0)) / held
+        force = self._acceleration * around + self._rate**2 * (self._turning @ around) - self._gravity
+        normal = float(force @ self._normal.at(self._angle))
+        return math.sqrt(max(float(force @ force) - normal**2, 0.0)) / normal
 
-    def _corners(self) -> NDArray[np.float64]:
+    def _corners(self) -> FloatArray:
         """Return the corners of the cube in the frame of the carrier [m], shape [8, 3]."""
         state = self.world.body_states((CUBE,))[0]
         rotation = Rotation.from_quat(state[3:7], scalar_first=True)
@@ -193,17 +166,52 @@ class FrictionLimit(ControlEnv):
         self._corners_on_carrier = corners
         return float(displacement_m) * FRAME_RATE_HZ
 
-    def _observation(self) -> NDArray[np.float64]:
-        slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
-        return np.array([self._angle, self._rate, self._used_now, slip, self.time_s])
-
-    def _reached(self) -> float:
-        if len(self._used) < HOLD_FRAMES:
-            return 0.0
-        return float(np.convolve(self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid").max())
-
     @property
     def _cube_radius_m(self) -> float:
         """Distance of the cube from the axis [m]."""
         arm = self.world.body_states((CUBE,))[0, :3] - self._point_m
         return float(np.linalg.norm(arm - self._axis * (self._axis @ arm)))
+
+    # --- task ---
+
+    def _begin(self) -> None:
+        self._angle = self._rate = 0.0
+        self._pose = self._start
+        self._velocity = np.zeros(6)
+        self._used: list[float] = []
+        self._used_in_frame: list[float] = []
+        self._used_now = 0.0
+        self._slip_m_per_s = 0.0
+        self._corners_on_carrier = self._corners()
+
+    def _look(self) -> None:
+        self._used_in_frame.append(self._friction_used())
+
+    def _frame_ending(self) -> Ending | None:
+        self._used_now = sum(self._used_in_frame) / len(self._used_in_frame)
+        self._used_in_frame = []
+        self._slip_m_per_s = self._slip()
+        # A comparison with NaN is false.
+        return None if self._slip_m_per_s < SLIP_SPEED_M_PER_S else Ending.SLIPPED
+
+    def _observation(self) -> FloatArray:
+        slip = self._slip_m_per_s / SLIP_SPEED_M_PER_S
+        return np.array([self._angle, self._rate, self._used_now, slip, self.time_s])
+
+    # --- reward ---
+
+    @property
+    def largest_reward(self) -> float:
+        """The friction used in each step, at most mu; what a slip's speed adds is left out."""
+        return self.limit.value * (self.frame_count - 1)
+
+    def _reward(self, ending: Ending | None) -> float:
+        if ending is Ending.SLIPPED:
+            return -sum(self._used[-HOLD_FRAMES:])
+        self._used.append(self._used_now)
+        return self._used_now
+
+    def _reached(self) -> float:
+        if len(self._used) < HOLD_FRAMES:
+            return 0.0
+        return float(np.convolve(self._used, np.ones(HOLD_FRAMES) / HOLD_FRAMES, mode="valid").max())

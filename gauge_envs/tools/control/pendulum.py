@@ -6,15 +6,15 @@ from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.scene import Hinge, Scene, Sphere
-from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
 
 BALL = "ball"
@@ -59,7 +59,7 @@ class PendulumLimit(ControlEnv):
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
     """
 
-    FAMILY = "Pendulum"
+    SCENE = "Pendulum"
     LAW = "W >= m g h, so h / W <= 1 / (m g)"
     SIGMA_SOURCE = (
         "length from the recorded period, 0.270 +- 0.004 m, which gives the height at an angle; mass to 0.1 g"
@@ -80,17 +80,6 @@ class PendulumLimit(ControlEnv):
     )
     _at_time_limit = Ending.MISSED
 
-    def __init__(self, material: str = "metal", **options: Any) -> None:
-        super().__init__(f"{self.FAMILY}-{material}", **options)
-        scene = self.experiment.scene
-        hinge, ball = scene.joints[0], scene.body(BALL)
-        assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
-        self._anchor_m, self._axis = np.asarray(hinge.anchor_m), np.asarray(hinge.axis)
-        self._hanging = np.asarray(ball.pose.position_m) - self._anchor_m
-        self._sideways = np.cross(self._axis, self._hanging)
-        self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
-        self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
-
     def _start_parameters(self, variant: Variant, parameters: Parameters) -> Parameters:
         """Return the parameters, with the ball hanging straight down."""
         return dict(load_experiment(variant, parameters).overrides) | {f"{BALL}.euler_deg": (0.0, 0.0, 0.0)}
@@ -99,19 +88,24 @@ class PendulumLimit(ControlEnv):
         """Return the scene without drivers: the motor is a torque."""
         return replace(stated, drivers=())
 
-    @property
-    def _weight_n(self) -> float:
-        scene = self.experiment.scene
-        return scene.body(BALL).mass_kg * scene.gravity_m_per_s2
+    def _prepare(self, scene: Scene) -> None:
+        hinge, ball = scene.joints[0], scene.body(BALL)
+        assert isinstance(hinge, Hinge) and isinstance(ball.shape, Sphere)
+        self._anchor_m = np.asarray(hinge.anchor_m)
+        self._axis = np.asarray(hinge.axis)
+        self._hanging = np.asarray(ball.pose.position_m) - self._anchor_m
+        self._sideways = np.cross(self._axis, self._hanging)
+        self._length_m = math.dist(ball.pose.position_m, hinge.anchor_m)
+        self._weight_n = ball.mass_kg * scene.gravity_m_per_s2
+        self._inertia_kg_m2 = ball.mass_kg * (self._length_m**2 + 0.4 * ball.shape.radius_m**2)
+        self._largest_torque_n_m = TORQUE_SHARE * self._weight_n * self._length_m
+        self._target_m = self._length_m * (1.0 - math.cos(TARGET_RAD))
 
-    @property
-    def _length_m(self) -> float:
-        scene = self.experiment.scene
-        return math.dist(scene.body(BALL).pose.position_m, scene.joints[0].anchor_m)
-
-    @property
-    def _target_m(self) -> float:
-        return self._length_m * (1.0 - math.cos(TARGET_RAD))
+    def _limit(self) -> Limit:
+        value = 1.0 / self._weight_n
+        mass_kg = self.experiment.scene.body(BALL).mass_kg
+        sigma = value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / mass_kg)
+        return self._limit_of("height over work", "m/J", value, sigma)
 
     def reach(self) -> ReferencePath:
         """Return the ball's places from the target on one side to that on the other."""
@@ -119,22 +113,11 @@ class PendulumLimit(ControlEnv):
         arms = np.outer(np.cos(angles), self._hanging) + np.outer(np.sin(angles), self._sideways)
         return ReferencePath(names=(BALL,), places_m=(self._anchor_m + arms)[:, None], is_full=True)
 
-    def _limit(self) -> Limit:
-        value = 1.0 / self._weight_n
-        return Limit(
-            quantity="height over work",
-            unit="m/J",
-            value=value,
-            sigma=value * math.hypot(LENGTH_SIGMA, MASS_SIGMA_KG / self.experiment.scene.body(BALL).mass_kg),
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+    # --- physics ---
 
-    # --- rollout ---
-
-    def _begin(self) -> None:
-        self._angle, self._rate = self._swing()
-        self._highest_m = self._work_j = 0.0
+    def _drive(self, command: FloatArray) -> None:
+        self._torque_n_m = float(command[0]) * self._largest_torque_n_m
+        self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(self._torque_n_m * self._axis)]))
 
     def _swing(self) -> tuple[float, float]:
         """Return the angle from hanging [rad] and its rate [rad/s]."""
@@ -143,30 +126,48 @@ class PendulumLimit(ControlEnv):
         angle = math.atan2(float(arm @ self._sideways), float(arm @ self._hanging))
         return angle, float(self._axis @ state[10:])
 
-    def _advance(self, command: NDArray[np.float64]) -> Frame:
-        torque = float(command[0]) * self._largest_torque_n_m
-        self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(torque * self._axis)]))
-        highest_m, work_j = self._highest_m, self._work_j
-        for _ in range(SAMPLES_PER_FRAME):
-            yield
-            before, (self._angle, self._rate) = self._angle, self._swing()
-            self._work_j += max(torque * (self._angle - before), 0.0)
-            self._highest_m = max(self._highest_m, self._length_m * (1.0 - math.cos(self._angle)))
-            if self._highest_m >= self._target_m:
-                break
-        self._highest_m = min(self._highest_m, self._target_m)
-        gained = (self._highest_m - highest_m) / self._target_m
-        spent = (self._work_j - work_j) / (self._weight_n * self._target_m)
-        return 2.0 * gained - spent, Ending.REACHED if self._highest_m == self._target_m else None
+    def _acceleration(self, torque: float) -> float:
+        """Return the angular acceleration [rad/s^2]."""
+        return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
 
-    def _observation(self) -> NDArray[np.float64]:
+    def _rotation(self, torque: float, seconds: float) -> float:
+        """Return the rotation in the next `seconds` [rad], to second order."""
+        return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds
+
+    # --- task ---
+
+    def _begin(self) -> None:
+        self._angle, self._rate = self._swing()
+        self._highest_m = self._rewarded_m = 0.0
+        self._work_j = self._charged_j = 0.0
+
+    def _look(self) -> Ending | None:
+        before = self._angle
+        self._angle, self._rate = self._swing()
+        self._work_j += max(self._torque_n_m * (self._angle - before), 0.0)
+        height_m = self._length_m * (1.0 - math.cos(self._angle))
+        self._highest_m = min(max(self._highest_m, height_m), self._target_m)
+        return Ending.REACHED if self._highest_m == self._target_m else None
+
+    def _observation(self) -> FloatArray:
         least_j = self._weight_n * self._target_m
         return np.array(
             [self._angle, self._rate, self._highest_m / self._target_m, self._work_j / least_j, self.time_s]
         )
 
+    # --- reward ---
+
+    def _reward(self, ending: Ending | None) -> float:
+        gained = (self._highest_m - self._rewarded_m) / self._target_m
+        spent = (self._work_j - self._charged_j) / (self._weight_n * self._target_m)
+        self._rewarded_m = self._highest_m
+        self._charged_j = self._work_j
+        return 2.0 * gained - spent
+
     def _reached(self) -> float:
         return self._target_m / self._work_j if self._highest_m == self._target_m else 0.0
+
+    # --- policy of the law ---
 
     def _law_command(self, fraction: float) -> float:
         """Return a torque along the swing until the work is m g h_t / fraction, and then 0.
@@ -184,11 +185,3 @@ class PendulumLimit(ControlEnv):
         for _ in range(5):
             torque = direction * min(self._largest_torque_n_m, left_j / abs(self._rotation(torque, frame_s)))
         return torque / self._largest_torque_n_m
-
-    def _acceleration(self, torque: float) -> float:
-        """Return the angular acceleration [rad/s^2]."""
-        return (torque - self._weight_n * self._length_m * math.sin(self._angle)) / self._inertia_kg_m2
-
-    def _rotation(self, torque: float, seconds: float) -> float:
-        """Return the rotation in the next `seconds` [rad], to second order."""
-        return (self._rate + 0.5 * self._acceleration(torque) * seconds) * seconds

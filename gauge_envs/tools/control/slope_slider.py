@@ -15,8 +15,7 @@ class SlopeSliderLimit(FrictionLimit):
     changes the friction used, by up to 3 % of the limit; `FrictionLimit` includes that. See there for reward and proof.
     """
 
-    FAMILY = "SlopeSlider"
-    SUBTASK = "3"
+    SCENE = "SlopeSlider-3"
     LAW = "tan(theta) <= mu at rest; while the board accelerates, tangential over normal specific force <= mu"
     SIGMA_SOURCE = (
         "friction of the same cube on the same board in 19 or 20 real trials at 30 degrees: root mean square distance "

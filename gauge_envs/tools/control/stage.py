@@ -11,6 +11,8 @@ from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import FloatArray, Vector, vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
 
+X_AXIS, Y_AXIS, Z_AXIS = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+
 FRAME_S = 1.0 / FRAME_RATE_HZ
 """Time of a step, in which the acceleration is constant [s]."""
 

@@ -2,8 +2,6 @@
 
 from dataclasses import dataclass
 
-from gymnasium.envs.registration import register, registry
-
 from gauge_envs.errors import UnknownNameError
 
 
@@ -31,8 +29,8 @@ _TASKS = {
     "Turntable": ("gauge_envs.tools.control.turntable:TurntableLimit", ("wood", "plastic", "metal")),
     "SlopeSlider": ("gauge_envs.tools.control.slope_slider:SlopeSliderLimit", ("wood", "plastic", "metal")),
     "Pendulum": ("gauge_envs.tools.control.pendulum:PendulumLimit", ("metal",)),
-    "Carry": ("gauge_envs.tools.control.least_time:CarryLimit", ("wood", "plastic", "metal")),
-    "Push": ("gauge_envs.tools.control.least_time:PushLimit", ("wood", "plastic", "metal")),
+    "Carry": ("gauge_envs.tools.control.carry:CarryLimit", ("wood", "plastic", "metal")),
+    "Push": ("gauge_envs.tools.control.push:PushLimit", ("wood", "plastic", "metal")),
     "Throw": ("gauge_envs.tools.control.throw:ThrowLimit", ("rubber",)),
     "Fling": ("gauge_envs.tools.control.fling:FlingLimit", ("satin",)),
 }
@@ -54,15 +52,3 @@ def find_control_task(name: str) -> ControlTask:
         return by_name[name.removeprefix("GAUGE/")]
     except KeyError:
         raise UnknownNameError("control task", name, by_name) from None
-
-
-def register_control_tasks() -> None:
-    """Register every control task with Gymnasium; `import gauge_envs` calls this."""
-    for task in control_tasks():
-        if task.id not in registry:
-            register(
-                id=task.id,
-                entry_point="gauge_envs.tools.control.wrapper:control_env",
-                vector_entry_point="gauge_envs.tools.control.vector:ControlVectorEnv",
-                kwargs={"task": task.name},
-            )

@@ -2,20 +2,27 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.references.sensitivities import input_uncertainties
 from gauge_envs.scene import Scene, Sphere
-from gauge_envs.scene.timing import SAMPLES_PER_FRAME
-from gauge_envs.tools.control.env import ControlEnv, Frame
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.control.env import ControlEnv
 from gauge_envs.tools.control.limit import Ending, Limit
-from gauge_envs.tools.control.stage import FRAME_S, Stage, acceleration_to_rest, stage_driver, with_stage
+from gauge_envs.tools.control.stage import (
+    FRAME_S,
+    X_AXIS,
+    Z_AXIS,
+    Stage,
+    acceleration_to_rest,
+    stage_driver,
+    with_stage,
+)
 
 BALL, PLATE = "ball", "plate"
 
@@ -94,7 +101,7 @@ class ThrowLimit(ControlEnv):
         **options: Keywords of `ControlEnv`: `backend`, `parameters`, `settings`, `render_mode`, `width`, `height`.
     """
 
-    FAMILY = "BouncingBall"
+    SCENE = "BouncingBall"
     LAW = "an impact gives at most e v + (1 + e) V; z + (e v + (1 + e) V)^2 / (2 g) for the best place z, three times"
     SIGMA_SOURCE = (
         "restitution: root mean square distance of 22 real drops from the calibrated coefficient; start height: their "
@@ -121,34 +128,35 @@ class ThrowLimit(ControlEnv):
     )
     _at_time_limit = Ending.MISSED
 
-    def __init__(self, material: str = "rubber", **options: Any) -> None:
-        super().__init__(f"{self.FAMILY}-{material}", **options)
-        scene = self.experiment.scene
-        plate = scene.body(PLATE).pose
-        self._stage = Stage(scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M]))
-        self._plate_x_m = plate.position_m[0]
-        self._zero_m = self._middle_m(scene)
-
     def _scene(self, stated: Scene) -> Scene:
         """Return the scene with a plate beside the ball's vertical."""
         x, y, _ = stated.body(BALL).pose.position_m
         top_m = stated.body("ground").pose.position_m[2] + PLATE_TOP_M
         place_m = (x + ASIDE_M, y, top_m - 0.5 * PLATE_SIZE_M[2])
-        driver = stage_driver(PLATE, ((1.0, 0.0, 0.0), (0.0, 0.0, 1.0)), largest_speed_m_per_s=SPEED_M_PER_S)
+        driver = stage_driver(PLATE, (X_AXIS, Z_AXIS), largest_speed_m_per_s=SPEED_M_PER_S)
         (on_ground,) = stated.contacts
         return with_stage(stated, PLATE, PLATE_SIZE_M, place_m, driver, pushes=BALL, like=on_ground)
 
-    @staticmethod
-    def _middle_m(scene: Scene) -> float:
-        """Return the height of the ball's centre in the world when it lies on the plate at the start [m]."""
-        ball = scene.body(BALL).shape
-        assert isinstance(ball, Sphere)
-        return scene.body(PLATE).pose.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.radius_m
+    def _prepare(self, scene: Scene) -> None:
+        ball, plate = scene.body(BALL), scene.body(PLATE).pose
+        assert isinstance(ball.shape, Sphere)
+        self._stage = Stage(scene.drivers[0], plate, stroke_m=np.array([10.0, STROKE_M]))
+        self._plate_x_m = plate.position_m[0]
+        # The height of the ball's centre in the world when it lies on the plate at the start.
+        self._zero_m = plate.position_m[2] + 0.5 * PLATE_SIZE_M[2] + ball.shape.radius_m
+        self._drop_m = ball.pose.position_m[2] - self._zero_m
 
-    @property
-    def _drop_m(self) -> float:
+    def _limit(self) -> Limit:
         scene = self.experiment.scene
-        return scene.body(BALL).pose.position_m[2] - self._middle_m(scene)
+        (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
+        value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
+        known = input_uncertainties()
+        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
+        (calibrated,) = load_experiment(self._variant).scene.contacts
+        std = known.restitution.std(calibrated.restitution, self._variant.material)
+        by_restitution_m = highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value
+        by_start_m = highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value
+        return self._limit_of("height after three impacts", "m", value, math.hypot(by_restitution_m, by_start_m))
 
     def reach(self) -> ReferencePath:
         """Return the largest height of the ball that the law allows, the plate below it, and the ends of its stroke."""
@@ -160,58 +168,18 @@ class ThrowLimit(ControlEnv):
         places = [[ball, plate], [highest, below], [ball, below - stroke], [ball, below + stroke]]
         return ReferencePath(names=(BALL, PLATE), places_m=np.array(places), is_full=True)
 
-    def _limit(self) -> Limit:
-        scene = self.experiment.scene
-        (restitution,) = (c.restitution for c in scene.contacts if PLATE in c.second)
-        value = highest_m(self._drop_m, restitution, scene.gravity_m_per_s2)
-        known = input_uncertainties()
-        # The uncertainty is that of the calibrated coefficient, also if an override replaces the coefficient.
-        (calibrated,) = load_experiment(self._variant).scene.contacts
-        std = known.restitution.std(calibrated.restitution, self._variant.material)
-        changes = (
-            highest_m(self._drop_m, restitution + std, scene.gravity_m_per_s2) - value,
-            highest_m(self._drop_m + known.start.std, restitution, scene.gravity_m_per_s2) - value,
-        )
-        return Limit(
-            quantity="height after three impacts",
-            unit="m",
-            value=value,
-            sigma=math.hypot(*changes),
-            law=self.LAW,
-            sigma_source=self.SIGMA_SOURCE,
-        )
+    # --- physics ---
 
-    # --- rollout ---
+    def _drive(self, command: FloatArray) -> None:
+        self._was_inside = self._is_inside
+        self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
 
-    def _begin(self) -> None:
-        self._stage.begin()
-        self._impacts = 0
-        self._look()
-        self._highest_m = self._height_m
-
-    def _look(self) -> None:
+    def _read(self) -> None:
         """Read the ball's place and velocity."""
         state = self.world.body_states((BALL,))[0]
-        self._ball_x_m, self._height_m = float(state[0]), float(state[2]) - self._zero_m
+        self._ball_x_m = float(state[0])
+        self._height_m = float(state[2]) - self._zero_m
         self._ball_velocity = state[[7, 9]]
-
-    def _advance(self, command: NDArray[np.float64]) -> Frame:
-        before_m, ending = self._highest_m, None
-        for _ in range(SAMPLES_PER_FRAME):
-            fell, was_inside = self._ball_velocity[1] < 0.0, self._is_inside
-            self._stage.drive(self.world, command * self.ACCELERATION_M_PER_S2)
-            yield
-            self._look()
-            turned = bool(fell and self._ball_velocity[1] > 0.0)
-            self._impacts += turned
-            if self._height_m < -STROKE_M - PLATE_SIZE_M[2] or (turned and not (was_inside and self._is_inside)):
-                ending = Ending.LOST
-                break
-            self._highest_m = max(self._highest_m, self._height_m)
-            if self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
-                ending = Ending.REACHED
-                break
-        return (self._highest_m - before_m) / (self.limit.value - self._drop_m), ending
 
     @property
     def _from_plate_m(self) -> float:
@@ -223,7 +191,29 @@ class ThrowLimit(ControlEnv):
         """Whether the ball is above the plate's top, and not near its edges."""
         return abs(self._from_plate_m) <= 0.5 * PLATE_SIZE_M[0] - EDGE_M
 
-    def _observation(self) -> NDArray[np.float64]:
+    # --- task ---
+
+    def _begin(self) -> None:
+        self._stage.begin()
+        self._impacts = 0
+        self._read()
+        self._highest_m = self._rewarded_m = self._height_m
+
+    def _look(self) -> Ending | None:
+        fell = self._ball_velocity[1] < 0.0
+        self._read()
+        has_turned = bool(fell and self._ball_velocity[1] > 0.0)
+        self._impacts += has_turned
+        if has_turned and not (self._was_inside and self._is_inside):
+            return Ending.LOST
+        if self._height_m < -STROKE_M - PLATE_SIZE_M[2]:
+            return Ending.LOST
+        self._highest_m = max(self._highest_m, self._height_m)
+        if self._impacts >= IMPACTS and self._ball_velocity[1] < 0.0:
+            return Ending.REACHED
+        return None
+
+    def _observation(self) -> FloatArray:
         plate = self._stage
         return np.array(
             [
@@ -237,10 +227,19 @@ class ThrowLimit(ControlEnv):
             ]
         )
 
+    # --- reward ---
+
+    def _reward(self, ending: Ending | None) -> float:
+        gained_m = self._highest_m - self._rewarded_m
+        self._rewarded_m = self._highest_m
+        return gained_m / (self.limit.value - self._drop_m)
+
     def _reached(self) -> float:
         return self._highest_m if self._ending is Ending.REACHED else 0.0
 
-    def _law_command(self, fraction: float) -> NDArray[np.float64]:
+    # --- policy of the law ---
+
+    def _law_command(self, fraction: float) -> FloatArray:
         """Return the action that meets the ball near the top of the stroke with the speed fraction V."""
         gravity = self.experiment.scene.gravity_m_per_s2
         most, speed = self.ACCELERATION_M_PER_S2, fraction * SPEED_M_PER_S

@@ -18,8 +18,7 @@ class TurntableLimit(FrictionLimit):
     used at the current place of the cube.
     """
 
-    FAMILY = "Turntable"
-    SUBTASK = "1"
+    SCENE = "Turntable-1"
     LAW = "sqrt((omega^2 r)^2 + (alpha r)^2) / g <= mu, so at a steady speed omega^2 r = mu g"
     SIGMA_SOURCE = (
         "no trial shows where cubes slip on the turntable: the relative uncertainty of the same cube's friction on the "

@@ -5,24 +5,23 @@ The worlds advance together, and start and end their episodes one by one.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, cast
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium.envs.registration import load_env_creator
 from numpy.typing import NDArray
 
-from gauge_envs.backends.base import Simulation, World, Worlds, worlds_of
+from gauge_envs.backends.base import worlds_of
 from gauge_envs.backends.registry import backend_for
 from gauge_envs.backends.settings import check_drive_interval
 from gauge_envs.envs.base import WorldsEnvironment, world_constants
-from gauge_envs.envs.lockstep import WorldThreads, check_length, run_frames
+from gauge_envs.envs.lockstep import check_length
+from gauge_envs.envs.pictures import Pictures
+from gauge_envs.envs.stepper import Stepper
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.scene_builder import Parameters
-from gauge_envs.rendering.lazy import Pictures
-from gauge_envs.scene import Pose
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
 from gauge_envs.tools.control.env import ControlEnv, Step
 from gauge_envs.tools.control.tasks import find_control_task
 
@@ -83,7 +82,6 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._set_spaces(num_envs, first)
         self._observations = np.zeros((num_envs, len(first.OBSERVED)))
         self._over = np.zeros(num_envs, dtype=np.bool_)
-        self._is_reset = False
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
@@ -132,12 +130,8 @@ class ControlVectorEnv(WorldsEnvironment[FloatArray]):
         self._over = terminations | truncations
         return self._observations.copy(), rewards, terminations, truncations, infos
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """Return a picture of each world, shape [height, width, 3], or None without `render_mode="rgb_array"`."""
-        if self.render_mode is None:
-            return None
-        self._check_started("render", started=self._is_reset)
-        return tuple(env.picture(self._pictures) for env in self.worlds.envs)
+    def _picture(self, number: int) -> NDArray[np.uint8]:
+        return self.worlds.envs[number].picture(self._pictures)
 
     def _free(self) -> None:
         super()._free()
@@ -184,21 +178,11 @@ class ControlWorlds:
         self.envs = [world(common | dict(one)) if one else world(parameters) for one in constants]
         scenes = [env.experiment.scene for env in self.envs]
         engine = backend_for(backend, first.experiment.model_file)
-        self._worlds = worlds_of(engine, scenes, settings, restart_alone=True)
-        self._threads = WorldThreads(self._worlds)
-        self._readings: _Readings | None = None
-        worlds = list(self._worlds.worlds)
-        if not all(isinstance(one, Simulation) for one in worlds):
-            moving = [body.name for body in scenes[0].dynamic_bodies] + [one.body for one in scenes[0].drivers]
-            self._readings = _Readings(self._worlds, moving)
-            worlds = [_ReadWorld(one, self._readings, number) for number, one in enumerate(worlds)]
-        for env, one in zip(self.envs, worlds, strict=True):
-            check_drive_interval(one.settings)
-            env.world = one
-
-    def __len__(self) -> int:
-        """Return the number of worlds."""
-        return len(self.envs)
+        worlds = worlds_of(engine, scenes, settings, restart_alone=True)
+        self._stepper = Stepper(worlds, moving=first.moving)
+        for env, view in zip(self.envs, self._stepper.views, strict=True):
+            check_drive_interval(view.settings)
+            env.world = view
 
     def begin(self, seeds: Mapping[int, int | None]) -> dict[int, tuple[FloatArray, dict[str, Any]]]:
         """Start a new episode in some worlds, as `ControlEnv.reset` does.
@@ -206,10 +190,7 @@ class ControlWorlds:
         Args:
             seeds: Seed for the number of each world; None continues its random numbers.
         """
-        for number in seeds:
-            self._worlds.restart(number)
-        if self._readings is not None:
-            self._readings.states = None
+        self._stepper.restart([*seeds])
         return {number: self.envs[number].begin(seed) for number, seed in seeds.items()}
 
     def step(self, actions: Mapping[int, Any]) -> dict[int, Step]:
@@ -218,64 +199,12 @@ class ControlWorlds:
         Args:
             actions: Action for the number of each world whose episode is running.
         """
-        frames = {number: self.envs[number].frame(action) for number, action in actions.items()}
-        steps = run_frames(frames, self._advance)
+        steps = self._stepper.run({number: self.envs[number].frame(action) for number, action in actions.items()})
         for number, (_, _, terminated, truncated, info) in steps.items():
             if terminated or truncated:
                 info["limit"] = self.envs[number].report()
-        return {number: steps[number] for number in actions}
-
-    def _advance(self, numbers: Iterable[int]) -> None:
-        if self._readings is None:
-            worlds = cast("Sequence[Simulation]", self._worlds.worlds)
-            self._threads.run(lambda number: worlds[number].advance(SAMPLE_INTERVAL_S), [*numbers])
-        else:
-            self._worlds.advance(SAMPLE_INTERVAL_S)
-            self._readings.states = None
+        return steps
 
     def close(self) -> None:
         """Free the worlds."""
-        self._worlds.close()
-
-
-class _Readings:
-    """States of all worlds of a model, read once after each advance."""
-
-    def __init__(self, worlds: Worlds, names: Sequence[str]) -> None:
-        self._worlds = worlds
-        self._names = tuple(dict.fromkeys(names))
-        self.rows = {name: row for row, name in enumerate(self._names)}
-        self.states: FloatArray | None = None
-
-    def of(self, number: int, names: Sequence[str]) -> FloatArray:
-        if self.states is None:
-            self.states = self._worlds.body_states(self._names)
-        return self.states[number, [self.rows[name] for name in names]]
-
-
-class _ReadWorld(World):
-    """A world whose states are read together with those of all others."""
-
-    def __init__(self, world: World, readings: _Readings, number: int) -> None:
-        self.settings = world.settings
-        self._world, self._readings, self._number = world, readings, number
-
-    def drive(self, body: str, pose: Pose, velocity: FloatArray, acceleration: FloatArray) -> None:
-        """Drive a body of the world itself; see `World.drive`."""
-        self._world.drive(body, pose, velocity, acceleration)
-
-    def apply_wrench(self, body: str, wrench: FloatArray) -> None:
-        """Apply a force and a torque in the world itself; see `World.apply_wrench`."""
-        self._world.apply_wrench(body, wrench)
-
-    def fault(self) -> str | None:
-        """Return why the engine gave up the state, or None; see `World.fault`."""
-        return self._world.fault()
-
-    def nodes(self, name: str) -> FloatArray:
-        """Return the nodes of a deformable body of the world itself; see `World.nodes`."""
-        return self._world.nodes(name)
-
-    def body_states(self, names: Sequence[str]) -> FloatArray:
-        """Return the states of the bodies from the reading of all worlds; see `World.body_states`."""
-        return self._readings.of(self._number, names)
+        self._stepper.worlds.close()

@@ -2,14 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.diagnose.error_budget import diagnose
-    from gauge_envs.tools.diagnose.model import Diagnosis
-    from gauge_envs.tools.diagnose.words import findings
-
-__all__ = ["Diagnosis", "diagnose", "findings"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "model", "error_budget", "words")
+    from gauge_envs.tools.diagnose.error_budget import diagnose as diagnose
+    from gauge_envs.tools.diagnose.model import Diagnosis as Diagnosis
+    from gauge_envs.tools.diagnose.words import findings as findings
+else:
+    __getattr__, __all__ = door(__name__)

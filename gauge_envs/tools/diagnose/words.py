@@ -13,8 +13,9 @@ from gauge_envs.pages.document import Document, Paragraph, Part, Tone
 from gauge_envs.pages.figures import ENGINES, OURS, new_figure, tidy_axis
 from gauge_envs.pages.results import result_label
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, quantity_text, score_text, short_id, with_unit
+from gauge_envs.pages.text import GRADE_NOTES, quantity_text, score_text, short_id, with_unit
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.diagnose.model import MARKERS, SEVERAL_BODIES, BudgetStage, Diagnosis, StagePart
 
@@ -140,7 +141,7 @@ def _budget_notes(diagnosis: Diagnosis) -> Iterator[str]:
             "period over the real one": one.period_ratio,
         }
         texts = [f"{title} {value:.2f}" for title, value in values.items() if value is not None]
-        engines += [f"{ENGINE_TITLES[name]} {', '.join(texts)}"] if texts else []
+        engines += [f"{PUBLISHED_ENGINES[name]} {', '.join(texts)}"] if texts else []
     if engines:
         own = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
         yield f"Published{own}: {'; '.join(engines)}."

@@ -2,23 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.film.film import FilmOptions, Recording, save_film
-    from gauge_envs.tools.film.layout import Caption, PanelText, strip_picture
-    from gauge_envs.tools.film.writer import film_writer, save_still
-
-__all__ = [
-    "Caption",
-    "FilmOptions",
-    "PanelText",
-    "Recording",
-    "film_writer",
-    "save_film",
-    "save_still",
-    "strip_picture",
-]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "film", "layout", "writer")
+    from gauge_envs.tools.film.film import FilmOptions as FilmOptions, Recording as Recording, save_film as save_film
+    from gauge_envs.tools.film.layout import Caption as Caption, PanelText as PanelText, strip_picture as strip_picture
+    from gauge_envs.tools.film.writer import film_writer as film_writer, save_still as save_still
+else:
+    __getattr__, __all__ = door(__name__)

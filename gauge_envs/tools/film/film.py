@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.registry import backend_title
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_text
 from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
-from gauge_envs.pages.text import BACKEND_TITLES, short_id
+from gauge_envs.pages.text import short_id
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
@@ -252,7 +253,7 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
         parts = configuration_parts(configurations[0])
         labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
     split = [label.partition(", ") for label in labels]
-    return [f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}" for engine, comma, rest in split]
+    return [f"{backend_title(engine)}{comma}{rest}" for engine, comma, rest in split]
 
 
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:

@@ -2,14 +2,11 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.identify.fit import Identified, Setting, identify
-    from gauge_envs.tools.identify.logs import Log, read_log
-    from gauge_envs.tools.identify.rig import one_joint
-
-__all__ = ["Identified", "Log", "Setting", "identify", "one_joint", "read_log"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "fit", "logs", "rig")
+    from gauge_envs.tools.identify.fit import Identified as Identified, Setting as Setting, identify as identify
+    from gauge_envs.tools.identify.logs import Log as Log, read_log as read_log
+    from gauge_envs.tools.identify.rig import one_joint as one_joint
+else:
+    __getattr__, __all__ = door(__name__)

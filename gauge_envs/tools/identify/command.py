@@ -74,12 +74,12 @@ def recipe_joint(
 def _scene(scene: str | None = None, **load: float) -> Scene:
     """Return the scene of an id or a file, or one joint with a load."""
     from gauge_envs.experiments.scene_builder import SceneBuilder
-    from gauge_envs.experiments.scene_source import USD_SUFFIXES
     from gauge_envs.experiments.task_files import task_spec
     from gauge_envs.experiments.user_file import load_experiment_file
     from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
+    from gauge_envs.registry import scene_suffixes
     from gauge_envs.tools.identify import one_joint
-    from gauge_envs.tools.usd.reader import read_usd
+    from gauge_envs.tools.usd import read_usd
 
     if scene is not None:
         if load:
@@ -87,7 +87,7 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
         path = Path(scene)
         if is_experiment_file(path):
             return load_experiment_file(path).scene
-        if path.suffix in USD_SUFFIXES:
+        if path.suffix in scene_suffixes():
             return read_usd(path, duration_s=1.0).scene
         if path.suffix:
             raise ParameterError(

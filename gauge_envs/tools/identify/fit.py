@@ -227,22 +227,38 @@ class _Problem:
         raise DivergedError(f"{self.engine.name} diverges close to the best settings: {advice}")
 
     def _covariance(self, jacobian: FloatArray, residuals: FloatArray) -> FloatArray:
-        rows, inverse = self._rows(), np.linalg.pinv(jacobian.T @ jacobian)
-        total = np.zeros_like(inverse)
+        """Return the covariance of the unknowns under lasting noise, shape [unknown_count, unknown_count].
+
+        Least squares gives (J'J)^-1 J' C J (J'J)^-1 for residuals of covariance C (Aitken 1935). The noise of a joint
+        is stationary in each part of a log, so that C is a Toeplitz matrix there, and 0 between parts.
+        """
+        rows = self._rows()
+        inverse = np.linalg.pinv(jacobian.T @ jacobian)
+        middle = np.zeros_like(inverse)
         for joint in range(self.joints):
             parts = [np.flatnonzero((rows == (number, joint)).all(axis=1)) for number in range(len(self.parts))]
-            inside = np.concatenate(parts)
-            left, sizes, _ = np.linalg.svd(jacobian[inside], full_matrices=False)
-            explained = left[:, sizes > 1e-12 * sizes[0]]
-            table = np.column_stack([explained, residuals[inside]])
-            edges = np.cumsum([len(part) for part in parts])[:-1]
-            variance, neighbours, decay = _noise(np.split(table, edges))
-            count = len(inside) / (1.0 + 2.0 * neighbours / max(variance * (1.0 - decay), 1e-300))
-            quantile = (student.ppf(0.975, max(count, FEWEST)) / 1.96) ** 2
+            variance, neighbours, decay = self._noise_of(parts, jacobian, residuals)
+            # N samples count as N / (1 + 2 sum of the correlation), a geometric series.
+            correlation = neighbours / max(variance * (1.0 - decay), 1e-300)
+            count = sum(len(part) for part in parts) / (1.0 + 2.0 * correlation)
+            wider = student.ppf(0.975, max(count, FEWEST)) / 1.96
             for part in parts:
-                covariance = np.concatenate([[variance], neighbours * decay ** np.arange(len(part) - 1)])
-                total += jacobian[part].T @ matmul_toeplitz(covariance, jacobian[part]) * quantile
-        return np.asarray(inverse @ total @ inverse)
+                lags = np.arange(len(part) - 1)
+                covariance = np.concatenate([[variance], neighbours * decay**lags])
+                sensitivity = jacobian[part]
+                middle += sensitivity.T @ matmul_toeplitz(covariance, sensitivity) * wider**2
+        return np.asarray(inverse @ middle @ inverse)
+
+    def _noise_of(
+        self, parts: Sequence[NDArray[np.intp]], jacobian: FloatArray, residuals: FloatArray
+    ) -> tuple[float, float, float]:
+        """Return the noise of one joint, from the rows of its residuals in each part; see `_noise`."""
+        inside = np.concatenate(parts)
+        left, singular_values, _ = np.linalg.svd(jacobian[inside], full_matrices=False)
+        explained = left[:, singular_values > 1e-12 * singular_values[0]]
+        table = np.column_stack([explained, residuals[inside]])
+        ends = np.cumsum([len(part) for part in parts])
+        return _noise(np.split(table, ends[:-1]))
 
 
 def _noise(parts: Sequence[FloatArray]) -> tuple[float, float, float]:

@@ -15,15 +15,16 @@ episodes can be run again. `docs/leaderboard.md` states each rule.
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.leaderboard.check import LeaderboardCheck, SubmissionCheck, check_leaderboard
-    from gauge_envs.tools.leaderboard.reruns import Rerun
-    from gauge_envs.tools.leaderboard.submission import Fault, Statement
-    from gauge_envs.tools.leaderboard.trajectory import false_scores
-
-__all__ = ["Fault", "LeaderboardCheck", "Rerun", "Statement", "SubmissionCheck", "check_leaderboard", "false_scores"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "submission", "reruns", "trajectory", "check")
+    from gauge_envs.tools.leaderboard.check import (
+        LeaderboardCheck as LeaderboardCheck,
+        SubmissionCheck as SubmissionCheck,
+        check_leaderboard as check_leaderboard,
+    )
+    from gauge_envs.tools.leaderboard.reruns import Rerun as Rerun
+    from gauge_envs.tools.leaderboard.submission import Fault as Fault, Statement as Statement
+    from gauge_envs.tools.leaderboard.trajectory import false_scores as false_scores
+else:
+    __getattr__, __all__ = door(__name__)

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.errors import GaugeError, ResultFileError, first_fault
 from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, printable, read_regular, toml_document
-from gauge_envs.runs.result_file import MOST_RESULT_BYTES
+from gauge_envs.runs.result_file import MAX_RESULT_BYTES
 
 STATEMENT_FILE = "submission.toml"
 
@@ -35,10 +35,10 @@ GENERATED = ("leaderboard.json", "leaderboard.md")
 BOARD_FILE = "board.toml"
 """File at the top whose `experiments` lists the ids or patterns that each submission needs; all 75 without it."""
 
-MOST_ENTRIES = 10_000
+MAX_ENTRIES = 10_000
 """Largest number of files and folders in one folder."""
 
-MOST_TOTAL_BYTES = 256 * MEGABYTE
+MAX_TOTAL_BYTES = 256 * MEGABYTE
 """Largest size of all files of a submission; all 75 results of an engine have less than a third of it."""
 
 LEVELS = ("engine", "version", "configuration")
@@ -162,7 +162,7 @@ class SubmissionFiles:
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
             try:
-                content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+                content = hashlib.sha256(read_regular(file, MAX_RESULT_BYTES)).hexdigest()
             except OSError:
                 return ""
             digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
@@ -176,8 +176,8 @@ def _entries(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
         with os.scandir(folder) as found:
             for entry in found:
                 names.append(entry.name)
-                if len(names) > MOST_ENTRIES:
-                    raise ResultFileError(f"{folder}: more than {MOST_ENTRIES} entries")
+                if len(names) > MAX_ENTRIES:
+                    raise ResultFileError(f"{folder}: more than {MAX_ENTRIES} entries")
         for name in sorted(names):
             yield folder / name, (folder / name).lstat()
     except OSError as error:
@@ -254,8 +254,8 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
     where = relative_name(folder, root)
     if files.statement is None and not any(fault.file.endswith(STATEMENT_FILE) for fault in files.faults):
         files.faults.append(Fault(file=where, reason=f"has no {STATEMENT_FILE}"))
-    if total > MOST_TOTAL_BYTES:
-        reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MOST_TOTAL_BYTES / MEGABYTE:.0f} MB"
+    if total > MAX_TOTAL_BYTES:
+        reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MAX_TOTAL_BYTES / MEGABYTE:.0f} MB"
         files.faults.append(Fault(file=where, reason=reason))
         files.results = []
     return files
@@ -274,7 +274,7 @@ def _file_fault(
         expected = ", ".join(names) or f"result files *{suffix}"
         expected += "; gauge report kept poses in it: delete it" if file.name.endswith(".replay.npz") else ""
         return Fault(file=name, reason=f"is unexpected here; expected: {expected}")
-    if status.st_size > MOST_RESULT_BYTES:
-        size, limit = status.st_size / MEGABYTE, MOST_RESULT_BYTES / MEGABYTE
+    if status.st_size > MAX_RESULT_BYTES:
+        size, limit = status.st_size / MEGABYTE, MAX_RESULT_BYTES / MEGABYTE
         return Fault(file=name, reason=f"has {size:.0f} MB, the limit is {limit:.0f} MB")
     return None

@@ -25,7 +25,7 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.observables.observer import observe_markers
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import BUNDLED_DATA
+from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME

@@ -9,59 +9,30 @@ Example:
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.comparison import Comparison, compare
+    from gauge_envs.tools.sanity.comparison import Comparison as Comparison, compare as compare
     from gauge_envs.tools.sanity.model import (
-        Cause,
-        ContactGroup,
-        Cure,
-        Curve,
-        GroupOutcome,
-        Need,
-        PhenomenonResult,
-        Reality,
-        RealityKind,
-        Report,
-        SettingTrial,
-        TrainingConfiguration,
-        Verdict,
+        Cause as Cause,
+        ContactGroup as ContactGroup,
+        Cure as Cure,
+        Curve as Curve,
+        GroupOutcome as GroupOutcome,
+        Need as Need,
+        PhenomenonResult as PhenomenonResult,
+        Reality as Reality,
+        RealityKind as RealityKind,
+        Report as Report,
+        SettingTrial as SettingTrial,
+        TrainingConfiguration as TrainingConfiguration,
+        Verdict as Verdict,
     )
-    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
-    from gauge_envs.tools.sanity.robot.foot import FootGeometry
-    from gauge_envs.tools.sanity.run import check
-    from gauge_envs.tools.sanity.stacks import configuration
-    from gauge_envs.tools.sanity.stacks.gymnasium_env import Target
-    from gauge_envs.tools.sanity.stacks.newton import newton_configuration
-
-__all__ = [
-    "BackendMuJoCoWarp",
-    "Cause",
-    "Comparison",
-    "ContactGroup",
-    "Cure",
-    "Curve",
-    "FootGeometry",
-    "GroupOutcome",
-    "Need",
-    "PhenomenonResult",
-    "Reality",
-    "RealityKind",
-    "Report",
-    "SettingTrial",
-    "Target",
-    "TrainingConfiguration",
-    "Verdict",
-    "check",
-    "compare",
-    "configuration",
-    "newton_configuration",
-]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(
-        __name__,
-        *("model", "robot.foot", "stacks", "run", "comparison", "stacks.gymnasium_env", "stacks.newton"),
-        "mujoco_warp_run",
-    )
+    from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp as BackendMuJoCoWarp
+    from gauge_envs.tools.sanity.robot.foot import FootGeometry as FootGeometry
+    from gauge_envs.tools.sanity.run import check as check
+    from gauge_envs.tools.sanity.stacks import configuration as configuration
+    from gauge_envs.tools.sanity.stacks.gymnasium_env import Target as Target
+    from gauge_envs.tools.sanity.stacks.newton import newton_configuration as newton_configuration
+else:
+    __getattr__, __all__ = door(__name__)

@@ -2,12 +2,9 @@
 
 from typing import TYPE_CHECKING
 
-from gauge_envs.tools import door
+from gauge_envs.registry import door
 
 if TYPE_CHECKING:
-    from gauge_envs.tools.site.build import ReplayNote, save_site
-
-__all__ = ["ReplayNote", "save_site"]
-
-if not TYPE_CHECKING:  # With it, a type checker would accept any name.
-    __getattr__ = door(__name__, "build")
+    from gauge_envs.tools.site.build import ReplayNote as ReplayNote, save_site as save_site
+else:
+    __getattr__, __all__ = door(__name__)

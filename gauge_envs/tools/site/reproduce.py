@@ -15,7 +15,7 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import below, code, element, folded, join
 from gauge_envs.pages.table import grid
 from gauge_envs.pages.text import short_id
-from gauge_envs.references.imported import DataSource
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.runs.result import Result
 from gauge_envs.tools.compare import ExperimentComparison
 from gauge_envs.tools.site.model import Site, site_page

@@ -60,7 +60,7 @@ def transfer(
     policies, details = arguments.split_details(
         words, sigmas=_numbers, starts=PositiveInt, seed=NonNegativeInt, fail_below=float
     )
-    files = _picture_files([out] if out else [])
+    files = _picture_files(out)
     constants = arguments.parsed_parameters(parameters) or "calibrated"
     training = training_world(engine, arguments.parsed_settings(changes), constants)
     with closing(make_control_env(task)) as env:
@@ -106,13 +106,14 @@ def _engines(texts: Sequence[str] | None) -> list[tuple[str, dict[str, Any]]]:
     return found
 
 
-def _picture_files(out: list[Path], *others: str) -> dict[str, Path]:
-    """Return the files of `--out`; a missing matplotlib is an error before anything runs, not after."""
+def _picture_files(out: Path | None) -> dict[str, Path]:
+    """Return the file of `--out`; a missing matplotlib is an error before anything runs, not after."""
     from gauge_envs.pages.figures import new_figure
 
-    files = arguments.by_suffix(out, ".png", *others)
-    if ".png" in files:
-        new_figure(1.0, 1.0)
+    if out is None:
+        return {}
+    files = arguments.by_suffix([out], ".png")
+    new_figure(1.0, 1.0)
     return files
 
 
@@ -127,30 +128,22 @@ def transfer_envelope(
     trust: TrustOption = False,
     engine: Annotated[str, typer.Option("--backend", help="Engine.")] = "mujoco",
     changes: arguments.Settings = None,
-    out: Annotated[
-        list[Path] | None,
-        typer.Option(metavar="PATH", help="Picture (.png), or folder for ranges as code of four stacks; repeatable."),
-    ] = None,
+    out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write, .png.")] = None,
     form: arguments.Form = Format.TEXT,
 ) -> None:
     """Show what uncertain constants and starts do to a reward or a score.
 
-    Details: samples=256, number of points, a power of 2, and their seed=0; batch=256, worlds that run at a time;
-    width=2, half width of ranges in standard uncertainties. --out DIR writes these ranges, for domain randomization.
+    Details: samples=256, number of points, a power of 2, and their seed=0; batch=256, worlds that run at a time.
     --policy law:fraction=0.95,informed=false states the law's share of the limit, and whether it knows the constants of
     each world.
     """
-    from gauge_envs.pages.document import save_file
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.control.tasks import control_tasks
+    from gauge_envs.tools.control import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
-    from gauge_envs.tools.transfer.randomization import randomization_files
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 
-    known = {"samples": PositiveInt, "batch": PositiveInt, "seed": NonNegativeInt, "width": float}
-    subject, details = arguments.split_subject(words, **known)
-    files = _picture_files(out or [], "")
-    width = details.pop("width", 2.0)
+    subject, details = arguments.split_subject(words, samples=PositiveInt, batch=PositiveInt, seed=NonNegativeInt)
+    files = _picture_files(out)
     common = {"samples": 256, "batch": 256, "seed": 0} | details
     with Progress("samples", common["samples"]) as progress:
         common |= {"backend": engine, "settings": arguments.parsed_settings(changes)}
@@ -163,11 +156,7 @@ def transfer_envelope(
             found = experiment_envelope(subject, **common)
     report = envelope_report(found)
 
-    def write_ranges(folder: Path) -> str:
-        code = randomization_files(found.id, found.scene, found.parameters, width)
-        return "\n".join(str(save_file(folder / name, text)) for name, text in code.items())
-
-    writers = {".png": lambda file: save_png(draw_envelope(found, report), file), "": write_ranges}
+    writers = {".png": lambda file: save_png(draw_envelope(found, report), file)}
     print_document(envelope_document(report), form, files=files, writers=writers)
 
 

@@ -18,11 +18,8 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.scene import Scene
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.limit import LimitReport
-from gauge_envs.tools.control.play import Policy
-from gauge_envs.tools.control.vector import ControlWorlds
+from gauge_envs.tools.control import ControlWorlds, LimitReport, Policy
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
 LARGEST_SAMPLE_COUNT = 2**16
@@ -63,7 +60,6 @@ class Envelope:
         quantity: Name of the quantity: `reward`, `normalized RMSE` or `deviation`.
         unit: Its unit; `1` for a ratio.
         policy: What acted.
-        scene: The calibrated scene.
         parameters: The uncertain parameters.
         sigmas: Points, in standard uncertainties, shape [n, len(parameters)].
         values: The quantity at the points, shape [n]; NaN where an episode diverged.
@@ -78,7 +74,6 @@ class Envelope:
     quantity: str
     unit: str
     policy: str
-    scene: Scene
     parameters: tuple[UncertainParameter, ...]
     sigmas: FloatArray
     values: FloatArray
@@ -155,7 +150,6 @@ def experiment_envelope(
         quantity="deviation" if not is_scored else "normalized RMSE" if experiment.trial is None else "RMSE",
         unit="1" if is_scored and experiment.trial is None else experiment.score.observable.unit,
         policy="none",
-        scene=experiment.scene,
         parameters=parameters,
         sigmas=sigmas,
         values=np.array(values),
@@ -216,7 +210,7 @@ def control_envelope(
     policy = policy or LawPolicy()
 
     with closing(make_control_env(task, backend=backend, settings=settings)) as env:
-        parameters, scene = task_uncertainties(env), env.experiment.scene
+        parameters = task_uncertainties(env)
     sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
     actions: list[NDArray[np.float32]] = []
     with closing(ControlWorlds(task, [{}], backend=backend, settings=settings)) as worlds:
@@ -233,7 +227,6 @@ def control_envelope(
         quantity="reward",
         unit="1",
         policy=policy.title if isinstance(policy, LawPolicy) else "given policy",
-        scene=scene,
         parameters=parameters,
         sigmas=sigmas,
         values=np.array([paid for paid, _ in found]),
@@ -262,9 +255,9 @@ Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
 
 def _episodes(worlds: ControlWorlds, act: Act) -> list[tuple[float, LimitReport]]:
     """Run an episode in each world; return the sum of its rewards and its report."""
-    begun = worlds.begin(dict.fromkeys(range(len(worlds)), 0))
+    begun = worlds.begin(dict.fromkeys(range(len(worlds.envs)), 0))
     observations = {number: observation for number, (observation, _) in begun.items()}
-    paid, frame = [0.0] * len(worlds), 0
+    paid, frame = [0.0] * len(worlds.envs), 0
     while observations:
         steps = worlds.step({number: act(number, frame, one) for number, one in observations.items()})
         for number, (_, reward, *_) in steps.items():

@@ -6,28 +6,31 @@ Example:
     ['SlopeSlider-2-wood', 'SlopeSlider-2-plastic']
 """
 
-from gauge_envs.tools.video.frames import FileFrames
-from gauge_envs.tools.video.plane import Lens, PlaneView, PointPairs, read_camera
-from gauge_envs.tools.video.scoring import METRICS, Grade, VideoScore, score, score_track
-from gauge_envs.tools.video.tasks import Motion, VideoTask, video_task, video_tasks
-from gauge_envs.tools.video.track import Event, Track, read_track
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "METRICS",
-    "Event",
-    "FileFrames",
-    "Grade",
-    "Lens",
-    "Motion",
-    "PlaneView",
-    "PointPairs",
-    "Track",
-    "VideoScore",
-    "VideoTask",
-    "read_camera",
-    "read_track",
-    "score",
-    "score_track",
-    "video_task",
-    "video_tasks",
-]
+from gauge_envs.registry import door
+
+if TYPE_CHECKING:
+    from gauge_envs.tools.video.frames import FileFrames as FileFrames
+    from gauge_envs.tools.video.plane import (
+        Lens as Lens,
+        PlaneView as PlaneView,
+        PointPairs as PointPairs,
+        read_camera as read_camera,
+    )
+    from gauge_envs.tools.video.scoring import (
+        METRICS as METRICS,
+        Grade as Grade,
+        VideoScore as VideoScore,
+        score as score,
+        score_track as score_track,
+    )
+    from gauge_envs.tools.video.tasks import (
+        Motion as Motion,
+        VideoTask as VideoTask,
+        video_task as video_task,
+        video_tasks as video_tasks,
+    )
+    from gauge_envs.tools.video.track import Event as Event, Track as Track, read_track as read_track
+else:
+    __getattr__, __all__ = door(__name__)

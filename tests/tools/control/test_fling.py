@@ -23,7 +23,7 @@ LEAST_RATIO = 0.45
 
 @pytest.fixture(scope="module")
 def env() -> FlingLimit:
-    return FlingLimit(settings=TRAINING)
+    return FlingLimit("satin", settings=TRAINING)
 
 
 def test_limits_of_the_rod_are_those_of_the_recorded_motion(env: FlingLimit) -> None:

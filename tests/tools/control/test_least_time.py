@@ -10,16 +10,11 @@ import pytest
 from scipy.optimize import linprog
 
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.control.least_time import (
-    REST_M_PER_S,
-    TOLERANCE_M,
-    TOLERANCE_RAD,
-    CarryLimit,
-    LeastTimeLimit,
-    PushLimit,
-)
+from gauge_envs.tools.control.carry import CarryLimit
+from gauge_envs.tools.control.least_time import REST_M_PER_S, TOLERANCE_M, TOLERANCE_RAD, LeastTimeLimit
 from gauge_envs.tools.control.limit import Ending, LimitReport, pair_friction
 from gauge_envs.tools.control.play import play
+from gauge_envs.tools.control.push import PushLimit
 from gauge_envs.tools.control.stage import FRAME_S, acceleration_to_rest
 
 FAST = {"timestep_s": 1 / 1080}

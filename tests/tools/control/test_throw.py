@@ -32,7 +32,7 @@ def test_height_is_the_best_of_all_places(restitution: float) -> None:
 
 
 def test_uncertainty_is_that_of_restitution_and_start() -> None:
-    limit = ThrowLimit().limit
+    limit = ThrowLimit("rubber").limit
     known = 0.576733
     drop = 0.451023 - 0.013297 - 0.15 - 0.03
     by_restitution = highest_m(drop, known + 0.1602, GRAVITY_M_PER_S2) - limit.value
@@ -42,7 +42,7 @@ def test_uncertainty_is_that_of_restitution_and_start() -> None:
 
 
 def test_the_laws_policy_throws_nearly_as_high() -> None:
-    env = ThrowLimit()
+    env = ThrowLimit("rubber")
     env.reset(seed=0)
     paid, over = 0.0, False
     while not over:
@@ -57,13 +57,13 @@ def test_the_laws_policy_throws_nearly_as_high() -> None:
 
 def test_a_higher_restitution_than_the_law_knows_is_seen() -> None:
     """A planted fault: the simulated restitution is 0.7 instead of 0.577."""
-    env = ThrowLimit(parameters={"ball.restitution": 0.7})
-    env.limit = ThrowLimit().limit
+    env = ThrowLimit("rubber", parameters={"ball.restitution": 0.7})
+    env.limit = ThrowLimit("rubber").limit
     assert play(env, lambda _: env.law_action(1.0)).ratio > 1.1
 
 
 def test_no_motion_beats_the_law() -> None:
-    env = ThrowLimit(settings={"timestep_s": 1 / 1800})
+    env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1800})
     random = np.random.default_rng(1)
     reached = 0
     for _ in range(6):
@@ -77,7 +77,7 @@ def test_no_motion_beats_the_law() -> None:
 
 
 def test_a_plate_that_stays_beside_the_ball_loses_it() -> None:
-    env = ThrowLimit()
+    env = ThrowLimit("rubber")
     report = play(env, lambda _: np.zeros(2))
     assert report.ending is Ending.LOST
     assert report.reached == 0.0
@@ -107,7 +107,7 @@ def test_an_ideal_edge_throws_higher_than_the_law() -> None:
 @pytest.mark.parametrize("aside_m", [0.0, 0.08, 0.096, 0.103])
 def test_an_impact_at_an_edge_loses_the_ball(aside_m: float) -> None:
     """The law's policy, with the ball beside the middle of the plate by a distance."""
-    env = ThrowLimit(settings={"timestep_s": 1 / 1800})
+    env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1800})
 
     def aside(_: object) -> np.ndarray:
         env._plate_x_m += aside_m

@@ -34,7 +34,7 @@ def test_a_short_training_learns_to_throw(tmp_path: Path) -> None:
 
 
 def test_chance_stays_below_what_the_training_must_reach() -> None:
-    env = ThrowLimit(settings={"timestep_s": 1 / 1080})
+    env = ThrowLimit("rubber", settings={"timestep_s": 1 / 1080})
     random = np.random.default_rng(0)
     ratios = [play_paid(env, lambda _: random.uniform(-1.0, 1.0, 2))[1].ratio for _ in range(100)]
     assert max(ratios) < LEAST_RATIO

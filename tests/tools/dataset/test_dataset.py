@@ -34,9 +34,9 @@ from gauge_envs.evaluation.reference import band_grade, load_band
 from gauge_envs.files import data_folder
 from gauge_envs.references.bands import bundled_band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.imported import DataSource, load_imported, recorded_drivers
+from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.published import published_baselines
-from gauge_envs.references.user_data import user_data_folder
+from gauge_envs.references.user_data import DataSource, user_data_folder
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest

@@ -28,7 +28,8 @@ from typer.testing import CliRunner
 from gauge_envs import load_experiment
 from gauge_envs.cli.app import app
 from gauge_envs.evaluation.reference import load_band
-from gauge_envs.references.imported import DataSource, load_imported
+from gauge_envs.references.imported import load_imported
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.tools.dataset.findings import TrialError
 from gauge_envs.tools.dataset.importer import import_trials
 from gauge_envs.tools.dataset.layout import find_trials

@@ -15,7 +15,7 @@ from dataset_writer import AMOUNTS, synthetic_trials, trial_folder, write_synthe
 
 from gauge_envs.errors import DatasetError
 from gauge_envs.evaluation.reference import load_band
-from gauge_envs.references.imported import DataSource
+from gauge_envs.references.user_data import DataSource
 from gauge_envs.tools.dataset.forms import Stated
 from gauge_envs.tools.dataset.importer import ImportedTrials, import_trials
 from gauge_envs.tools.dataset.layout import find_trials

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import runpy
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +27,6 @@ from gauge_envs.tools.transfer.envelope import (
     sobol_sigmas,
 )
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
-from gauge_envs.tools.transfer.randomization import randomization_files, ranges_of
 
 SLIDE = "SlopeSlider-2-wood"
 TASK = "SlopeSlider-Limit-wood"
@@ -181,7 +179,6 @@ def test_effects_are_those_of_a_known_function() -> None:
         quantity="reward",
         unit="1",
         policy="none",
-        scene=load_experiment(SLIDE).scene,
         parameters=parameters,
         sigmas=sigmas,
         values=values,
@@ -195,78 +192,16 @@ def test_effects_are_those_of_a_known_function() -> None:
     assert (report.low, report.high) == pytest.approx((3 - 1.96 * 2.06, 3 + 1.96 * 2.06), abs=0.15)
 
 
-# --- ranges ---
-
-
-def test_all_files_of_all_experiments_compile() -> None:
-    for variant in variants():
-        experiment = load_experiment(variant)
-        files = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
-        assert len(files) == 4
-        for name, text in files.items():
-            compile(text, f"{variant.name}/{name}", "exec")
-
-
-def test_ranges_have_their_width_and_stay_physical() -> None:
-    ranges = {one.parameter.name: one for one in ranges_of(uncertain_parameters(load_experiment(SLIDE)), 3.0)}
-    assert ranges["cube.friction"].high - ranges["cube.friction"].low == pytest.approx(6 * 0.0171, rel=3e-3)
-    assert ranges["cube.position_m along its x axis"].high == pytest.approx(0.003)
-    with pytest.raises(ParameterError, match="above 0"):
-        ranges_of([], 0.0)
-
-
-def test_a_tilted_start_is_not_written_as_independent_ranges() -> None:
-    experiment = load_experiment(SLIDE)
-    text = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
-    assert "its face is tilted" in text["randomized_isaac_lab.py"]
-    assert "reset_root_state_uniform" not in text["randomized_isaac_lab.py"]
-
-
-def test_a_body_on_a_slope_is_built_with_its_orientation() -> None:
-    """ManiSkill's builder takes a pose; a quaternion of SAPIEN is w, x, y, z, as this package's."""
-    experiment = load_experiment(SLIDE)
-    text = randomization_files(experiment.id, experiment.scene, uncertain_parameters(experiment))
-    (line,) = (one for one in text["randomized_maniskill.py"].splitlines() if "initial_pose" in one)
-    turned = eval(line.partition("q=")[2].rstrip(")"))
-    # The board of SlopeSlider-2 is tilted by 30 degrees.
-    assert 2.0 * math.degrees(math.acos(abs(turned[0]))) == pytest.approx(30.0, abs=1e-6)
-
-
-def test_the_wrapper_for_gymnasium_runs_and_stays_within_its_ranges(tmp_path: Path) -> None:
-    experiment = load_experiment(SLIDE)
-    parameters = uncertain_parameters(experiment)
-    file = tmp_path / "randomized_gymnasium.py"
-    file.write_text(
-        randomization_files(experiment.id, experiment.scene, parameters)["randomized_gymnasium.py"], encoding="utf-8"
-    )
-    module = runpy.run_path(str(file))
-    env = module["RandomizedConstants"]()
-    _, first = env.reset(seed=1)
-    again = env.reset(seed=1)[1]["constants"]
-    assert again == first["constants"] != env.reset()[1]["constants"]
-    low, high = module["CONSTANTS"]["cube.friction"]
-    for _ in range(5):
-        info = env.reset()[1]
-        friction = info["constants"]["cube.friction"]
-        assert low <= friction <= high
-        assert env.unwrapped.experiment.scene.contacts[0].friction == friction
-    observation, reward, *_ = env.step(0)
-    assert observation in env.observation_space
-    assert math.isfinite(reward)
-
-
 # --- command ---
 
 
 def test_command_reports_draws_and_writes(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
-    arguments = ["transfer", "envelope", "GAUGE/Pendulum-Limit-metal", "samples=4", "--out", str(tmp_path / "a.png"),
-                 "--out", str(tmp_path / "ranges")]  # fmt: skip
+    arguments = ["transfer", "envelope", "GAUGE/Pendulum-Limit-metal", "samples=4", "--out", str(tmp_path / "a.png")]
     result = CliRunner().invoke(app, arguments)
     assert result.exit_code == 0, result.output
     assert "100.0 % end as the calibrated one does" in result.stdout.replace("\n", " ")
     assert (tmp_path / "a.png").stat().st_size > 5_000
-    assert len(list((tmp_path / "ranges").iterdir())) == 4
     line = json.loads(CliRunner().invoke(app, [*arguments[:4], "--json"]).stdout)
     assert line["samples"] == 4
     assert line["effects"][0]["parameter"]["key"] == "ball.mass_kg"

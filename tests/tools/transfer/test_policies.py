@@ -12,10 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from gymnasium.spaces import Box
 
 from gauge_envs.errors import PolicyError
 from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy, read_normalization
+from gauge_envs.tools.transfer.policies.load import checked_policy, load_policies, load_policy
 from gauge_envs.tools.transfer.policy_replays import make_control_env
 
 TASK = "Pendulum-Limit-metal"
@@ -174,89 +175,59 @@ def test_damaged_weights_are_refused(change, reason, env, tmp_path) -> None:
 # --- statistics ---
 
 
-def test_statistics_are_those_of_vec_normalize(env, tmp_path) -> None:
-    vec = pytest.importorskip("stable_baselines3.common.vec_env", reason="extra 'rl' is not installed")
-    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: make_control_env(TASK)]), clip_obs=2.0)
-    scaled.obs_rms.update(observations())
-    scaled.save(str(tmp_path / "norm.pkl"))
-    statistics = read_normalization(tmp_path / "norm.pkl", observation_size=5)
-    for observation in observations():
-        assert np.array_equal(statistics.apply(observation), scaled.normalize_obs(observation))
-    with pytest.raises(PolicyError, match=r"shape \(5,\), the task has \(3,\)"):
-        read_normalization(tmp_path / "norm.pkl", observation_size=3)
-
-
-def test_statistics_are_read_without_running_code(tmp_path) -> None:
-    mark, file = tmp_path / "ran", tmp_path / "norm.pkl"
-    file.write_bytes(pickle.dumps({"obs_rms": Evil(mark)}))
-    with pytest.raises(PolicyError, match="expected a file of VecNormalize"):
-        read_normalization(file, observation_size=5)
-    assert not mark.exists()
-
-
 class VecNormalize:
     """Stand-in of the class in files of `VecNormalize.save`."""
 
+    observation_space = Box(-np.inf, np.inf, (5,))
 
-def write_statistics(file: Path, *, protocol: int = 4, **changes: object) -> Path:
-    saved, saved.obs_rms = VecNormalize(), VecNormalize()
-    saved.obs_rms.mean, saved.obs_rms.var = changes.pop("mean", np.arange(5.0)), changes.pop("var", np.ones(5))
-    vars(saved).update({"clip_obs": 10.0, "epsilon": 1e-8, "names": np.array(["a", None]), **changes})
-    file.write_bytes(pickle.dumps(saved, protocol=protocol))
+    def normalize_obs(self, observation: np.ndarray) -> np.ndarray:
+        return 0.5 * observation
+
+
+@pytest.fixture
+def has_sb3(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("gauge_envs.tools.transfer.policies.load.find_spec", lambda _: True)
+
+
+def write_statistics(file: Path, saved: object) -> Path:
+    file.write_bytes(pickle.dumps(saved))
     return file
 
 
-@pytest.mark.parametrize("protocol", [3, 4, 5])
-@pytest.mark.parametrize("kind", ["<f8", ">f8", "<f4", "<i4"])
-def test_statistics_of_any_numbers_are_read(kind: str, protocol: int, tmp_path) -> None:
-    mean = np.arange(5).astype(kind)
-    file = write_statistics(tmp_path / "norm.pkl", protocol=protocol, mean=mean, clip_obs=np.float32(2.0))
-    statistics = read_normalization(file, observation_size=5)
-    assert np.array_equal(statistics.mean, np.arange(5.0)) and statistics.clip == 2.0
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"mean": np.full(5, np.nan)},
-        {"var": -np.ones(5)},
-        {"var": np.zeros(5), "epsilon": 0.0},
-        {"clip_obs": float("nan")},
-        {"clip_obs": 10**400},
-        {"mean": [10**400] * 5},
-        {"mean": np.array(list("abcde"))},
-        {"mean": np.ones(5) * 1j},
-        {"mean": np.array([None] * 5)},
-    ],
-)
-def test_statistics_that_are_no_numbers_are_refused(changes, tmp_path) -> None:
-    with pytest.raises(PolicyError, match=r"norm\.pkl: expected"):
-        read_normalization(write_statistics(tmp_path / "norm.pkl", **changes), observation_size=5)
-
-
-HUGE = b"(\x8a\x05" + (10**11).to_bytes(5, "little") + b"t"
-"""The tuple (100_000_000_000,) in a pickle."""
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        b"cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\n" + HUGE + b"C\x01b\x87R.",
-        b"cnumpy\nndarray\n" + HUGE + b"\x85R.",
-        b"cnumpy\ndtype\nX\x02\x00\x00\x00f8\x89\x88\x87R(K\x03X\x01\x00\x00\x00<NNNK\x01K\x01K\x3ftb.",
-        b"cnumpy.core.numeric\n_frombuffer\n" + HUGE + b"R.",
-        b"\x8b\xff\xff\xff\x7f.",
-        b"Nr\xff\xff\xff\x3f.",
-        b"[" * 5000,
-        b"I" + b"9" * 5000 + b"\n.",
-        b"",
-    ],
-)
-def test_a_damaged_pickle_reaches_no_code_of_numpy(content: bytes, tmp_path) -> None:
+def test_observations_are_normalized_as_in_the_training(env, tmp_path) -> None:
+    vec = pytest.importorskip("stable_baselines3.common.vec_env", reason="extra 'rl' is not installed")
+    scaled = vec.VecNormalize(vec.DummyVecEnv([lambda: make_control_env(TASK)]), clip_obs=2.0)
+    scaled.obs_rms.update(observations())
     file = tmp_path / "norm.pkl"
-    file.write_bytes(b"\x80\x02" + content)
-    with pytest.raises(PolicyError, match=r"expected a file of VecNormalize\.save"):
-        read_normalization(file, observation_size=5)
+    scaled.save(str(file))
+    policy = load_policy("numpy:mean", env, normalization=file, trust=True)
+    for observation in observations():
+        assert policy(observation) == np.clip(scaled.normalize_obs(observation).mean(), -1.0, 1.0)
+
+
+@pytest.mark.usefixtures("has_sb3")
+def test_a_policy_gets_the_normalized_observation(env, tmp_path) -> None:
+    file = write_statistics(tmp_path / "norm.pkl", VecNormalize())
+    assert load_policy("numpy:mean", env, normalization=file, trust=True)(np.full(5, 0.5)) == 0.25
+
+
+def test_statistics_need_trust_and_run_nothing_without_it(env, tmp_path) -> None:
+    mark = tmp_path / "ran"
+    file = write_statistics(tmp_path / "norm.pkl", Evil(mark))
+    onnx = str(write_onnx(tmp_path / "a.onnx", 5))
+    with pytest.raises(PolicyError, match=r"is a pickle.*--trust"):
+        load_policy(onnx, env, normalization=file)
+    assert not mark.exists()
+
+
+@pytest.mark.usefixtures("has_sb3")
+def test_statistics_of_another_task_are_refused(env, tmp_path) -> None:
+    saved = VecNormalize()
+    saved.observation_space = Box(-np.inf, np.inf, (3,))
+    with pytest.raises(PolicyError, match=r"shape \(3,\), the task has \(5,\)"):
+        load_policy("numpy:mean", env, normalization=write_statistics(tmp_path / "a.pkl", saved), trust=True)
+    with pytest.raises(PolicyError, match=r"b\.pkl: expected a file of VecNormalize\.save"):
+        load_policy("numpy:mean", env, normalization=write_statistics(tmp_path / "b.pkl", {}), trust=True)
 
 
 # --- ONNX ---
@@ -367,14 +338,14 @@ def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
     with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
         load_policy(str(tmp_path / "a.zip"), env)
     (tmp_path / "b.zip").write_bytes(b"no archive")
-    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: File is not a zip file"):
+    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: "):
         load_policy(str(tmp_path / "b.zip"), env)
 
 
 def test_a_function_of_a_module(env) -> None:
     with pytest.raises(PolicyError, match="the policy raised TypeError"):
         load_policy("os:getcwd", env, trust=True)
-    with pytest.raises(PolicyError, match="module 'os' has no 'nothing'"):
+    with pytest.raises(PolicyError, match="the import raised AttributeError"):
         load_policy("os:nothing", env, trust=True)
     assert load_policy("numpy:mean", env, trust=True)(np.full(5, 0.25)) == 0.25
 
@@ -382,13 +353,13 @@ def test_a_function_of_a_module(env) -> None:
 @pytest.mark.parametrize(
     ("source", "reason"),
     [
-        (":act", "importing the module raised ValueError: Empty module name"),
-        (".mine:act", "importing the module raised TypeError"),
-        ("fails:act", "importing the module raised ZeroDivisionError"),
-        ("exits:act", "importing the module raised SystemExit: 3"),
-        ("wrong:act", "importing the module raised SyntaxError"),
+        (":act", "the import raised ValueError"),
+        (".mine:act", "the import raised TypeError"),
+        ("fails:act", "the import raised ZeroDivisionError"),
+        ("exits:act", "the import raised SystemExit: 3"),
+        ("wrong:act", "the import raised SyntaxError"),
         ("odd:act", "the policy raised SystemExit: 4"),
-        ("odd:other", "reading 'other' raised ZeroDivisionError"),
+        ("odd:other", "the import raised ZeroDivisionError"),
     ],
 )
 def test_a_module_that_breaks_is_an_error(source: str, reason: str, env, tmp_path, monkeypatch) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from gauge_envs.backends import registry
+from gauge_envs import registry
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError
@@ -131,7 +131,7 @@ class Slippery(BackendMuJoCo):
 @pytest.fixture
 def _slippery(monkeypatch) -> None:
     real = registry.entry_points
-    fault = EntryPoint("slippery", f"{__name__}:Slippery", registry.ENTRY_POINT_GROUP)
+    fault = EntryPoint("slippery", f"{__name__}:Slippery", registry.ENGINES_GROUP)
     monkeypatch.setattr(registry, "entry_points", lambda group: [*real(group=group), fault])
 
 
