@@ -56,7 +56,7 @@ from gauge_envs.tools.recipes import Aim, engine_names, engine_settings
 from gauge_envs.tools.recipes.command import NUMBERS
 from gauge_envs.tools.recipes.explain import parsed_contact
 from gauge_envs.tools.sanity import configuration
-from gauge_envs.tools.sanity.probe.program import document as probe_document
+from gauge_envs.tools.sanity.gauge_probe import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.tools.transfer.policies.load import load_policy
