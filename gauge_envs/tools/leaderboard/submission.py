@@ -127,20 +127,28 @@ def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tup
         found = distribution(package)
     except (PackageNotFoundError, ValueError):
         return "", ()
-    files = [(file, file.hash.value) for file in found.files or () if file.hash is not None and ".." not in file.parts]
-    if any("editable" in file.name and file.suffix == ".pth" for file, _ in files):
+    listed = [file for file in found.files or () if file.hash is not None and ".." not in file.parts]
+    if any("editable" in file.name and file.suffix == ".pth" for file in listed):
         return "", ()
-    needed = filter(None, (re.fullmatch(r"([\w.-]+)==[\w.]+", text) for text in found.requires or () if has_parts))
-    parts = [(one[1], *installed_package(one[1], has_parts=False)) for one in needed]
-    lines = [f"{name} {content}\n" for name, content, _ in parts]
-    changed = [file for _, _, differing in parts for file in differing]
-    for file, released in files:
-        if not file.parts[0].endswith(".dist-info"):
-            digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
-            lines.append(f"{file.as_posix()} {digest.hex()}\n")
-            if released != urlsafe_b64encode(digest).rstrip(b"=").decode():
-                changed.append(file.as_posix())
-    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest() if lines else "", tuple(changed)
+    lines: list[str] = []
+    changed: list[str] = []
+    for requirement in (found.requires or ()) if has_parts else ():
+        pinned = re.fullmatch(r"([\w.-]+)==[\w.]+", requirement)
+        if pinned is not None:
+            part_sha256, part_changed = installed_package(pinned[1], has_parts=False)
+            lines.append(f"{pinned[1]} {part_sha256}\n")
+            changed += part_changed
+    for file in listed:
+        if file.parts[0].endswith(".dist-info"):
+            continue
+        digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
+        lines.append(f"{file.as_posix()} {digest.hex()}\n")
+        assert file.hash is not None
+        if file.hash.value != urlsafe_b64encode(digest).rstrip(b"=").decode():
+            changed.append(file.as_posix())
+    if not lines:
+        return "", tuple(changed)
+    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest(), tuple(changed)
 
 
 @dataclass

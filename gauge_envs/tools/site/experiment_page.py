@@ -147,24 +147,27 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     names = one.metrics()
     if not names:
         return []
-    titles, note = ["", *(SCORE_METRICS[name].title for name in names)], SCORES_NOTE
-    rows: list[list[str]] = [
-        [link, *(score_cell(one, cell, name) for name in names)]
-        for link, cell in zip(site.links, one.cells, strict=True)
-    ]
     percentiles = [None if cell is None else cell.percentile(one.primary) for cell in one.cells]
-    if has_trials := any(percentile is not None for percentile in percentiles):
+    has_trials = any(percentile is not None for percentile in percentiles)
+    titles = ["", *(SCORE_METRICS[name].title for name in names)]
+    note = SCORES_NOTE
+    if has_trials:
         titles.append("real trials closer")
         note += " Real trials closer: share of the real trials that are closer to their mean."
-        for row, percentile in zip(rows, percentiles, strict=True):
-            row.append("-" if percentile is None else f"{percentile:.0f} %")
     titles += FACTS
-    for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
-        row += [configuration.physics or "-", cell_cost(cell)]
+    rows: list[list[str]] = []
+    for index, cell in enumerate(one.cells):
+        row: list[str] = [site.links[index], *(score_cell(one, cell, name) for name in names)]
+        if has_trials:
+            percentile = percentiles[index]
+            row.append("-" if percentile is None else f"{percentile:.0f} %")
+        row += [site.comparison.configurations[index].physics or "-", cell_cost(cell)]
+        rows.append(row)
     for engine, title in PUBLISHED_ENGINES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (len(FACTS) + has_trials)])
+            empty = [""] * (len(titles) - 1 - len(names))
+            rows.append([f"{title}, paper", *map(score_text, values), *empty])
     return section("Scores", grid(titles, rows), note)
 
 

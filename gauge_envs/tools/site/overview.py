@@ -228,14 +228,18 @@ def _matrix(site: Site) -> list[Part]:
 
 def _matrix_cell(index: int, one: _Phenomenon) -> Html:
     """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
-    results = [result for member in one.members if (cell := member.cells[index]) for result in cell.results]
-    counts = {outcome: sum(result.outcome is outcome for result in results) for outcome in LOST}
-    lost = [below(f"{count} {outcome.value}") for outcome, count in counts.items() if count]
+    cells = [cell for member in one.members if (cell := member.cells[index]) is not None]
+    lost = []
+    for outcome in LOST:
+        count = sum(cell.count(outcome) for cell in cells)
+        if count:
+            lost.append(below(f"{count} {outcome.value}"))
     found = one.of(index)
-    if found is None or found[1].mean is None:
-        return join([element("span", "no score" if results else "not run", class_="quiet"), *lost])
-    grade, mean = found[0], found[1].mean
-    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, found[1].rank))]
+    mean = None if found is None else found[1].mean
+    if found is None or mean is None:
+        return join([element("span", "no score" if cells else "not run", class_="quiet"), *lost])
+    grade, score = found
+    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, score.rank))]
     if len(grade.ids) < len(one.members):
         parts.append(below(f"over {len(grade.ids)} of {len(one.members)} experiments"))
     return join([*parts, *lost])
