@@ -17,7 +17,7 @@ from pydantic import Field, ValidationError, model_validator
 from gauge_envs.errors import AssetError, TaskFileError
 from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
+from gauge_envs.experiments.tables import Camera, DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import outside_reason, toml_document
@@ -106,6 +106,7 @@ class ExperimentFile(FileModel):
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
+        camera: Where pictures are taken from; without one, it shows the start and the ends of driven motion.
         provenance: Origin of the numbers, by topic.
     """
 
@@ -124,6 +125,7 @@ class ExperimentFile(FileModel):
     drivers: tuple[DriverSpec, ...] = ()
     band: FileBandSpec | None = None
     baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
+    camera: Camera | None = None
     provenance: dict[str, str] = Field(min_length=1)
 
 
@@ -136,6 +138,11 @@ class FileExperiment(Experiment):
     """
 
     definition: ExperimentFile
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the file, or None."""
+        return self.definition.camera
 
 
 def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
@@ -228,8 +235,9 @@ def _file_experiment(
 def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
     """Return the content and the band of an experiment file for a result, JSON-ready."""
     band = experiment.reference.band if experiment.reference is not None else None
+    absent = {"camera"} if experiment.camera is None else None
     return {
-        "definition": experiment.definition.model_dump(mode="json"),
+        "definition": experiment.definition.model_dump(mode="json", exclude=absent),
         "band": None if band is None else band.to_dict(),
     }
 
