@@ -20,7 +20,7 @@ CORE_INSTRUMENTS = {"catalog", "run"}
 
 CORE_BACKENDS = {"mujoco", "shared"}
 
-MODEL_FILES = ("mjcf_reader.py",)
+MODEL_FILES = ("mjcf_probe.py", "mjcf_reader.py", "mjcf_writer.py", "model_diff.py")
 """Modules of MuJoCo's folder that only read and write model files."""
 
 GUEST_PACKAGES = ("imageio", "matplotlib", "newton", "packaging", "pxr", "sapien", "yaml")
