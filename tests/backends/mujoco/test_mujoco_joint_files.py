@@ -12,7 +12,6 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.mjcf_writer import exact_xml, start_notes
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.errors import AssetError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, JointDynamics, Scene
@@ -20,6 +19,7 @@ from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile
 from gauge_envs.tools.assets.urdf import body_files
+from gauge_envs.tools.mjcf.writer import exact_xml, start_notes
 
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 SERVO = Servo(command=COMMAND, kp_n_m_per_rad=0.8123456789, kv_n_m_s_per_rad=0.013, torque_limit_n_m=1.7, delay_s=0.02)
