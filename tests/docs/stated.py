@@ -452,7 +452,7 @@ def sanity() -> dict[str, list[str]]:
 
 
 def tolerance_of_gravity() -> float:
-    return float(of("tools.sanity.stated.GRAVITY_ROW").reality.tolerance)
+    return float(of("tools.sanity.target_checks.GRAVITY_ROW").reality.tolerance)
 
 
 def good_step_s() -> float:

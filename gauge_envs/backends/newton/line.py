@@ -287,12 +287,18 @@ def _add_capsules(
     ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
     """Add the capsules of the segments; the round end of a free end lies within the line."""
-    shapes, config = [], newton.ModelBuilder.ShapeConfig(density=0.0)
+    shapes = []
     for index, link in enumerate(links):
-        low = line.radius_m if index == 0 and "low" not in ends else 0.0
-        high = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
-        frame = wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity())
-        half_m = max(0.5 * (length_m - low - high), 0.0)
-        given = {"radius": line.radius_m, "half_height": half_m, "cfg": config, "label": line.name}
-        shapes.append(builder.add_shape_capsule(link, xform=frame, **given))
+        # What the round end of a free end takes of the segment.
+        low_m = line.radius_m if index == 0 and "low" not in ends else 0.0
+        high_m = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
+        shape = builder.add_shape_capsule(
+            link,
+            xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low_m - high_m)), wp.quat_identity()),
+            radius=line.radius_m,
+            half_height=max(0.5 * (length_m - low_m - high_m), 0.0),
+            cfg=newton.ModelBuilder.ShapeConfig(density=0.0),
+            label=line.name,
+        )
+        shapes.append(shape)
     return tuple(shapes)

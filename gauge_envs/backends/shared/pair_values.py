@@ -57,12 +57,14 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
     elif rule is Combination.MEAN:
         found = values_of_sums(names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0)
     else:
+        # The logarithms of two values add up to that of their product.
         power = 2.0 if rule is Combination.GEOMETRIC else 1.0
-        positive = {pair: power * float(np.log(value)) for pair, value in pairs.items() if value > 0.0}
-        active = [name for name in names if any(name in pair for pair in positive)]
-        logs = values_of_sums(active, positive, lowest=-np.inf)
+        sums = {pair: power * float(np.log(value)) for pair, value in pairs.items() if value > 0.0}
+        active = [name for name in names if any(name in pair for pair in sums)]
         # A body of which all pairs have the value 0 has the value 0.
-        found = {name: float(np.exp(logs[name])) if name in logs else 0.0 for name in names}
+        found = dict.fromkeys(names, 0.0)
+        for name, logarithm in values_of_sums(active, sums, lowest=-np.inf).items():
+            found[name] = float(np.exp(logarithm))
     _check(pairs, found, rule)
     return found
 

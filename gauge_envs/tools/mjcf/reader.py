@@ -61,6 +61,9 @@ DRIVER_COLUMNS = 19
 
 SHORTEST_STEP_S = 1e-7
 
+PROBE = Path(__file__).with_name("probe.py")
+"""Script that loads an MJCF file in a child process."""
+
 MOST_FILE_BYTES = 16 * MEGABYTE
 
 SAME_MOTION = 1e-6
@@ -111,7 +114,7 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 @lru_cache(maxsize=64)
 def _refusal(content: bytes) -> str | None:
     """Return why a model must not be compiled in this process, or None."""
-    return child_refusal(Path(__file__).with_name("mjcf_probe.py"), content=content)
+    return child_refusal(PROBE, content=content)
 
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from gauge_envs.tools.conformance import (
     hanging_strip,
     stretch_stiffness,
 )
-from gauge_envs.tools.usd.isaac_fabric import surface_constants
+from gauge_envs.tools.usd import surface_constants
 
 NOT_SIMULATED = {"isaac": "Isaac Sim is not run by this package, so that nothing is simulated"}
 """Engines that are not simulated, with the reason."""

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
+from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
 from gauge_envs.files import os_errors
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.tools.video import laws
@@ -320,9 +321,11 @@ def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, ine
         return None, None
     angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
 
+    # A body that rolls has the inertia m (1 + k): it slides like one under the gravity g / (1 + k).
+    gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
+
     def friction(a_m_s2: float, more_rad: float = 0.0) -> float:
-        gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
-        return math.tan(angle + more_rad) - a_m_s2 / (gravity * math.cos(angle + more_rad))
+        return slide_friction(a_m_s2, angle + more_rad, gravity_m_per_s2=gravity)
 
     tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
     below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)
@@ -359,33 +362,13 @@ def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) 
 
 
 def restitution(track: Track, task: VideoTask) -> float:
-    """Return the mean ratio of the speeds after and before the impacts of a ball.
-
-    Between impacts the ball flies free: z_k(t) = z_k + v_k t - g t^2 / 2. All flights share one gravity, so that one
-    linear least-squares fit gives z_k, v_k and g. Flights k and k + 1 meet at the time of an impact, where Newton's law
-    gives e = -(v_{k+1} - g t) / (v_k - g t).
-    """
+    """Return the mean ratio of the speeds after and before the impacts of a ball; see `restitution_of_flights`."""
     rows = np.flatnonzero(track.is_found)
-    times_s = track.times_s[rows]
     heights_m = -task.scale_m_per_px * track.points_px[rows, 1]
     flights = _flights(heights_m)
     if len(flights) < 2:
         raise ParameterError(f"restitution: two flights of {LEAST_FLIGHT} frames are needed")
-    used = np.concatenate(flights)
-    flight_of = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
-    sample = np.arange(len(used))
-    clock_s = times_s[used]
-    # Unknowns: z_0, v_0, z_1, v_1, ..., g.
-    basis = np.zeros((len(used), 2 * len(flights) + 1))
-    basis[sample, 2 * flight_of] = 1.0
-    basis[sample, 2 * flight_of + 1] = clock_s
-    basis[:, -1] = -0.5 * clock_s**2
-    unknowns = np.linalg.lstsq(basis, heights_m[used], rcond=None)[0]
-    starts_m, speeds_m_per_s, gravity_m_per_s2 = unknowns[:-1:2], unknowns[1::2], unknowns[-1]
-    impacts_s = -np.diff(starts_m) / np.diff(speeds_m_per_s)
-    before_m_per_s = speeds_m_per_s[:-1] - gravity_m_per_s2 * impacts_s
-    after_m_per_s = speeds_m_per_s[1:] - gravity_m_per_s2 * impacts_s
-    return float((-after_m_per_s / before_m_per_s).mean())
+    return restitution_of_flights(track.times_s[rows], heights_m, flights)
 
 
 def _flights(heights_m: FloatArray) -> list[NDArray[np.intp]]:
