@@ -132,9 +132,9 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     if declined := _checks_by(left, lambda one: "; ".join(one.missing)):
         yield "Declined", [f"{name}: {reason} ({', '.join(ids)})" for (name, reason), ids in declined.items()]
     for name in _backends(findings):
-        own = [finding for finding in findings if finding.backend == name]
-        versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
-        yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
+        of_backend = [finding for finding in findings if finding.backend == name]
+        versions = ", ".join(f"{key} {value}" for key, value in of_backend[0].versions.items())
+        yield f"{name}: {versions}; settings in force", list(_settings_lines(of_backend))
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
         told = _checks_by([one for one in bad if not one.reported_by], lambda one: f"{_what(one)}{one.diagnosis}")
@@ -175,8 +175,8 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     shared = {key: value for key, value in first.items() if all(key in s and s[key] == value for s, _ in groups)}
     yield f"all: {pairs_text(shared) or 'nothing in common'}"
     for settings, ids in groups:
-        if own := pairs_text(settings, skip=tuple(shared)):
-            yield f"{', '.join(ids)}: {own}"
+        if differing := pairs_text(settings, skip=tuple(shared)):
+            yield f"{', '.join(ids)}: {differing}"
 
 
 # --- one result ------------------------------------------------------------------------------------------------------
