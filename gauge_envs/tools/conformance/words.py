@@ -389,7 +389,7 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
         Heading("Checks"),
         *(_section(check, ran) for check in checks),
         Heading("Configurations"),
-        _configurations(ran),
+        _columns_table(ran),
         Heading("Provenance"),
         Paragraph(origin),
         element("p", element("code", command)),
@@ -441,20 +441,3 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
     described = listed(f"{name}: {text}" for name, text in facts.items())
     repeated = folded(f"{len(found)} results with their commands", results.html())
     return element("section", title, described, repeated, id=check.id)
-
-
-def _configurations(columns: Sequence[MatrixColumn]) -> Table:
-    def origin(column: MatrixColumn) -> str:
-        """Return when and with which version a column ran, and which of its results are not counted."""
-        outdated = (f"{name}: {reason}" for name, reason in column.outdated.items())
-        return "; ".join([f"{column.made}, gauge-envs {column.gauge_envs}", *outdated])
-
-    return Table(
-        columns=(
-            Column("title", "engine"),
-            Column("settings", "settings", lambda settings: pairs_text(settings) or "the presets of the engine"),
-            Column("versions", "versions", pairs_text),
-            Column("", "run", origin),
-        ),
-        rows=columns,
-    )
