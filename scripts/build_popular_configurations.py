@@ -32,8 +32,8 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import Report, TrainingConfiguration, Verdict, check, configuration
+from gauge_envs.tools.sanity.gauge_probe import SUFFIX
 from gauge_envs.tools.sanity.phenomena import phenomena
-from gauge_envs.tools.sanity.probe.program import SUFFIX
 
 DATA = SCORING / "popular_configurations.json"
 PAGE = ROOT / "docs" / "sanity_popular.md"

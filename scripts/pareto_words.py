@@ -14,7 +14,7 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id
-from gauge_envs.tools.compare.cost import GREY, LEAST_SHOWN, ROW_IN, STEP, step_text
+from gauge_envs.tools.compare.cost import GREY, MIN_SHOWN, ROW_IN, STEP, step_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -222,7 +222,7 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
             axis.plot([p.cost for p in line], [_value(p, error) or math.nan for p in line], **style)
             if error == "numerical" and family.is_default and style["color"] == GREY:
                 # The name of an engine without a colour of its own stands at the end of its line.
-                end = (line[-1].cost, _value(line[-1], error) or LEAST_SHOWN)
+                end = (line[-1].cost, _value(line[-1], error) or MIN_SHOWN)
                 place: dict[str, Any] = {"xytext": (5, 0), "textcoords": "offset points", "va": "center"}
                 axis.annotate(family.backend, end, fontsize=7.5, color=style["color"], annotation_clip=False, **place)
         others = [p for p in family.points if not p.is_on_main_line and _value(p, error) is not None]
@@ -233,7 +233,7 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
     axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
     axis.tick_params(labelsize=8)
     axis.margins(x=0.12)
-    floors = [family.floor for family in phenomenon.families if family.floor is not None and family.floor > LEAST_SHOWN]
+    floors = [family.floor for family in phenomenon.families if family.floor is not None and family.floor > MIN_SHOWN]
     if phenomenon.unit == "scatter":
         axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
     if floors:
@@ -246,7 +246,7 @@ def _value(point: Point, error: str) -> float | None:
     value = getattr(point, error)
     if value is None or (error == "numerical" and point.is_reference):
         return None
-    return max(float(value), LEAST_SHOWN)
+    return max(float(value), MIN_SHOWN)
 
 
 def _set_ticks(axis: Axes) -> None:

@@ -20,9 +20,6 @@ CORE_INSTRUMENTS = {"catalog", "run"}
 
 CORE_BACKENDS = {"mujoco", "shared"}
 
-MODEL_FILES = ("mjcf_reader.py",)
-"""Modules of MuJoCo's folder that only read and write model files."""
-
 GUEST_PACKAGES = ("imageio", "matplotlib", "newton", "packaging", "pxr", "sapien", "yaml")
 """Packages that the core does without."""
 
@@ -69,8 +66,6 @@ def core(tmp_path_factory: pytest.TempPathFactory) -> Path:
             if entry.is_dir() and entry.name not in kept:
                 shutil.rmtree(entry)
     shutil.rmtree(package / "rendering")
-    for name in MODEL_FILES:
-        (package / "backends" / "mujoco" / name).unlink()
     (folder / "sitecustomize.py").write_text(BLOCKER, encoding="utf-8")
     return folder
 

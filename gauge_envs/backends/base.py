@@ -17,7 +17,7 @@ Then, every 1/180 s, the environment drives each kinematic body and advances the
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -721,36 +721,47 @@ def scene_support(engine: Backend, scene: Scene) -> Support:
 
 def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     """Return what an engine's `supports` returned for a scene, with the features that its class does not declare."""
-    missing = (
-        {Feature.AIR: "the scene has air around its cloth, which this backend does not apply"} if scene.air else {}
-    )
+    # The last sentence of each feature.
+    needed = dict(_needed_features(scene))
+    reasons = tuple(reason for feature, reason in needed.items() if feature not in engine.features)
+    return Support((*support.missing, *reasons)) if reasons else support
+
+
+def _needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
+    """Yield the optional features that a scene needs, each with the sentence of a backend that lacks it."""
+    if scene.air:
+        yield Feature.AIR, "the scene has air around its cloth, which this backend does not apply"
     for hinge in scene.body_hinges[:1]:
-        joined = f"{hinge.first!r} and {hinge.second!r}"
-        missing[Feature.BODY_HINGES] = f"{joined} are joined by a hinge, which this backend does not build"
-    joined_bodies = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
-    for name in joined_bodies & {*scene.hung}:
-        missing[Feature.CHAINS] = f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
-    for moved in scene.hinges:
-        name = moved.body if isinstance(moved, Hinge) else moved.second
-        for feature, value, what in (
-            (Feature.DRY_FRICTION, moved.dynamics.dry_friction_n_m, "dry friction"),
-            (Feature.VISCOUS_FRICTION, moved.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
-            (Feature.ARMATURE, moved.dynamics.armature_kg_m2, "armature"),
-            (Feature.BACKLASH, moved.dynamics.backlash_rad, "backlash"),
-            (Feature.SERVO, isinstance(moved.motor, Servo), "a position servo"),
-            (Feature.TORQUE_MOTOR, isinstance(moved.motor, TorqueMotor), "a torque motor"),
-        ):
-            if value:
-                missing[feature] = f"the joint of {name!r} has {what}, which this backend does not build"
-    for feature, resists in ((Feature.TORSION, "torsion_m"), (Feature.ROLLING, "rolling_m")):
-        for touch in (one for one in scene.contacts if getattr(one, resists)):
-            joined = f"{touch.first[0]!r} and {touch.second[0]!r}"
-            missing[feature] = f"{joined} touch with {feature.value}, which this backend does not build"
+        bodies = f"{hinge.first!r} and {hinge.second!r}"
+        yield Feature.BODY_HINGES, f"{bodies} are joined by a hinge, which this backend does not build"
+    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    for name in joined & {*scene.hung}:
+        yield Feature.CHAINS, f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
+    yield from _needed_joint_features(scene)
+    for contact in scene.contacts:
+        bodies = f"{contact.first[0]!r} and {contact.second[0]!r}"
+        for feature, length_m in ((Feature.TORSION, contact.torsion_m), (Feature.ROLLING, contact.rolling_m)):
+            if length_m:
+                yield feature, f"{bodies} touch with {feature.value}, which this backend does not build"
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
-            missing[Feature.STATED_INERTIA] = f"{body.name!r} states its inertia, which this backend does not read"
-    reasons = tuple(text for feature, text in missing.items() if feature not in engine.features)
-    return Support((*support.missing, *reasons)) if reasons else support
+            yield Feature.STATED_INERTIA, f"{body.name!r} states its inertia, which this backend does not read"
+
+
+def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
+    for hinge in scene.hinges:
+        name = hinge.body if isinstance(hinge, Hinge) else hinge.second
+        terms = {
+            Feature.DRY_FRICTION: (hinge.dynamics.dry_friction_n_m, "dry friction"),
+            Feature.VISCOUS_FRICTION: (hinge.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
+            Feature.ARMATURE: (hinge.dynamics.armature_kg_m2, "armature"),
+            Feature.BACKLASH: (hinge.dynamics.backlash_rad, "backlash"),
+            Feature.SERVO: (isinstance(hinge.motor, Servo), "a position servo"),
+            Feature.TORQUE_MOTOR: (isinstance(hinge.motor, TorqueMotor), "a torque motor"),
+        }
+        for feature, (value, noun) in terms.items():
+            if value:
+                yield feature, f"the joint of {name!r} has {noun}, which this backend does not build"
 
 
 class FileBackend(Backend):

@@ -1,15 +1,13 @@
 """The camera of pictures: `scoring/cameras.toml` for tasks, and a rule for all other scenes."""
 
-from fnmatch import fnmatchcase
-
 import mujoco
 import numpy as np
 
 from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.references.tables import FileModel, read_toml, scoring_folder
+from gauge_envs.experiments.tables import Camera
 from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Plane, Rope, Scene, SoftBody
-from gauge_envs.scene.geometry import FloatArray, Positive, Vector, vector
+from gauge_envs.scene.geometry import FloatArray, vector
 
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view of the camera [deg]."""
@@ -30,20 +28,8 @@ FLOOR_IN_VIEW_M = 0.6
 """Largest distance of the floor below all bodies at which it is in the picture [m]."""
 
 
-class View(FileModel):
-    """A perspective camera without roll.
-
-    Attributes:
-        target_m: Point in the middle of the picture [m].
-        distance_m: Distance of the camera from it [m].
-        azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
-        elevation_deg: Angle of the view above the level plane [deg]; negative from above.
-    """
-
-    target_m: Vector
-    distance_m: Positive
-    azimuth_deg: float
-    elevation_deg: float
+class View(Camera):
+    """A perspective camera, and where it sees points."""
 
     @property
     def axes(self) -> FloatArray:
@@ -82,29 +68,18 @@ class View(FileModel):
         return camera
 
 
-class CameraFile(FileModel):
-    """Content of `scoring/cameras.toml`.
-
-    Attributes:
-        camera: Camera by the name of the task, which may have wildcards.
-    """
-
-    camera: dict[str, View]
-
-
 def experiment_view(
     experiment: Experiment, *, aspect: float = TABLE_ASPECT, reference: ReferencePath | None = None
 ) -> View:
-    """Return the view of an experiment: that of the table, else that of the rule.
+    """Return the view of an experiment: that of its camera, else that of the rule.
 
     Args:
         experiment: The experiment.
         aspect: Width of the picture over its height; a narrow one is taken from further away.
         reference: Places that the rule frames beside those of the scene, or None.
     """
-    table = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
-    matching = [view for name, view in table.items() if fnmatchcase(experiment.name, name)]
-    view = matching[0] if matching else scene_view(experiment.scene, reference=reference)
+    camera = experiment.camera
+    view = scene_view(experiment.scene, reference=reference) if camera is None else View(**camera.model_dump())
     if aspect >= TABLE_ASPECT:
         return view
     return view.model_copy(update={"distance_m": view.distance_m * TABLE_ASPECT / aspect})

@@ -13,9 +13,10 @@ from scipy.spatial.transform import Rotation
 from gauge_envs import GaugeEnv, load_experiment
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import reference_path
+from gauge_envs.experiments.tables import CameraFile
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.references.tables import read_toml, scoring_folder
-from gauge_envs.rendering.camera import CameraFile, View, experiment_view, scene_view
+from gauge_envs.rendering.camera import View, experiment_view, scene_view
 from gauge_envs.rendering.overlay import Overlay
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.scene import Plane

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from types import MappingProxyType, ModuleType
+from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Feature, ModelFile
@@ -15,7 +15,8 @@ from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.backends.mujoco.versions import without_absent, without_deformables
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
-from gauge_envs.errors import BackendError, ParameterError, UnsupportedSceneError
+from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.registry import model_files
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
@@ -60,8 +61,8 @@ class BackendMuJoCo(BundledBackend):
         return SimulationMuJoCo(scene, in_force, spec, model, parts)
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
-        """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""
-        return _mjcf_reader().read_model(path, scene, self.build(scene))
+        """Read an MJCF file, through the instrument that reads them."""
+        return model_files(self.name).read_model(path, scene, self.build(scene))
 
     def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
@@ -70,13 +71,4 @@ class BackendMuJoCo(BundledBackend):
                 f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
                 "change them in the file"
             )
-        return SimulationMuJoCo(scene, *_mjcf_reader().load_model(path, scene))
-
-
-def _mjcf_reader() -> ModuleType:
-    """Return the reader of MJCF files, which scenes of task files do not need."""
-    try:
-        from gauge_envs.backends.mujoco import mjcf_reader
-    except ImportError as error:
-        raise BackendError(f"MJCF files cannot be read, as a module of this package is missing: {error}") from error
-    return mjcf_reader
+        return SimulationMuJoCo(scene, *model_files(self.name).load_model(path, scene))

@@ -17,6 +17,7 @@ from scipy.sparse import csr_matrix
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, free_joint_views, make_firm, rotation_matrix
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
@@ -176,7 +177,7 @@ class _Lattice:
     def grid_m(self, subdivisions: tuple[int, ...]) -> NDArray[np.float64]:
         """Return a regular grid of positions [m], z fastest, with the given intervals in each cell."""
         steps = [np.arange(n * part + 1) / part for n, part in zip(self.cells, subdivisions, strict=True)]
-        return self._low_m + self.cell_m * np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return self._low_m + self.cell_m * grid_points(*steps)
 
     def node_masses(self, cell_kg: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the masses of the nodes [kg], z fastest, by Simpson's rule as in MuJoCo.

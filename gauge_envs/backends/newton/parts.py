@@ -26,6 +26,7 @@ from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.kernels import carry, hold
 from gauge_envs.backends.newton.settings import CLOTH_CELL_M, SOFT_CELL_M, SettingsVBD
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.backends.shared.soft_rows import (
     TOLERANCE_M,
@@ -33,7 +34,6 @@ from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
     TetrahedralMesh,
     grid_lines_m,
-    grid_points_m,
     lame_constants,
 )
 from gauge_envs.scene import Box, Cloth, Motion
@@ -258,7 +258,7 @@ class _Solid:
 
     def __init__(self, block: Block, body: int, cell_m: float) -> None:
         self.block, self.body = block, body
-        self.grid_m = grid_points_m(grid_lines_m([block], 0, cell_m))
+        self.grid_m = grid_points(*grid_lines_m([block], 0, cell_m))
 
     def moved(self, state: newton.State, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions in a state of points given at the start [m], both of shape [point_count, 3]."""

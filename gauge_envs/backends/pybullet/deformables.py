@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
 from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
@@ -270,14 +271,18 @@ def _write_mesh(
 ) -> NDArray[np.float64]:
     """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
     axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
-    nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = tetrahedra((len(axes[0]), len(axes[1]), len(axes[2])))
+    x, y, z = axes
+    nodes_m = grid_points(x, y, z)
+    cells = tetrahedra((len(x), len(y), len(z)))
     lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
     lines.append(f"POINTS {len(nodes_m)} double")
-    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in (scale * nodes_m).tolist()]
+    for point in (scale * nodes_m).tolist():
+        lines.append(" ".join(map(repr, point)))
     lines.append(f"CELLS {len(cells)} {5 * len(cells)}")
-    lines += ["4 " + " ".join(map(str, cell)) for cell in cells.tolist()]
+    for corners in cells.tolist():
+        lines.append(" ".join(map(str, (4, *corners))))
     lines.append(f"CELL_TYPES {len(cells)}")
+    # 10 is VTK's number of a tetrahedron.
     lines += ["10"] * len(cells)
     file.write_text("\n".join(lines) + "\n")
     return nodes_m

@@ -206,6 +206,16 @@ class CostCurve:
         return self.settings[0].results[0]
 
     @property
+    def id(self) -> str:
+        """Id of the experiment."""
+        return self.measure.experiment.id
+
+    @property
+    def unit(self) -> str:
+        """Unit of `over_scatter`."""
+        return "real scatter" if self.measure.scatter else self.measure.unit
+
+    @property
     def name(self) -> str:
         """Engine, preset and other settings, as `rapier out_of_box`."""
         given = other_settings(self.first)
@@ -221,6 +231,13 @@ class CostCurve:
     def over_scatter(self, error: float | None) -> float | None:
         """Return an error in units of the real scatter, if there is one."""
         return None if error is None else error / (self.measure.scatter or 1.0)
+
+    def default(self) -> SettingCost | None:
+        """Return the setting with the engine's own step; None if it did not run."""
+        for setting in self.settings:
+            if setting.is_main and any(STEP not in one.settings_given for one in setting.results):
+                return setting
+        return None
 
     def sufficient(self) -> SettingCost | None:
         """Return the setting of the sufficient step; None if there is none."""
@@ -349,56 +366,46 @@ def _converged(curve: CostCurve) -> SettingCost | None:
 def cost_document(curves: Sequence[CostCurve]) -> Document:
     """Return a table with a row for each curve; its JSON has a row for each setting."""
     kind = cost_kind(curves)
-    units = {curve.measure.experiment.id: _reference_cost(curve, kind) for curve in curves if _is_reference(curve)}
+    # The cost of the reference engine with default settings, by experiment.
+    units: dict[str, float] = {}
+    for curve in curves:
+        for setting in curve.settings:
+            if curve.first.backend == REFERENCE_ENGINE and any(not one.settings_given for one in setting.results):
+                units[curve.id] = min(setting.costs(kind))
 
     def cost(curve: CostCurve, setting: SettingCost | None) -> str:
         if setting is None:
             return "-"
         seconds = min(setting.costs(kind))
-        unit = units.get(curve.measure.experiment.id)
-        ratio = f", {seconds / unit:.2g}" if unit else ""
+        ratio = f", {seconds / units[curve.id]:.2g}" if curve.id in units else ""
         return f"{step_text(setting.step_s)}: {seconds:.2g} s{ratio}"
 
-    rows = [
-        {
-            "id": curve.measure.experiment.id,
-            "parameters": str(curve.first.parameters),
-            "engine": curve.name,
-            "resolution": curve.over_scatter(curve.resolution),
-            "unit": "real scatter" if curve.measure.scatter else curve.measure.unit,
-            "sufficient": cost(curve, curve.sufficient()),
-            "cheapest": cost(curve, curve.cheapest(kind)),
-            "default": cost(curve, next((one for one in curve.settings if _is_default(one)), None)),
-        }
-        for curve in curves
-    ]
     table = Table(
         columns=(
             Column("id", "experiment", short_id, place=Place.HEADING),
-            Column("parameters", "", place=Place.HEADING),
-            Column("engine", "engine"),
-            Column("resolution", "resolution", quantity_text, is_number=True),
+            Column("first.parameters", "", place=Place.HEADING),
+            Column("name", "engine"),
+            Column("", "resolution", lambda one: _error_text(one.over_scatter(one.resolution)), is_number=True),
             Column("unit", "unit"),
-            Column("sufficient", "sufficient step"),
-            Column("cheapest", "cheapest within real scatter"),
-            Column("default", "default step"),
+            Column("", "sufficient step", lambda one: cost(one, one.sufficient())),
+            Column("", "cheapest within real scatter", lambda one: cost(one, one.cheapest(kind))),
+            Column("", "default step", lambda one: cost(one, one.default())),
         ),
-        rows=rows,
+        rows=curves,
         notes=(
-            f"Behind a step: {kind.upper() if kind == 'cpu' else kind} time per simulated second, and its ratio to "
-            f"that of {REFERENCE_ENGINE} with its default settings.",
+            f"Behind a step: {'CPU' if kind == 'cpu' else kind} time per simulated second, and its ratio to that of "
+            f"{REFERENCE_ENGINE} with its default settings.",
         ),
     )
-    points = [_row(curve, setting, kind, units) for curve in curves for setting in curve.settings]
-    return Document(parts=(table,), rows=points)
+    rows = [_row(curve, setting, kind, units.get(curve.id)) for curve in curves for setting in curve.settings]
+    return Document(parts=(table,), rows=rows)
 
 
-def _row(curve: CostCurve, setting: SettingCost, kind: str, units: dict[str, float]) -> dict[str, Any]:
+def _row(curve: CostCurve, setting: SettingCost, kind: str, unit_cost: float | None) -> dict[str, Any]:
     """Return the numbers of a setting."""
     costs = setting.costs(kind)
-    unit = units.get(curve.measure.experiment.id)
     return {
-        "id": curve.measure.experiment.id,
+        "id": curve.id,
         "parameters": curve.first.parameters,
         "engine": curve.name,
         "versions": RunConfiguration.of(curve.first).engine_versions,
@@ -408,10 +415,10 @@ def _row(curve: CostCurve, setting: SettingCost, kind: str, units: dict[str, flo
         "time": kind,
         "cost": min(costs),
         "cost_max": max(costs),
-        "cost_ratio": min(costs) / unit if unit else None,
+        "cost_ratio": min(costs) / unit_cost if unit_cost else None,
         "repeats": len(costs),
         "diverged": setting.frames is None,
-        "unit": "real scatter" if curve.measure.scatter else curve.measure.unit,
+        "unit": curve.unit,
         "numerical": curve.over_scatter(setting.numerical),
         "to_reality": curve.over_scatter(setting.real),
         "resolution": curve.over_scatter(curve.resolution),
@@ -419,20 +426,8 @@ def _row(curve: CostCurve, setting: SettingCost, kind: str, units: dict[str, flo
     }
 
 
-def _is_default(setting: SettingCost) -> bool:
-    return setting.is_main and any(STEP not in one.settings_given for one in setting.results)
-
-
-def _is_reference(curve: CostCurve) -> bool:
-    return any(not one.settings_given for setting in curve.settings for one in setting.results) and (
-        curve.first.backend == REFERENCE_ENGINE
-    )
-
-
-def _reference_cost(curve: CostCurve, kind: str) -> float:
-    """Return the cost of a curve's default settings."""
-    chosen = [one for one in curve.settings if any(not result.settings_given for result in one.results)]
-    return min(chosen[0].costs(kind))
+def _error_text(error: float | None) -> str:
+    return "-" if error is None else quantity_text(error)
 
 
 def step_text(step_s: float | None) -> str:
@@ -445,7 +440,7 @@ def step_text(step_s: float | None) -> str:
 GREY = "#707070"
 """Colour of engines that state none."""
 
-LEAST_SHOWN = 1e-4
+MIN_SHOWN = 1e-4
 """Errors below this are drawn at the lower edge."""
 
 ROW_IN = 2.3
@@ -455,18 +450,15 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     """Return the picture: each row is an experiment, with its numerical error and its error against reality."""
     groups: dict[tuple[str, str], list[CostCurve]] = {}
     for curve in curves:
-        groups.setdefault((short_id(curve.measure.experiment.id), str(curve.first.parameters)), []).append(curve)
+        groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(curve)
     kind = cost_kind(curves)
     figure = new_figure(10.0, ROW_IN * len(groups) + 1.3)
     grid = figure.subplots(len(groups), 2, squeeze=False, sharex="row")
     for (left, right), ((name, parameters), members) in zip(grid, groups.items(), strict=True):
-        unit = "real scatter" if members[0].measure.scatter else members[0].measure.unit
-        for axis, error, title in (
-            (left, "numerical", "numerical error"),
-            (right, "real", "error against reality"),
-        ):
-            _draw_errors(axis, members, error, kind)
-            axis.set_ylabel(f"{title}\n[{unit}]", fontsize=8.5)
+        _draw_errors(left, members, "numerical", kind)
+        left.set_ylabel(f"numerical error\n[{members[0].unit}]", fontsize=8.5)
+        _draw_errors(right, members, "real", kind)
+        right.set_ylabel(f"error against reality\n[{members[0].unit}]", fontsize=8.5)
         changed = "" if parameters == "calibrated" else f", {parameters}"
         left.set_title(f"{name}{changed}", loc="left", fontsize=11, fontweight="bold")
     for axis in grid[-1]:
@@ -495,7 +487,7 @@ def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str, kind: str)
             # The converged motion has no numerical error of its own.
             shown = [one for one in settings if not (error == "numerical" and one.is_converged)]
             points = [(min(one.costs(kind)), curve.over_scatter(getattr(one, error))) for one in shown]
-            known = [(cost, max(value, LEAST_SHOWN)) for cost, value in points if value is not None]
+            known = [(cost, max(value, MIN_SHOWN)) for cost, value in points if value is not None]
             axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
     if curves[0].measure.scatter:
         axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")

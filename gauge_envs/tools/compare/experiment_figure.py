@@ -38,10 +38,10 @@ HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0
 WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
 BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 
-MOST_LEGEND_ENTRIES = 12
-LEAST_RANGE = 0.02
+MAX_LEGEND_ENTRIES = 12
+MIN_RANGE = 0.02
 """Smallest range of a panel without a band, relative to that of the widest panel of the experiment."""
-MOST_ALIGNED = 2
+MAX_ALIGNED = 2
 """Largest number of curves that are drawn a second time, aligned to the release."""
 
 
@@ -206,7 +206,7 @@ def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int
             label = one.legend if column == 0 and number == 0 else None
             axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
         offset = one.results[0].score.release_offset_s
-        if offset is not None and len(one.results) == 1 and len(series) <= MOST_ALIGNED:
+        if offset is not None and len(one.results) == 1 and len(series) <= MAX_ALIGNED:
             moved = np.interp(times - offset, times, values)
             title = f"{one.label}, {offset:+.3f} s to align the release" if column == 0 else None
             axis.plot(times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3)
@@ -247,7 +247,7 @@ def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
 def _widen(axes: Sequence[Axes]) -> None:
     """Give each panel a share of the range of the widest one: rounding errors must not fill a panel."""
     limits = [axis.get_ylim() for axis in axes]
-    least = LEAST_RANGE * max(high - low for low, high in limits)
+    least = MIN_RANGE * max(high - low for low, high in limits)
     for axis, (low, high) in zip(axes, limits, strict=True):
         lacking = max(least - (high - low), 0.0)
         axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
@@ -263,7 +263,7 @@ def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.
 
 
 def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> None:
-    many = len(bodies) > MOST_LEGEND_ENTRIES
+    many = len(bodies) > MAX_LEGEND_ENTRIES
     seen: set[str] = set()
     for result in one.results:
         for panel, body, times, values in _curves(result, len(axes)):

@@ -130,7 +130,7 @@ class _Form:
             listed = values.reshape(-1).tolist() if isinstance(values, np.ndarray) else values
             self._put(path or _path(found["asset"] or ""), key, listed, name)
             self._note_unit(found["unit"], name)
-        elif path:
+        elif len(path) == 1:
             # Another entry of an asset, which is a fault among the markers of a marker set.
             self.assets.setdefault(path[0], {})[name] = values
         else:

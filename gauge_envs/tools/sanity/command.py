@@ -187,13 +187,13 @@ def _compare(
     form: ReportFormat,
 ) -> int:
     """Print what changes between two targets, and return the exit code."""
-    from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.words import against_document
+    from gauge_envs.tools.sanity.comparison import Change, compare
+    from gauge_envs.tools.sanity.words import comparison_document
 
     comparison = compare(trained, deployed, **options)
     if form.value not in {one.value for one in Format}:
         raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
-    print_document(against_document(comparison), Format(form.value), files=files)
+    print_document(comparison_document(comparison), Format(form.value), files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
         fail_on or FailOn.NEVER, ()
     )
@@ -217,9 +217,9 @@ def sanity_probe(
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.sanity.probe import program_text
 
+    program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
     if out is None:
-        echo(program_text(), nl=False)
+        echo(program, nl=False)
     else:
-        message(save_file(out, program_text()))
+        message(save_file(out, program))

@@ -38,7 +38,7 @@ from gauge_envs.tools.sanity.model import (
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRASP, GRAVITY_ID, RIGID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.stacks import configuration as configuration_of, dialect
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
-from gauge_envs.tools.sanity.stated import stated_fixes, stated_rows
+from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
 
 if TYPE_CHECKING:
     from gauge_envs.tools.sanity.robot.robot import Robot
@@ -171,7 +171,7 @@ def _where_it_trains(
             engine = " on MuJoCo's C engine; mujoco_warp, on which it trains, is not installed"
 
     def verdict(cured: TrainingConfiguration, name: str) -> Verdict:
-        stated = stated_rows(cured, dialect, [name])
+        stated = target_rows(cured, dialect, [name])
         if stated:
             return stated[0].verdict
         one = phenomenon(name)
@@ -274,7 +274,7 @@ class _Run:
         ]
         for subject, outcome, default in zip(self._subjects, outcomes, defaults, strict=True):
             yield self._row(subject, outcome, default)
-        yield from stated_rows(self._configuration, self._dialect, chosen)
+        yield from target_rows(self._configuration, self._dialect, chosen)
 
     def cure(self, rows: Sequence[PhenomenonResult]) -> Cure | None:
         """Return the change that mends most flags; None when there is no flag or no cure."""
@@ -286,7 +286,7 @@ class _Run:
         named = {name for row in rows if row.cause is not None for name in row.cause.settings}
         search = (self._configuration, flagged, others, self._dialect, named)
         found = self._in_time(partial(candidates_of, *search)) or []
-        fixes = stated_fixes(self._configuration, self._dialect, flags)
+        fixes = target_fixes(self._configuration, self._dialect, flags)
         texts = tuple(dict.fromkeys(text for name, (text, _) in fixes.items() if name != CAPACITY_ID))
         changes = {key: value for _, several in fixes.values() for key, value in several.items()}
         candidates = [{**one, **changes} for one in found] + [changes] * bool(changes)

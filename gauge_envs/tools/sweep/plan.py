@@ -22,7 +22,7 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT
-from gauge_envs.tools.sweep.spec import MOST_EPISODES, SweepSpec
+from gauge_envs.tools.sweep.spec import MAX_EPISODES, SweepSpec
 
 PLAN_LIMIT_S = 600.0
 """Time limit of the questions to an engine of another package [s]."""
@@ -124,11 +124,11 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         isolate: Ask also the engines of this package in another process.
     """
     count = spec.episode_count()
-    if count > MOST_EPISODES:
+    if count > MAX_EPISODES:
         # Python writes no integer of thousands of digits, which long lists give.
         shown = f"{count:,}" if count < 10**15 else f"more than {10**15:,}"
         raise ParameterError(
-            f"the sweep has {shown} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
+            f"the sweep has {shown} episodes, the limit is {MAX_EPISODES:,}: shorten its lists, or split it"
         )
     subjects = [_Subject.load(spec, one, parameters) for one in spec.subjects() for parameters in spec.parameters]
     # Parameters that no experiment takes are an error.

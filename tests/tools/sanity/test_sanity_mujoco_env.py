@@ -10,9 +10,8 @@ import pytest
 from mujoco_stacks import DOG, CollisionCfg, MujocoCfg, SimulationCfg, install_mjlab, mjlab_task, playground_env
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity import check, configuration
+from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
 from gauge_envs.tools.sanity.model import CapacityLimits
-from gauge_envs.tools.sanity.probe import program
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.stacks import dialect
 

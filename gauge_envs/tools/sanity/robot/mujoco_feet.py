@@ -13,8 +13,8 @@ from gauge_envs.backends.mujoco.model_settings import COLUMNS, ContactPairs, Pai
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Cylinder, Ellipsoid, Part, Pose, Sphere
 from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.sanity.gauge_probe import STANDING, driven
 from gauge_envs.tools.sanity.model import ContactGroup
-from gauge_envs.tools.sanity.probe.mujoco_capture import STANDING, driven
 from gauge_envs.tools.sanity.robot.foot import COPIES, FootGeometry
 
 STANDS_WITHIN = 0.1

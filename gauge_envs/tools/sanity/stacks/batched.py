@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model_settings import GROUND_TYPES
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import is_mjx_model, is_of
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.mujoco_capture import is_mjx_model
-from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import GEOM_FIELDS, PAIR_FIELDS, WIDTHS, add_pairs, write_fields
 from gauge_envs.tools.sanity.stacks.dialect import rounded

@@ -8,8 +8,8 @@ from dataclasses import is_dataclass
 from typing import Any
 
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import plain
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.probe.values import plain
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material

@@ -15,17 +15,17 @@ import mujoco
 
 from gauge_envs.backends.mujoco.model import CONES, ENABLE_FLAGS, INTEGRATORS, SOLVERS
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.mujoco_capture import (
+from gauge_envs.tools.sanity.gauge_probe import (
     MJLAB_PACKAGE,
     PLAYGROUND_PACKAGE,
+    found,
     frame_skip,
     implementation,
     is_of_package,
     limits,
     mujoco_model,
 )
-from gauge_envs.tools.sanity.probe.values import found
+from gauge_envs.tools.sanity.model import CapacityLimits, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import WHOLE, Dialect, Kind, Place, Setting, python_text

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.scenario import check_settings

@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.tools.sanity.gauge_probe import SUFFIX, VERSION
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.program import SUFFIX, VERSION
 from gauge_envs.tools.sanity.robot.mujoco_model import ABSENT_PARTS, mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document

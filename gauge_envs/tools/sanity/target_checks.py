@@ -58,7 +58,7 @@ CAPACITY_ROW = PhenomenonResult(
 )
 """Rows of a world and contacts of a world that do not fit."""
 
-STATED_ROWS = (GRAVITY_ROW, CAPACITY_ROW)
+TARGET_ROWS = (GRAVITY_ROW, CAPACITY_ROW)
 
 LEAST_TILT_DEG = 0.1
 """Smallest tilt that is reported [degrees]."""
@@ -75,7 +75,7 @@ SPARE = 1.25
 """Ratio of recommended limits and the counted need, since other motions may need more."""
 
 
-def stated_rows(
+def target_rows(
     configuration: TrainingConfiguration, dialect: Dialect, chosen: Sequence[str]
 ) -> list[PhenomenonResult]:
     """Return the chosen rows on what a target states, and on its robot.
@@ -105,7 +105,7 @@ def robot_row(name: str, robot: Robot | None) -> PhenomenonResult:
     )
 
 
-def stated_fixes(
+def target_fixes(
     configuration: TrainingConfiguration, dialect: Dialect, flags: Collection[str]
 ) -> dict[str, tuple[str, dict[str, Any]]]:
     """Return the change that mends each flagged row, as text to paste and as settings."""

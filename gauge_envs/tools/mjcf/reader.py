@@ -2,7 +2,7 @@
 
 The file determines the time step, solver, masses, friction, poses, compiled tables and driven motion. It must contain
 the rigid bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of
-deformable bodies must be where the backend places them. `mjcf_writer` writes such files. Custom numbers hold the data
+deformable bodies must be where the backend places them. `writer` writes such files. Custom numbers hold the data
 for which MJCF has no element:
 
 - `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. If the rows equal
@@ -29,7 +29,6 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
 from gauge_envs.backends.mujoco.model import START_KEY, build_model, parents_first, start_rates
-from gauge_envs.backends.mujoco.model_diff import format_value, is_same, model_changes, same_or
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
 from gauge_envs.backends.shared.rigid import hinges_by_body
@@ -42,6 +41,7 @@ from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import other_end, parent_hinges
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
+from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
 
 if TYPE_CHECKING:
     from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
@@ -60,6 +60,9 @@ DRIVER_COLUMNS = 19
 """Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
 
 SHORTEST_STEP_S = 1e-7
+
+PROBE = Path(__file__).with_name("probe.py")
+"""Script that loads an MJCF file in a child process."""
 
 MOST_FILE_BYTES = 16 * MEGABYTE
 
@@ -111,7 +114,7 @@ def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
 @lru_cache(maxsize=64)
 def _refusal(content: bytes) -> str | None:
     """Return why a model must not be compiled in this process, or None."""
-    return child_refusal(Path(__file__).with_name("mjcf_probe.py"), content=content)
+    return child_refusal(PROBE, content=content)
 
 
 def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:

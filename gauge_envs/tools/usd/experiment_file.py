@@ -15,9 +15,16 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from gauge_envs.errors import AssetError, TaskFileError
-from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.experiment import (
+    ASSET_NAME,
+    EXPERIMENT_NAME,
+    Asset,
+    AssetKind,
+    Experiment,
+    driver_provenance,
+)
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
-from gauge_envs.experiments.tables import DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
+from gauge_envs.experiments.tables import Camera, DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_files import task_file_error
 from gauge_envs.experiments.task_format import MarkersSpec, ScoreSpec
 from gauge_envs.files import outside_reason, toml_document
@@ -26,14 +33,11 @@ from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
-from gauge_envs.registry import scene_files
 from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
-
-EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
-"""Pattern of the name of an experiment file, which is part of ids and of file names."""
+from gauge_envs.tools.usd.reader import read_points, read_usd
 
 
 class PairSpec(FileModel):
@@ -106,6 +110,7 @@ class ExperimentFile(FileModel):
         drivers: Motion of kinematic bodies that the layer does not animate.
         band: Mean and scatter to score against; without a band there is no distance to reality.
         baseline: Scores of real trials, by metric.
+        camera: Where pictures are taken from; without one, it shows the start and the ends of driven motion.
         provenance: Origin of the numbers, by topic.
     """
 
@@ -124,6 +129,7 @@ class ExperimentFile(FileModel):
     drivers: tuple[DriverSpec, ...] = ()
     band: FileBandSpec | None = None
     baseline: dict[BaselineMetric, BaselineSpec] = Field(default_factory=dict)
+    camera: Camera | None = None
     provenance: dict[str, str] = Field(min_length=1)
 
 
@@ -136,6 +142,11 @@ class FileExperiment(Experiment):
     """
 
     definition: ExperimentFile
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of the file, or None."""
+        return self.definition.camera
 
 
 def load_experiment_file(path: str | PathLike[str]) -> FileExperiment:
@@ -228,8 +239,9 @@ def _file_experiment(
 def experiment_record(experiment: FileExperiment) -> dict[str, Any]:
     """Return the content and the band of an experiment file for a result, JSON-ready."""
     band = experiment.reference.band if experiment.reference is not None else None
+    absent = {"camera"} if experiment.camera is None else None
     return {
-        "definition": experiment.definition.model_dump(mode="json"),
+        "definition": experiment.definition.model_dump(mode="json", exclude=absent),
         "band": None if band is None else band.to_dict(),
     }
 
@@ -250,9 +262,7 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
     has_markers = definition.markers is None
-    found = scene_files(layer.suffix).read_scene(
-        layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers
-    )
+    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
     scene = replace(found.scene, duration_s=duration_s)
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
@@ -288,7 +298,7 @@ def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Ma
     stated = spec.model_dump(exclude={"prim"})
     if spec.prim is not None:
         try:
-            stated["positions_m"] = scene_files(layer.suffix).read_points(layer, spec.prim).tolist()
+            stated["positions_m"] = read_points(layer, spec.prim).tolist()
         except AssetError as error:
             raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
     try:

@@ -25,7 +25,7 @@ from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfigur
 from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon
 from gauge_envs.tools.sanity.stacks import configuration
-from gauge_envs.tools.sanity.stated import GRAVITY_ROW
+from gauge_envs.tools.sanity.target_checks import GRAVITY_ROW
 
 SLOPE_DEG = 30.0
 """Slope of the boards on which cubes slide [degrees]."""

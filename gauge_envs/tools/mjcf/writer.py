@@ -216,19 +216,29 @@ def _shorten(root: ElementTree.Element) -> None:
 
 def _sources(root: ElementTree.Element, spec: mujoco.MjSpec) -> Iterator[tuple[ElementTree.Element, Any]]:
     """Yield each element with numbers and its object in the editable model."""
-    for path, find in (("option", lambda _: spec.option), ("asset/mesh", spec.mesh), ("tendon/spatial", spec.tendon)):
-        yield from ((element, find(element.get("name", ""))) for element in root.findall(path))
-    yield from zip(root.findall("contact/pair"), spec.pairs, strict=True)
-    yield from zip(root.findall("keyframe/key"), spec.keys, strict=True)
-    yield from zip(root.findall("equality/*"), spec.equalities, strict=True)
-    yield from zip(root.findall("actuator/*"), spec.actuators, strict=True)
+    for element in root.findall("option"):
+        yield element, spec.option
+    # Elements that have a name.
+    for path, find in (("asset/mesh", spec.mesh), ("tendon/spatial", spec.tendon)):
+        for element in root.findall(path):
+            yield element, find(element.get("name", ""))
     for element in root.findall("deformable/flex"):
-        flex = spec.flex(element.get("name", ""))
-        yield from ((one, flex) for one in (element, *element))
+        for part in (element, *element):
+            yield part, spec.flex(element.get("name", ""))
+    # Elements in the order of the editable model.
+    ordered = {
+        "contact/pair": spec.pairs,
+        "keyframe/key": spec.keys,
+        "equality/*": spec.equalities,
+        "actuator/*": spec.actuators,
+    }
+    for path, objects in ordered.items():
+        yield from zip(root.findall(path), objects, strict=True)
     for element in (*root.findall("worldbody"), *root.iter("body")):
         body = spec.body(element.get("name", "world"))
         yield element, body
-        yield from ((one, body) for one in element.findall("inertial"))
+        for inertial in element.findall("inertial"):
+            yield inertial, body
         for tag, parts in (("geom", body.geoms), ("joint", body.joints), ("site", body.sites)):
             yield from zip(element.findall(tag), parts, strict=True)
 

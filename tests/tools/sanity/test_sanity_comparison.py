@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 from gauge_envs.cli.app import app
 from gauge_envs.errors import UnknownNameError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison, compare
+from gauge_envs.tools.sanity.comparison import Change, ChangeRow, Comparison, compare
 
 RUNNER = CliRunner()
 
