@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gauge_envs.backends.base import Recording
-from gauge_envs.errors import ShapeError
+from gauge_envs.errors import BackendError, ShapeError
 from gauge_envs.evaluation import worlds
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.worlds import score_recording, score_worlds
@@ -119,6 +119,18 @@ def test_arrays_on_the_cpu_are_scored_without_kernels() -> None:
     for array in (positions, Handed()):
         found = score_recording(experiment, band, recording=on_host(array), rows=[0], sample_counts=counts)
         assert all(np.array_equal(values, host[key], equal_nan=True) for key, values in found.items())
+
+
+def test_arrays_on_a_gpu_need_kernels() -> None:
+    class OnGPU:
+        def __dlpack_device__(self) -> tuple[int, int]:
+            return 2, 0
+
+    experiment = load_experiment("SlopeSlider-2-wood")
+    with pytest.raises(BackendError, match="kernels"):
+        score_recording(
+            experiment, reference_band(experiment), recording=on_host(OnGPU()), rows=[0], sample_counts=np.ones(1, int)
+        )
 
 
 @pytest.mark.parametrize("fault", ["one world shifted", "row of the band", "release offset", "range of shifts"])
