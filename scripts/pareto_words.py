@@ -14,7 +14,7 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.figures import REAL, new_figure, tidy_axis
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.pages.text import short_id
-from gauge_envs.tools.compare.cost import GREY, MIN_SHOWN, ROW_IN, STEP, step_text
+from gauge_envs.tools.compare.cost import GREY, MIN_SHOWN, ROW_IN, STEP, set_ticks, step_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -238,7 +238,7 @@ def _panel(axis: Axes, phenomenon: Phenomenon, error: str, title: str) -> None:
         axis.axhline(1.0, color=REAL, lw=1.0, ls="-", zorder=1)
     if floors:
         axis.axhspan(min(floors) * 0.97, max(floors) * 1.03, color="#9a9a9a", alpha=0.55, lw=0.0, zorder=1)
-    _set_ticks(axis)
+    set_ticks(axis)
 
 
 def _value(point: Point, error: str) -> float | None:
@@ -247,20 +247,6 @@ def _value(point: Point, error: str) -> float | None:
     if value is None or (error == "numerical" and point.is_reference):
         return None
     return max(float(value), MIN_SHOWN)
-
-
-def _set_ticks(axis: Axes) -> None:
-    """Label 1, 2 and 5 of each decade of cost, and whole decades of error, of which at least one is shown."""
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
-
-    low, high = axis.get_ylim()
-    axis.set_ylim(min(low, 0.5 * high), max(high, 2.0 * low))
-    low, high = axis.get_ylim()
-    axis.set_ylim(0.7 * 10.0 ** math.floor(math.log10(low) + 0.3), 10.0 ** math.ceil(math.log10(high) - 0.1))
-    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    for one in (axis.xaxis, axis.yaxis):
-        one.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        one.set_minor_formatter(NullFormatter())
 
 
 def _style(family: Family) -> dict[str, Any]:

@@ -497,3 +497,20 @@ def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str) -> None:
             axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
     if curves[0].measure.scatter:
         axis.axhline(1.0, color=REAL, lw=1.0, zorder=1, label="scatter of real trials")
+    set_ticks(axis)
+
+
+def set_ticks(axis: Axes) -> None:
+    """Label 1, 2 and 5 of each decade of cost, and whole decades of error, of which at least one is shown."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_ylim()
+    axis.set_ylim(min(low, 0.5 * high), max(high, 2.0 * low))
+    low, high = axis.get_ylim()
+    lower = 0.7 * 10.0 ** math.floor(math.log10(low) + 0.3)
+    upper = 10.0 ** math.ceil(math.log10(high) - 0.1)
+    axis.set_ylim(min(low, lower), max(high, upper))
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    for one in (axis.xaxis, axis.yaxis):
+        one.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        one.set_minor_formatter(NullFormatter())
