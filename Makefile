@@ -22,7 +22,7 @@ MATRIX_TESTS := tests/backends/mujoco/test_mujoco_laws.py tests/cli tests/envs/t
 # Those of rigid scenes, which also pass with the oldest MuJoCo.
 RIGID_TESTS := tests/backends/mujoco/test_mujoco_versions.py tests/tools/sanity/test_sanity_probe.py
 
-.PHONY: demo test check lint slow test-engines test-genesis test-matrix attack bench gallery docs clean
+.PHONY: demo test check lint slow test-engines test-genesis test-matrix attack bench size gallery docs clean
 
 demo: $(VENV)/.runs
 	$(BIN)/gauge run $(DEMO) --out results
@@ -73,6 +73,10 @@ bench: $(VENV)/.installed
 	$(BIN)/pip install --quiet -e ".[bench]"
 	$(BIN)/python benchmarks/table.py
 	$(BIN)/python benchmarks/import_memory.py --trials 100
+
+# Tokens of each room, and how dense its lines are; nothing tests them.
+size:
+	$(PYTHON) scripts/size.py
 
 # Pictures and films of docs/gallery.md. The results stay, so that a second time draws alone.
 gallery: $(VENV)/.installed

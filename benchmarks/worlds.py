@@ -37,7 +37,6 @@ import gauge_envs  # noqa: F401  registers the ids
 from gauge_envs.backends import ArrayWorlds, Recording, Simulation, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs.at_once import RecordedEpisodes
-from gauge_envs.evaluation.worlds import device_array
 from gauge_envs.scene import Scene
 
 NAME = "SlopeSlider-2-wood"
@@ -142,9 +141,11 @@ def _rolled_out(envs: Any) -> tuple[float, float, float, float]:
 
 def _wait(recording: Recording) -> None:
     """Wait for the engine; its work on a GPU would otherwise count where the result is read."""
-    positions = device_array(recording.positions_m)
     import warp as wp
 
+    from gauge_envs.backends.newton.recordings import device_array
+
+    positions = device_array(recording.positions_m)
     wp.synchronize_device(positions.device)
 
 

@@ -285,6 +285,35 @@ def child_refusal(script: Path, *arguments: str, content: bytes = b"", cpu_s: in
     return f"loading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory, or the library crashes on it"
 
 
+@contextmanager
+def limited_memory(more_bytes: int) -> Iterator[None]:
+    """Let this process take only so much more memory, where Linux can limit it; more is a MemoryError.
+
+    A child that reads a damaged file first is no proof for its parent: a library that follows a wrong offset may find
+    other bytes there, and ask for any amount.
+
+    Args:
+        more_bytes: Memory beyond what the process has now.
+    """
+    state = Path("/proc/self/statm")
+    if not state.is_file():
+        yield
+        return
+    import resource
+
+    data_pages = int(state.read_text(encoding="ascii").split()[5])
+    used_bytes = data_pages * resource.getpagesize()
+    before, most = resource.getrlimit(resource.RLIMIT_DATA)
+    allowed = used_bytes + more_bytes
+    if before != resource.RLIM_INFINITY:
+        allowed = min(allowed, before)
+    resource.setrlimit(resource.RLIMIT_DATA, (allowed, most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_DATA, (before, most))
+
+
 # --- writing ---------------------------------------------------------------------------------------------------------
 
 
@@ -366,27 +395,15 @@ def replaced_whole(file: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def locked(folder: Path, *, name: str = ".lock", waits: bool = True, shared: bool = False) -> Iterator[None]:
-    """Hold the lock of a folder, which one process at a time has; the end of a process releases it.
-
-    Args:
-        folder: The folder.
-        name: Name of the file that carries the lock.
-        waits: Whether to wait for a process that holds it.
-        shared: Whether other processes may hold it, too, if they share it. Windows has no such lock, and takes none.
-    """
-    with (folder / name).open("a") as stream:
+def locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a folder, which one process at a time has; the end of a process releases it."""
+    with (folder / ".lock").open("a") as stream:
         if sys.platform == "win32":
             import msvcrt
 
-            if not shared:
-                try:
-                    msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK if waits else msvcrt.LK_NBLCK, 1)
-                except PermissionError as error:
-                    raise BlockingIOError(error.errno, error.strerror) from None
+            msvcrt.locking(stream.fileno(), msvcrt.LK_LOCK, 1)
         else:
             import fcntl
 
-            kind = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-            fcntl.flock(stream, kind if waits else kind | fcntl.LOCK_NB)
+            fcntl.flock(stream, fcntl.LOCK_EX)
         yield

@@ -12,7 +12,7 @@ The file has these keys, all optional but `position`:
     position = 200                      # place among the commands of `gauge --help`
     listings = ["drifts"]               # kinds of `gauge list KIND`: function `list_drifts` of `command.py`
     pictures = ["drift"]                # kinds of `gauge plot --kind KIND`: function `draw_drift` of `command.py`
-    ids = "tasks"                       # module with `register`, `names`, `summary` and `document` of Gymnasium ids
+    ids = "ids"                         # module with `register`, `names`, `summary` and `document` of Gymnasium ids
 
     [commands]                          # name and line of help; the function of `command.py` has the name
     drift = "Report how far a resting body drifts."
@@ -20,9 +20,13 @@ The file has these keys, all optional but `position`:
     [groups]                            # first word of commands of two words
     data = "Real trials and scenes."
 
-    [scene_files]                       # module with `read_scene`, `read_points` and `write_scene`
+    [scene_files]                       # module with `read_scene`, `write_scene` and those for experiment files,
+                                        # see `gauge_envs/tools/usd/files.py`
     module = "layers"
     suffixes = [".usda"]
+
+    [model_files]                       # module with `read_model` and `load_model`, by engine
+    mujoco = "reader"
 """
 
 import ast
@@ -52,7 +56,7 @@ class SceneFiles:
     """Scene files that an instrument reads and writes.
 
     Attributes:
-        module: Name of the module with `read_scene`, `read_points` and `write_scene`.
+        module: Name of the module, whose functions are those of `gauge_envs/tools/usd/files.py`.
         suffixes: Suffixes of the files, as `.usda`.
     """
 
@@ -75,6 +79,7 @@ class Instrument:
         ids: Name of the module of its Gymnasium ids; or empty. `register()` registers them, `names()` returns them,
             `summary()` returns a line of `gauge list`, and `document(name)` the page of one in `gauge show`.
         scene_files: Scene files that it reads and writes, or None.
+        model_files: Name of the module that reads model files of an engine, by the name of the engine.
     """
 
     name: str
@@ -86,6 +91,7 @@ class Instrument:
     pictures: tuple[str, ...] = ()
     ids: str = ""
     scene_files: SceneFiles | None = None
+    model_files: Mapping[str, str] = field(default_factory=dict)
 
     def function(self, name: str) -> Any:
         """Return a function of the instrument's commands.
@@ -152,6 +158,7 @@ def _declared(name: str, package: str, file: Path) -> Instrument:
             pictures=tuple(stated.get("pictures", ())),
             ids=stated.get("ids", ""),
             scene_files=None if scene_files is None else _scene_files(package, scene_files),
+            model_files=stated.get("model_files", {}),
         )
     except (OSError, TypeError, ValueError, KeyError) as error:
         raise RegistryError(f"instrument {name!r}: {file}: {error}") from None
@@ -220,6 +227,18 @@ def scene_files(suffix: str) -> Any:
         if instrument.scene_files is not None and suffix in instrument.scene_files.suffixes:
             return import_module(instrument.scene_files.module)
     raise RegistryError(f"no installed instrument reads scene files {suffix!r}; known: {', '.join(scene_suffixes())}")
+
+
+def model_files(engine: str) -> Any:
+    """Return the module that reads model files in the format of an engine.
+
+    Raises:
+        RegistryError: No instrument reads them.
+    """
+    for instrument in instruments():
+        if engine in instrument.model_files:
+            return import_module(f"{instrument.package}.{instrument.model_files[engine]}")
+    raise RegistryError(f"no installed instrument reads model files of {engine}")
 
 
 # --- engines ---------------------------------------------------------------------------------------------------------

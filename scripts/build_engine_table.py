@@ -35,9 +35,8 @@ import numpy as np
 from generated import ROOT, SCORING, markdown_table, settle, with_part
 
 from gauge_envs import load_experiment
-from gauge_envs.backends.registry import uninstalled_backend
+from gauge_envs.backends.registry import backend_title, uninstalled_backend
 from gauge_envs.files import json_ready, write_whole
-from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.request import RunRequest
@@ -394,7 +393,7 @@ def page(data: Mapping[str, Any]) -> str:
         "*Physics*: the engine's own defaults, its own options, or corrected by this package:",
         "",
         *(
-            f"- {BACKEND_TITLES[engine]}: {'; '.join(uninstalled_backend(engine).corrections) or 'not corrected'}."
+            f"- {backend_title(engine)}: {'; '.join(uninstalled_backend(engine).corrections) or 'not corrected'}."
             for engine in ENGINES
         ),
         "",

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from gauge_envs import load_experiment, reference_band
+from gauge_envs.backends.registry import backend_title
 from gauge_envs.pages.figures import OURS, REAL, new_figure, tidy_axis
-from gauge_envs.pages.text import BACKEND_TITLES
-from gauge_envs.runs.batch import planned_results, run_many
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result_file import load_result, result_file_name
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
@@ -78,11 +79,11 @@ def draw(
         errors.plot(np.arange(frame + 1) / FRAME_RATE_HZ, error, color=OURS[column - 1], lw=4)
         errors.plot(frame / FRAME_RATE_HZ, error[-1], "o", color=OURS[column - 1], ms=10)
         rms_mm = float(np.sqrt(np.mean(np.square(error))))
-        errors.text(0.03, 1.0 - 0.12 * column, f"{BACKEND_TITLES[engine]}: {rms_mm:.0f} mm RMS",
+        errors.text(0.03, 1.0 - 0.12 * column, f"{backend_title(engine)}: {rms_mm:.0f} mm RMS",
             transform=errors.transAxes, color=OURS[column - 1], fontsize=17, weight="bold")  # fmt: skip
     drops.axhline(0.0, color="#808080", lw=3)
     drops.set(xlim=(-110, 550), ylim=(-15, 530), aspect="equal", yticks=[])
-    drops.set_xticks([0.0, 220.0, 440.0], [f"{len(real)} real", *(BACKEND_TITLES[engine] for engine in simulated)])
+    drops.set_xticks([0.0, 220.0, 440.0], [f"{len(real)} real", *(backend_title(engine) for engine in simulated)])
     drops.tick_params(length=0, labelsize=19)
     drops.spines[:].set_visible(False)
     tidy_axis(errors)

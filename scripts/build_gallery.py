@@ -21,8 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from gauge_envs.pages.text import BACKEND_TITLES
-from gauge_envs.runs.batch import planned_results, run_many
+from gauge_envs.backends.registry import backend_title
+from gauge_envs.runs.batch import run_many
+from gauge_envs.runs.episodes import planned_results
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result, result_file_name
@@ -152,7 +153,7 @@ def film_name(film: FilmEntry) -> str:
 
 def engines(film: FilmEntry) -> str:
     """Return the engines of a film in words."""
-    *first, last = (BACKEND_TITLES[backend] for backend in film.backends)
+    *first, last = (backend_title(backend) for backend in film.backends)
     return f"{', '.join(first)} and {last}"
 
 

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from generated import SCORING
+from generated import SCORING, same_arrays, same_text
 from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
@@ -295,8 +295,8 @@ def main() -> int:
             np.savez_compressed(file, **arrays)
             continue
         with np.load(file) as stored:
-            same = set(stored) == set(arrays) and all(np.array_equal(stored[key], arrays[key]) for key in arrays)
-        if not same or (text is not None and file.with_suffix(".toml").read_text("utf-8") != text):
+            same = same_arrays(dict(stored), arrays)
+        if not same or (text is not None and not same_text(file.with_suffix(".toml").read_text("utf-8"), text)):
             stale.append(file)
     for file in stale:
         print(f"{file} is not current: run python scripts/build_joint_trials.py FOLDER", file=sys.stderr)

@@ -31,6 +31,9 @@ from pathlib import Path
 from typing import Any
 
 from generated import ROOT, SCORING, markdown_table, settle, with_part
+from pareto import tradeoff, with_floor
+from pareto_model import Family, Tradeoff
+from pareto_words import draw_pareto, pareto_document
 from pydantic import TypeAdapter
 
 from gauge_envs import load_experiment
@@ -43,9 +46,7 @@ from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import load_result
-from gauge_envs.tools.cost import Family, Tradeoff, draw_pareto, pareto_document, tradeoff
-from gauge_envs.tools.cost.pareto import ErrorMeasure, with_floor
-from gauge_envs.tools.cost.words import step_words
+from gauge_envs.tools.compare.cost import ErrorMeasure, step_text
 
 DATA = SCORING / "pareto.json"
 PAGE = ROOT / "docs" / "accuracy_and_cost.md"
@@ -263,7 +264,7 @@ def sufficient(family: Family | None) -> str:
     point = next((p for p in family.points if p.is_on_main_line and p.step_s == family.sufficient_step_s), None)
     if family.sufficient_step_s is None or point is None:
         return "not resolved"
-    return f"{step_words(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
+    return f"{step_text(family.sufficient_step_s)}, {point.cost_ratio:.2g}"
 
 
 def measured(found: Tradeoff) -> str:

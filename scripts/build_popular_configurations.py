@@ -2,13 +2,16 @@
 
     python scripts/build_popular_configurations.py                       measures what the data lack, then writes both
     python scripts/build_popular_configurations.py --package Gymnasium   measures this package only
+    python scripts/build_popular_configurations.py --probes FOLDER       measures the probe files of other packages too
     python scripts/build_popular_configurations.py --docs                writes the page from the data
     python scripts/build_popular_configurations.py --tables              prints all rows of the data
     python scripts/build_popular_configurations.py --check               fails if the page is not current
 
-Packages are read as they are installed; one that is not installed keeps its rows. Tasks with equal settings share a
-row, which is measured once for a version of the package and of the engine. `scoring/popular_configurations.json` is
-written after each row, so that the script can be stopped at any time.
+Gymnasium is read as it is installed. Tasks of other packages are read from probe files, such as
+`FOLDER/playground/WalkerWalk.gaugeprobe.json`, which `gauge_probe.py` writes in the Python of the package; a
+package without files keeps its rows. Tasks with equal settings share a row, which is measured once for a version of the
+package and of the engine. `scoring/popular_configurations.json` is written after each row, so that the script can be
+stopped at any time.
 """
 
 from __future__ import annotations
@@ -20,7 +23,6 @@ import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +32,7 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.files import json_ready, write_whole
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity import Report, TrainingConfiguration, Verdict, check, configuration
+from gauge_envs.tools.sanity.gauge_probe import SUFFIX
 from gauge_envs.tools.sanity.phenomena import phenomena
 
 DATA = SCORING / "popular_configurations.json"
@@ -60,40 +63,6 @@ MOST_TARGETS = 4
 GYMNASIUM = ("Ant", "HalfCheetah", "Hopper", "Humanoid", "HumanoidStandup", "InvertedDoublePendulum")
 GYMNASIUM += ("InvertedPendulum", "Pusher", "Reacher", "Swimmer", "Walker2d")
 
-DM_CONTROL = ("acrobot/swingup", "ball_in_cup/catch", "cartpole/balance", "cheetah/run", "dog/run", "finger/spin")
-DM_CONTROL += ("fish/swim", "hopper/hop", "humanoid/run", "humanoid_CMU/run", "manipulator/bring_ball")
-DM_CONTROL += ("pendulum/swingup", "point_mass/easy", "quadruped/run", "reacher/easy", "stacker/stack_2")
-DM_CONTROL += ("swimmer/swimmer6", "walker/run")
-
-MANISKILL = ("AnymalC-Reach", "AssemblingKits", "DrawTriangle", "LiftPegUpright", "MS-AntWalk", "MS-CartpoleBalance")
-MANISKILL += ("MS-HopperHop", "MS-HumanoidWalk", "OpenCabinetDrawer", "PegInsertionSide", "PickCube", "PickSingleYCB")
-MANISKILL += (
-    "PlaceSphere",
-    "PlugCharger",
-    "PokeCube",
-    "PullCube",
-    "PushCube",
-    "PushT",
-    "RollBall",
-    "RotateValveLevel0",
-)
-MANISKILL += ("RotateSingleObjectInHandLevel0", "StackCube", "TriFingerRotateCubeLevel0", "TurnFaucet")
-MANISKILL += ("TwoRobotPickCube", "UnitreeG1Stand", "UnitreeG1TransportBox", "UnitreeGo2-Reach", "UnitreeH1Stand")
-
-
-def playground_tasks() -> Sequence[str]:
-    """Return all tasks of MuJoCo Playground."""
-    from gauge_envs.tools.sanity.stacks import playground
-
-    return [f"playground:{name}" for name in playground.playground_tasks()]
-
-
-def mjlab_tasks() -> Sequence[str]:
-    """Return all tasks of mjlab."""
-    from gauge_envs.tools.sanity.stacks import mjlab
-
-    return [f"mjlab:{name}" for name in mjlab.mjlab_tasks()]
-
 
 def isaac_lab_files() -> Sequence[str]:
     """Return configurations that training runs of Isaac Lab write, from this repository's examples."""
@@ -105,37 +74,44 @@ class Package:
     """A package whose configurations are measured.
 
     Attributes:
-        distribution: Name under which it is installed.
-        module: Module that shows whether it is installed.
-        targets: Function that returns its targets of a sanity check.
+        distribution: Name under which it is installed, and name of the folder of its probe files.
+        targets: Function that returns its targets of a sanity check; None for a package that is read from probe files.
     """
 
     distribution: str
-    module: str
-    targets: Callable[[], Sequence[str]]
+    targets: Callable[[], Sequence[str]] | None = None
 
 
 PACKAGES = {
-    "Gymnasium": Package("gymnasium", "gymnasium", lambda: [f"{name}-v5" for name in GYMNASIUM]),
-    "dm_control": Package("dm_control", "dm_control", lambda: [f"dm_control:{name}" for name in DM_CONTROL]),
-    "MuJoCo Playground": Package("playground", "mujoco_playground", playground_tasks),
-    "mjlab": Package("mjlab", "mjlab", mjlab_tasks),
-    "ManiSkill": Package("mani_skill", "mani_skill", lambda: [f"maniskill:{name}-v1" for name in MANISKILL]),
-    "Isaac Lab": Package("isaaclab", "isaaclab", isaac_lab_files),
+    "Gymnasium": Package("gymnasium", lambda: [f"{name}-v5" for name in GYMNASIUM]),
+    "dm_control": Package("dm_control"),
+    "MuJoCo Playground": Package("playground"),
+    "mjlab": Package("mjlab"),
+    "ManiSkill": Package("mani_skill"),
+    "Isaac Lab": Package("isaaclab", isaac_lab_files),
 }
 
 
 # --- measuring -------------------------------------------------------------------------------------------------------
 
 
-def installed_version(package: Package) -> str | None:
-    """Return the version of a package; None when it is not installed."""
-    if find_spec(package.module) is None:
-        return None
+def targets_of(package: Package, probes: Path | None) -> tuple[str | None, Sequence[str]]:
+    """Return the version of a package and its targets; None and no target where it is not here.
+
+    Args:
+        package: The package.
+        probes: Folder that holds a folder of probe files for each package; None when there is none.
+    """
+    if package.targets is None:
+        files = [] if probes is None else sorted((probes / package.distribution).glob(f"*{SUFFIX}"))
+        if not files:
+            return None, ()
+        versions = json.loads(files[0].read_text(encoding="utf-8"))["versions"]
+        return versions[package.distribution], [str(file) for file in files]
     try:
-        return version(package.distribution)
+        return version(package.distribution), package.targets()
     except PackageNotFoundError:
-        return None
+        return None, ()
 
 
 def key_of(read: TrainingConfiguration) -> str:
@@ -222,18 +198,17 @@ def groups_of(targets: Sequence[str]) -> tuple[dict[str, list[str]], dict[str, T
 
 
 def shown_name(target: str) -> str:
-    """Return a target without the prefix of its package and without folders."""
-    return Path(target).name if target.endswith(".yaml") else target.split(":")[-1]
+    """Return the name of a target without folders and without the suffix of probe files."""
+    return Path(target).name.removesuffix(SUFFIX)
 
 
-def measure(name: str, data: dict[str, Any], file: Path) -> None:
+def measure(name: str, data: dict[str, Any], file: Path, probes: Path | None = None) -> None:
     """Measure the rows of a package that the data lack; write the data after each row."""
-    package = PACKAGES[name]
-    found = installed_version(package)
+    found, package_targets = targets_of(PACKAGES[name], probes)
     if found is None:
-        print(f"{name} is not installed: its rows stay as they are")
+        print(f"{name} is not here: its rows stay as they are")
         return
-    by_key, read, unreadable = groups_of(package.targets())
+    by_key, read, unreadable = groups_of(package_targets)
     known = {row["key"]: row for row in data["rows"] if row["package"] == name and row["version"] == found}
     others = [row for row in data["rows"] if row["package"] != name]
     data["unreadable"][name] = {shown_name(target): reason for target, reason in unreadable.items()}
@@ -437,6 +412,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and write; return the exit status."""
     parser = argparse.ArgumentParser(description="Measure popular training configurations.")
     parser.add_argument("--package", action="append", choices=tuple(PACKAGES), help="package; default: all")
+    parser.add_argument("--probes", type=Path, help="folder with a folder of probe files for each package")
     mode = parser.add_mutually_exclusive_group()
     mode.add_argument("--docs", action="store_true", help="measure nothing; write the page")
     mode.add_argument("--tables", action="store_true", help="measure nothing; print all rows")
@@ -448,7 +424,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     data = json.loads(options.data.read_text(encoding="utf-8")) if options.data.is_file() else empty
     if not (options.docs or options.tables or options.check):
         for name in options.package or PACKAGES:
-            measure(name, data, options.data)
+            measure(name, data, options.data, options.probes)
     if options.tables:
         print("\n".join(tables(data)).strip())
         return 0

@@ -23,11 +23,12 @@ from typing import Any
 
 from generated import ROOT, markdown_table, settle, with_part
 
+from gauge_envs.backends.registry import backend_class
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.experiments.task_files import fabrics
 from gauge_envs.files import write_whole
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings, find_recipe
-from gauge_envs.tools.recipes.fabrics import FABRIC_ENGINES, NOT_SIMULATED, NOTHING_LOST, fabric_recipe
+from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe
 
 PAGE = ROOT / "docs" / "recipes.md"
 STUDY = ROOT / "studies" / "recipes"
@@ -130,7 +131,7 @@ def rows_of(kind: str, engine: str) -> list[list[str]]:
         cells = [contact_row(one) for one in known]
     else:
         by_name = {one["material"]: one for one in records(f"fabrics of {engine}")}
-        known = [by_name[name] for name in fabrics() if name in by_name]
+        known = [by_name[name] for name in fabrics("TextileFlinging") if name in by_name]
         cells = [fabric_row(one) for one in known]
     versions = ", ".join(f"{name} {number}" for name, number in known[-1]["versions"].items()) if known else ""
     return [[engine, versions, *row] for row in cells]
@@ -197,8 +198,8 @@ def measure_engine(engine: str) -> None:
             versions,
             lambda aim=aim: find_recipe(settings, aim).json(),  # type: ignore[misc]
         )
-    if engine in FABRIC_ENGINES and engine not in NOT_SIMULATED:
-        for name, fabric in fabrics().items():
+    if backend_class(engine).fabric_constants(fabrics("TextileFlinging")["satin"]) is not None:
+        for name, fabric in fabrics("TextileFlinging").items():
             measure(
                 f"fabrics of {engine}",
                 "material",

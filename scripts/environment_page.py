@@ -6,12 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
 
+from gauge_envs.backends.registry import backend_names, backend_title, is_bundled
 from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import beyond_variants, variants
 from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import BACKEND_TITLES, GRADE_NOTES, Markdown, short_id, value_text
+from gauge_envs.pages.text import GRADE_NOTES, Markdown, short_id, value_text
 from gauge_envs.references.bands import SigmaSource
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.catalog.description import description
@@ -204,7 +205,7 @@ def _statistics(names: _Names, members: Sequence[Values]) -> Iterator[dict[str, 
             cells = {name: found[engine] for name, found in statistics.items() if engine in found}
             runs = str(next(iter(cells.values()))[2])
             texts = {name: f"{mean:.4g} +- {spread:.2g}" for name, (mean, spread, _) in cells.items()}
-            yield {"id": names.short([short_id(values["id"])]), "engine": BACKEND_TITLES[engine], "runs": runs} | texts
+            yield {"id": names.short([short_id(values["id"])]), "engine": backend_title(engine), "runs": runs} | texts
 
 
 def _sigma(values: Values) -> str:
@@ -249,8 +250,8 @@ def _published(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
 def _engines(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     rows: list[dict[str, Any]] = []
     declined: list[str] = []
-    for engine, name in BACKEND_TITLES.items():
-        title = f"[{name}](../engines/{engine}.md)"
+    for engine in filter(is_bundled, backend_names()):
+        title = f"[{backend_title(engine)}](../engines/{engine}.md)"
         rows += ({"engine": title} | row for row in _running(names, members, engine))
         declined += (f"{title} declines {reason}" for reason in _reasons(names, members, engine))
     yield Heading("Engines")
@@ -304,7 +305,7 @@ def _of_engine(values: Values, engine: str) -> Values:
 
 def _convergence(names: _Names, members: Sequence[Values]) -> Iterator[Part]:
     rows = [
-        (names.short([short_id(values["id"])]), BACKEND_TITLES.get(engine, engine), text)
+        (names.short([short_id(values["id"])]), backend_title(engine), text)
         for values in members
         for engine, text in convergence_facts(values).items()
     ]

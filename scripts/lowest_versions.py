@@ -14,7 +14,7 @@ from typing import Any
 
 from packaging.requirements import Requirement
 
-__all__ = ["constraints"]
+__all__ = ["constraints", "requirements"]
 
 PYPROJECT = Path(__file__).parents[1] / "pyproject.toml"
 
@@ -30,15 +30,21 @@ def constraints(pyproject: Path, extras: Sequence[str] = ()) -> list[str]:
         ValueError: A requirement has no lower bound.
     """
     project = tomllib.loads(pyproject.read_text(encoding="utf-8"))["project"]
-    return sorted({_lowest(requirement, pyproject) for requirement in _requirements(project, extras)})
+    return sorted({_lowest(requirement, pyproject) for requirement in requirements(project, extras)})
 
 
-def _requirements(project: dict[str, Any], extras: Sequence[str]) -> Iterator[Requirement]:
+def requirements(project: dict[str, Any], extras: Sequence[str]) -> Iterator[Requirement]:
+    """Yield what a project and its extras require; in place of the project itself, what its named extras do.
+
+    Args:
+        project: Table `project` of a `pyproject.toml`.
+        extras: Names of the extras.
+    """
     chosen = [project["dependencies"], *(project["optional-dependencies"][extra] for extra in extras)]
-    for text in (text for requirements in chosen for text in requirements):
+    for text in (text for group in chosen for text in group):
         requirement = Requirement(text)
         if requirement.name == project["name"]:
-            yield from _requirements({**project, "dependencies": []}, sorted(requirement.extras))
+            yield from requirements({**project, "dependencies": []}, sorted(requirement.extras))
         else:
             yield requirement
 

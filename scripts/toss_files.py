@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
+from generated import same_arrays, same_text
 from numpy.typing import NDArray
 
 __all__ = [
@@ -103,7 +104,7 @@ def write_or_check(
     name: str,
     script: str,
     what: str,
-    same: Callable[[NDArray[np.generic], NDArray[np.generic]], bool],
+    fitted: float = 1e-6,
 ) -> int:
     """Run the command line of a script that builds the files of recorded tosses.
 
@@ -112,7 +113,7 @@ def write_or_check(
         name: Name of the experiment.
         script: File name of the script.
         what: Description of the script for its help.
-        same: Whether a stored array is the generated one.
+        fitted: Tolerance of fitted numbers in a check.
 
     Returns:
         Exit status: 1 if a check found a file that is not current.
@@ -129,8 +130,9 @@ def write_or_check(
         np.savez_compressed(file, **arrays)
         return 0
     with np.load(file) as stored:
-        current = set(stored) == set(arrays) and all(same(stored[key], arrays[key]) for key in arrays)
-    stale = [path for path, is_so in ((file, current), (sidecar, sidecar.read_text("utf-8") == text)) if not is_so]
+        current = same_arrays(dict(stored), arrays, fitted=fitted)
+    described = same_text(sidecar.read_text("utf-8"), text)
+    stale = [path for path, is_so in ((file, current), (sidecar, described)) if not is_so]
     for path in stale:
         print(f"{path} is not current: run python scripts/{script} SOURCE", file=sys.stderr)
     return 1 if stale else 0

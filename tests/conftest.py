@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import fork_server
@@ -18,8 +19,8 @@ import pytest
 from hostile import install
 
 import gauge_envs
-from gauge_envs import files
-from gauge_envs.backends import Support, backend, registry
+from gauge_envs import files, registry
+from gauge_envs.backends import Support, backend
 from gauge_envs.backends.mujoco import BackendMuJoCo
 from gauge_envs.envs import arguments
 from gauge_envs.envs.episode import Trajectory
@@ -34,12 +35,18 @@ def pytest_configure() -> None:
     Nobody's imported data takes part, also while tests are collected. Linear algebra has one thread in each process:
     the threads of several processes wait for one another in a loop, which triples the time of some tests. Bytecode is
     kept, also where the environment forbids it: hundreds of processes import the package.
+    Examples of properties are the same on every machine, and none has a time limit.
     There is little garbage while tests are collected, and the search for it would visit all that is imported.
     """
     gc.disable()
     sys.dont_write_bytecode = False
     os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    if find_spec("hypothesis"):
+        from hypothesis import settings
+
+        settings.register_profile("same everywhere", deadline=None, derandomize=True)
+        settings.load_profile("same everywhere")
     os.environ["GAUGE_DATA_DIR"] = str(Path(tempfile.gettempdir()) / f"gauge-tests-without-data-{os.getpid()}")
 
 

@@ -9,7 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
-from lowest_versions import constraints
+from lowest_versions import constraints, requirements
+from newest_versions import newest
 from packaging.requirements import Requirement
 from places import ROOT
 
@@ -42,6 +43,9 @@ INDIRECT = {
 NOT_OF_USERS = {"bench", "dev", "docs"}
 """Extras of benchmarks, development and guides; the package imports nothing of theirs."""
 
+
+INSTALLED_LATER = {"bench", "data", "docs", "onnx", "ray", "rerun", "rl", "slurm"}
+"""Extras that the default tests do without; `scripts/newest_versions.py` adds those with which slow ones ran."""
 
 Files = Mapping[str, tuple[set[str], set[str]]]
 
@@ -116,12 +120,9 @@ def test_extras_are_imported_at_first_use(files: Files) -> None:
         "backends/physx/",
         "backends/pybullet/",
         "backends/rapier/",
-        "envs/bounds_kernel.py",
         "envs/dm_env.py",
-        "evaluation/score_kernels.py",
         "pages/figures.py",
         "tools/compare/",
-        "tools/cost/",
         "tools/diagnose/",
         "tools/transfer/",
     )
@@ -152,6 +153,14 @@ def test_every_requirement_has_a_lower_bound() -> None:
         if one.name != PROJECT["name"] and not any(bound.operator == ">=" for bound in one.specifier)
     ]
     assert without == []
+
+
+def test_every_requirement_has_a_newest_version_with_which_the_tests_have_passed() -> None:
+    found = newest()
+    assert list(found) == sorted(found)
+    extras = sorted(PROJECT["optional-dependencies"].keys() - INSTALLED_LATER)
+    for requirement in requirements(PROJECT, extras):
+        assert requirement.specifier.contains(found[requirement.name]), requirement
 
 
 def test_constraints_are_the_lower_bounds(tmp_path: Path) -> None:

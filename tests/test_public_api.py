@@ -2,37 +2,14 @@
 
 from __future__ import annotations
 
-import ast
 import copy
 import pickle
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 import gauge_envs
-
-SOURCE = ast.parse(Path(gauge_envs.__file__).read_text(encoding="utf-8"))
-
-
-def imported(statements: list[ast.stmt]) -> dict[str, str]:
-    """Module of each name in `from module import name`."""
-    return {
-        alias.name: statement.module or ""
-        for statement in statements
-        if isinstance(statement, ast.ImportFrom)
-        for alias in statement.names
-    }
-
-
-def type_checking_imports() -> dict[str, str]:
-    (block,) = [
-        node
-        for node in SOURCE.body
-        if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
-    ]
-    return imported(block.body)
 
 
 @pytest.mark.parametrize("name", gauge_envs.__all__)
@@ -41,20 +18,8 @@ def test_every_public_name_resolves_and_is_listed(name: str) -> None:
     assert name in dir(gauge_envs)
 
 
-def test_type_checkers_see_the_lazy_names() -> None:
-    assert type_checking_imports() == gauge_envs._LAZY
-
-
-def test_all_is_what_is_defined_lazily_or_at_once() -> None:
-    at_once = {*imported(SOURCE.body), *(node.name for node in SOURCE.body if isinstance(node, ast.FunctionDef))}
-    assert set(gauge_envs.__all__) - set(gauge_envs._LAZY) <= at_once
-    assert set(gauge_envs._LAZY) < set(gauge_envs.__all__)
-    assert gauge_envs.__all__ == sorted(gauge_envs.__all__)
-
-
-def test_lazy_names_are_the_objects_of_their_modules() -> None:
-    for name, module in gauge_envs._LAZY.items():
-        assert getattr(gauge_envs, name) is getattr(sys.modules[module], name)
+def test_all_is_sorted_and_says_each_name_once() -> None:
+    assert gauge_envs.__all__ == sorted(set(gauge_envs.__all__))
 
 
 def test_an_unknown_name_is_an_attribute_error() -> None:

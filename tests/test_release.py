@@ -13,7 +13,7 @@ import yaml
 from places import ROOT
 
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.commands import COMMANDS
+from gauge_envs.registry import command_lines
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
@@ -82,6 +82,6 @@ def test_commands_of_a_workflow_exist(file: Path) -> None:
             assert set(listed.split(",")) <= set(extras)
         if command.startswith("gauge ") and command != "gauge --version":
             words = shlex.split(command.partition(" >>")[0])[1:]
-            name = next(name for name in (" ".join(words[:2]), words[0]) if name in COMMANDS)
+            name = next(name for name in (" ".join(words[:2]), words[0]) if name in command_lines())
             found = load_command(name)
             found.make_context(name, words[len(name.split()) :])

@@ -14,19 +14,23 @@ Then, every 1/180 s, the environment drives each kinematic body and advances the
 `gauge_envs.backends` makes a backend available by name; docs/adding_an_engine.md gives a complete example.
 """
 
+from __future__ import annotations
+
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.fabric_constants import FabricConstants
 from gauge_envs.errors import BackendError, UnsupportedSceneError
 from gauge_envs.scene import Hinge, Pose, Scene
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.motors import Servo, TorqueMotor
 
 
@@ -61,9 +65,8 @@ class ModelFile:
 class Recording:
     """States of all worlds on the engine's device, as `Worlds.record` returns them.
 
-    The arrays are NumPy's, or follow the DLPack protocol (`__dlpack__`), are contiguous and hold 64-bit floats. They
-    stay valid until the next recording of the same worlds, which may reuse their memory. Those on the CPU are scored
-    with NumPy, those on a GPU by kernels of Warp, which the extra `newton` installs.
+    The arrays are contiguous and hold 64-bit floats. They stay valid until the next recording of the same worlds, which
+    may reuse their memory.
 
     Attributes:
         device: Name of the device, as `cuda:0` or `cpu`.
@@ -71,11 +74,87 @@ class Recording:
             [sample_count, world_count, body_count, 3].
         states: Poses and velocities at the start and after each frame, shape
             [frame_count, world_count, body_count, 13]; see `World.body_states`.
+        kernels: What scores and judges the arrays where they lie. None if they lie on the CPU, as arrays of NumPy or of
+            a library that follows the DLPack protocol (`__dlpack__`).
     """
 
     device: str
     positions_m: Any
     states: Any
+    kernels: RecordingKernels | None = None
+
+
+class RigidLimits(Protocol):
+    """Bounds of rigid bodies in all worlds, beyond which a state is suspect.
+
+    Attributes:
+        masses_kg: Masses, shape [world_count, body_count].
+        distances_m: Largest coordinate of a position, shape [world_count].
+        speeds_m_per_s: Largest component of a velocity, shape [world_count].
+        energies_j: Largest kinetic energy of translation, shape [world_count].
+    """
+
+    masses_kg: NDArray[np.float64]
+    distances_m: NDArray[np.float64]
+    speeds_m_per_s: NDArray[np.float64]
+    energies_j: NDArray[np.float64]
+
+
+class RecordingKernels(ABC):
+    """Computations on the device of a `Recording`, which copy their results alone to the host.
+
+    `gauge_envs.backends.newton.recordings.WarpKernels` is one for arrays that follow the DLPack protocol.
+    """
+
+    @abstractmethod
+    def copied(self, array: Any) -> NDArray[np.float64]:
+        """Return an array on the host."""
+
+    @abstractmethod
+    def squares(
+        self,
+        positions_m: Any,
+        *,
+        rows: Sequence[int],
+        sample_counts: NDArray[np.intp],
+        projection: NDArray[np.float64],
+        mean: NDArray[np.float64],
+        shift_limit: int,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return squared distances of worlds from the mean of a band, summed over frames and coordinates.
+
+        Between two whole shifts the distance is a parabola, whose minimum is exact. A world that is shifted stays at
+        its first and last sample.
+
+        Args:
+            positions_m: `Recording.positions_m`.
+            rows: Numbers of the observed bodies.
+            sample_counts: Number of samples of each world that count, shape [world_count].
+            projection: Matrix from positions [mm] of the observed bodies to coordinates of the band, shape
+                [coordinate_count, 3 * len(rows)].
+            mean: Mean of the band, shape [frame_count, coordinate_count]; NaN where it is not known.
+            shift_limit: Largest time shift [samples].
+
+        Returns:
+            Squares as the worlds are, NaN for a world that lacks a known frame; the time shift that fits each world
+            best [samples]; and the squares with it; shape [world_count] each.
+        """
+
+    @abstractmethod
+    def suspects(
+        self, recording: Recording, limits: RigidLimits, *, later: int
+    ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.float64]]:
+        """Find worlds that may be out of bounds, and copy them alone.
+
+        Args:
+            recording: The record.
+            limits: Bounds of the worlds.
+            later: Frame from which a sample that is not finite counts too.
+
+        Returns:
+            The first such frame of each world, shape [world_count], the frame count if there is none; and the states
+            and positions of the worlds with one.
+        """
 
 
 class World(ABC):
@@ -485,6 +564,9 @@ class Backend(ABC):
 
     Attributes:
         name: Name that users type, as in `backend="mujoco"`.
+        title: Name as the engine's authors write it, for pages; empty for `name`.
+        color: Colour in figures, as `#0072b2`; empty for a grey that engines without a colour share.
+        marker: Marker in figures, by matplotlib's names.
         file_suffixes: Suffixes of the model files that `read_file` and `build_file` accept, such as `.xml`.
         configurations: Settings of further solvers and presets that are compared beside the defaults, by name. They
             must suit any scene; a scene that a solver cannot build is declined.
@@ -500,6 +582,9 @@ class Backend(ABC):
     """
 
     name: ClassVar[str]
+    title: ClassVar[str] = ""
+    color: ClassVar[str] = ""
+    marker: ClassVar[str] = "*"
     file_suffixes: ClassVar[tuple[str, ...]] = ()
     configurations: ClassVar[Mapping[str, Mapping[str, Any]]] = MappingProxyType({})
     corrections: ClassVar[tuple[str, ...]] = ()
@@ -562,6 +647,11 @@ class Backend(ABC):
         Raises:
             ParameterError: A setting does not exist or has an invalid value.
         """
+        return None
+
+    @staticmethod
+    def fabric_constants(fabric: Fabric) -> FabricConstants | None:
+        """Return a measured fabric in the engine's own constants; None where no mapping is known."""
         return None
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
@@ -631,36 +721,47 @@ def scene_support(engine: Backend, scene: Scene) -> Support:
 
 def with_declared(engine: Backend, scene: Scene, support: Support) -> Support:
     """Return what an engine's `supports` returned for a scene, with the features that its class does not declare."""
-    missing = (
-        {Feature.AIR: "the scene has air around its cloth, which this backend does not apply"} if scene.air else {}
-    )
+    # The last sentence of each feature.
+    needed = dict(_needed_features(scene))
+    reasons = tuple(reason for feature, reason in needed.items() if feature not in engine.features)
+    return Support((*support.missing, *reasons)) if reasons else support
+
+
+def _needed_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
+    """Yield the optional features that a scene needs, each with the sentence of a backend that lacks it."""
+    if scene.air:
+        yield Feature.AIR, "the scene has air around its cloth, which this backend does not apply"
     for hinge in scene.body_hinges[:1]:
-        joined = f"{hinge.first!r} and {hinge.second!r}"
-        missing[Feature.BODY_HINGES] = f"{joined} are joined by a hinge, which this backend does not build"
-    joined_bodies = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
-    for name in joined_bodies & {*scene.hung}:
-        missing[Feature.CHAINS] = f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
-    for moved in scene.hinges:
-        name = moved.body if isinstance(moved, Hinge) else moved.second
-        for feature, value, what in (
-            (Feature.DRY_FRICTION, moved.dynamics.dry_friction_n_m, "dry friction"),
-            (Feature.VISCOUS_FRICTION, moved.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
-            (Feature.ARMATURE, moved.dynamics.armature_kg_m2, "armature"),
-            (Feature.BACKLASH, moved.dynamics.backlash_rad, "backlash"),
-            (Feature.SERVO, isinstance(moved.motor, Servo), "a position servo"),
-            (Feature.TORQUE_MOTOR, isinstance(moved.motor, TorqueMotor), "a torque motor"),
-        ):
-            if value:
-                missing[feature] = f"the joint of {name!r} has {what}, which this backend does not build"
-    for feature, resists in ((Feature.TORSION, "torsion_m"), (Feature.ROLLING, "rolling_m")):
-        for touch in (one for one in scene.contacts if getattr(one, resists)):
-            joined = f"{touch.first[0]!r} and {touch.second[0]!r}"
-            missing[feature] = f"{joined} touch with {feature.value}, which this backend does not build"
+        bodies = f"{hinge.first!r} and {hinge.second!r}"
+        yield Feature.BODY_HINGES, f"{bodies} are joined by a hinge, which this backend does not build"
+    joined = {name for hinge in scene.body_hinges for name in (hinge.first, hinge.second)}
+    for name in joined & {*scene.hung}:
+        yield Feature.CHAINS, f"a chain of hinges hangs on the world by {name!r}, which this backend does not build"
+    yield from _needed_joint_features(scene)
+    for contact in scene.contacts:
+        bodies = f"{contact.first[0]!r} and {contact.second[0]!r}"
+        for feature, length_m in ((Feature.TORSION, contact.torsion_m), (Feature.ROLLING, contact.rolling_m)):
+            if length_m:
+                yield feature, f"{bodies} touch with {feature.value}, which this backend does not build"
     for body in scene.dynamic_bodies:
         if body.inertia_kg_m2 is not None:
-            missing[Feature.STATED_INERTIA] = f"{body.name!r} states its inertia, which this backend does not read"
-    reasons = tuple(text for feature, text in missing.items() if feature not in engine.features)
-    return Support((*support.missing, *reasons)) if reasons else support
+            yield Feature.STATED_INERTIA, f"{body.name!r} states its inertia, which this backend does not read"
+
+
+def _needed_joint_features(scene: Scene) -> Iterator[tuple[Feature, str]]:
+    for hinge in scene.hinges:
+        name = hinge.body if isinstance(hinge, Hinge) else hinge.second
+        terms = {
+            Feature.DRY_FRICTION: (hinge.dynamics.dry_friction_n_m, "dry friction"),
+            Feature.VISCOUS_FRICTION: (hinge.dynamics.viscous_friction_n_m_s_per_rad, "viscous friction"),
+            Feature.ARMATURE: (hinge.dynamics.armature_kg_m2, "armature"),
+            Feature.BACKLASH: (hinge.dynamics.backlash_rad, "backlash"),
+            Feature.SERVO: (isinstance(hinge.motor, Servo), "a position servo"),
+            Feature.TORQUE_MOTOR: (isinstance(hinge.motor, TorqueMotor), "a torque motor"),
+        }
+        for feature, (value, noun) in terms.items():
+            if value:
+                yield feature, f"the joint of {name!r} has {noun}, which this backend does not build"
 
 
 class FileBackend(Backend):

@@ -1,7 +1,7 @@
 """Registry of backends, which installed packages provide through an entry-point group; see `gauge_envs.registry`."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
@@ -47,13 +47,31 @@ def is_bundled(name: str) -> bool:
     return bool(values) and values[0].startswith(BUNDLED)
 
 
+def backend_class(name: str) -> type[Backend]:
+    """Return the class of a backend, whose attributes are the same whether or not its engine is installed.
+
+    `Backend` stands for a name that no installed package provides as a class.
+    """
+    for point in engine_points():
+        if point.name == name:
+            with suppress(GaugeError), _as_backend_error(name):
+                loaded = point.load()
+                if isinstance(loaded, type) and issubclass(loaded, Backend):
+                    return loaded
+    return Backend
+
+
+def backend_title(name: str) -> str:
+    """Return the name of an engine as its authors write it; the name of the backend where no title is known."""
+    return backend_class(name).title or name
+
+
 def uninstalled_backend(name: str) -> Backend:
     """Return a backend of this package that answers `supports` and `resolved_settings` without its engine.
 
     It cannot build; the answers are the same whether or not the engine is installed.
     """
-    (point,) = (point for point in engine_points() if point.name == name and is_bundled(name))
-    return object.__new__(point.load())
+    return object.__new__(backend_class(name))
 
 
 @contextmanager

@@ -3,8 +3,9 @@
 A loop over worlds in Python costs more than an engine that steps thousands of them on one device. So the records of all
 episodes are parts of two arrays, and each sample is one reading of all worlds. Every number is that of `Episode`.
 
-Where the engine records whole episodes on its device, nothing is copied to the host between start and end. A kernel, or
-NumPy for arrays on the CPU, finds worlds that may have diverged. These alone are judged by the code of single episodes.
+Where the engine records whole episodes on its device, nothing is copied to the host between start and end. Its kernels,
+or NumPy for arrays on the CPU, find worlds that may have diverged. Only these are judged by the code of single
+episodes.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from gauge_envs.envs.arguments import EnvArguments
 from gauge_envs.envs.divergence import DeformableBoundsOfWorlds, RigidBoundsOfWorlds
 from gauge_envs.envs.episode import Episode, Observation, reward_terms
 from gauge_envs.envs.lockstep import AddInfo, EpisodesOneByOne, Numbers, Rollout
-from gauge_envs.evaluation.worlds import copied_array, device_array, host_array, score_recording
+from gauge_envs.evaluation.worlds import host_array, score_recording
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.observer import MarkersOfWorlds, ObserverMarkers
 from gauge_envs.references.bands import Band
@@ -271,7 +272,8 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def _keep(self, recorded: RecordedEpisodes) -> None:
         """Copy the record of episodes to the host, after which they are as if they had been stepped."""
         recording = recorded.recording
-        positions, states = (copied_array(one) for one in (recording.positions_m, recording.states))
+        copied = host_array if recording.kernels is None else recording.kernels.copied
+        positions, states = copied(recording.positions_m), copied(recording.states)
         self._samples[:] = 1e3 * positions[:, :, self._rows].reshape(self._samples.shape)
         self._bodies[:] = states[: len(self._bodies), :, self._rows]
         self._frame = int(recorded.frames.max())
@@ -359,17 +361,19 @@ class RecordedEpisodes:
         # A world without samples has no score.
         counts[list(self.faults)] = 0
         return score_recording(
-            first.experiment, first.band, positions_m=self.recording.positions_m, rows=self.rows, sample_counts=counts
+            first.experiment, first.band, recording=self.recording, rows=self.rows, sample_counts=counts
         )
 
     def _judge(self, bounds: RigidBoundsOfWorlds) -> None:
-        states, positions = host_array(self.recording.states), host_array(self.recording.positions_m)
-        if states is not None and positions is not None:
-            firsts = _first_suspects_on_host(states, positions, bounds, later=self._last + 1)
+        recording, later = self.recording, self._last + 1
+        if recording.kernels is None:
+            states, positions = host_array(recording.states), host_array(recording.positions_m)
+            firsts = _first_suspects_on_host(states, positions, bounds, later=later)
             suspects = np.flatnonzero(firsts < len(states))
             near, places = states[:, suspects], positions[:, suspects]
         else:
-            firsts, suspects, near, places = _suspects_on_device(self.recording, bounds, later=self._last + 1)
+            firsts, near, places = recording.kernels.suspects(recording, bounds, later=later)
+            suspects = np.flatnonzero(firsts < recording.states.shape[0])
         for column, world in enumerate(suspects.tolist()):
             self._decide(world, int(firsts[world]), near[:, column], places[:, column])
 
@@ -400,36 +404,6 @@ def _first_suspects_on_host(
     samples = positions[1:].reshape(len(states) - 1, SAMPLES_PER_FRAME, positions.shape[1], -1)
     suspects[later - 1 :] |= ~np.isfinite(samples[later - 1 :]).all(axis=(1, 3))
     return np.where(suspects.any(axis=0), suspects.argmax(axis=0) + 1, len(states))
-
-
-def _suspects_on_device(
-    recording: Recording, bounds: RigidBoundsOfWorlds, *, later: int
-) -> tuple[NDArray[np.intp], NDArray[np.intp], FloatArray, FloatArray]:
-    """Find worlds that may be out of bounds by a kernel, and copy them alone.
-
-    Returns:
-        The first such frame of each world, shape [world_count]; numbers of the worlds with one; and their states and
-        positions.
-    """
-    import warp as wp
-
-    from gauge_envs.envs.bounds_kernel import find_suspects
-
-    states, positions = device_array(recording.states), device_array(recording.positions_m)
-    frame_count, world_count = states.shape[:2]
-    limits = (bounds.masses_kg, bounds.distances_m, bounds.speeds_m_per_s, bounds.energies_j)
-    with wp.ScopedDevice(states.device):
-        first = wp.full(world_count, frame_count, dtype=wp.int32)
-        limit_arrays = [wp.array(limit, dtype=wp.float64) for limit in limits]
-        inputs = [states, positions, *limit_arrays, SAMPLES_PER_FRAME, later]
-        wp.launch(find_suspects, dim=(frame_count - 1, world_count), inputs=inputs, outputs=[first])
-        firsts: NDArray[np.intp] = first.numpy().astype(np.intp)
-        suspects = np.flatnonzero(firsts < frame_count)
-        if not len(suspects):
-            return firsts, suspects, np.zeros((0, 0)), np.zeros((0, 0))
-        chosen = wp.array(suspects.astype(np.int32), dtype=wp.int32)
-        near, places = (wp.indexedarray(one, [None, chosen]).numpy() for one in (states, positions))
-    return firsts, suspects, near, places
 
 
 def episodes_in_lockstep(

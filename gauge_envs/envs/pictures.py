@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import ParameterError
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
+from gauge_envs.scene.timing import FRAME_RATE_HZ
 
 if TYPE_CHECKING:
     from gauge_envs.envs.episode import Episode
@@ -72,13 +73,15 @@ class Pictures:
         """
         if self._renderer is None:
             from gauge_envs.evaluation.reference_path import reference_path
-            from gauge_envs.rendering.camera import scene_view
+            from gauge_envs.rendering.camera import experiment_view, scene_view
             from gauge_envs.rendering.renderer import SceneRenderer
 
             width, height = self._size
-            view = scene_view(
-                experiment.scene, aspect=width / height, reference=reach or reference_path(experiment, band)
-            )
+            if reach is None:
+                reference = reference_path(experiment, band)
+                view = experiment_view(experiment, aspect=width / height, reference=reference)
+            else:
+                view = scene_view(experiment.scene, reference=reach)
             self._renderer = SceneRenderer(
                 experiment.scene, rest_nodes_m, width, height, view=view, materials=experiment.materials
             )
@@ -115,12 +118,14 @@ def episode_picture(pictures: Pictures, episode: Episode, *, drawn_as: Episode) 
 
 def episode_overlay(episode: Episode) -> Overlay:
     """Return the overlay of an episode that has begun."""
+    from gauge_envs.evaluation.reference_path import reference_path
     from gauge_envs.rendering.overlay import tracked_overlay
 
     trajectory = episode.trajectory()
     return tracked_overlay(
         episode.experiment,
-        episode.band,
+        reference_path(episode.experiment, episode.band),
+        time_s=(episode.frame or 0) / FRAME_RATE_HZ,
         samples=trajectory.samples,
         markers_m=trajectory.markers_m[-1],
         poses=episode.poses(),

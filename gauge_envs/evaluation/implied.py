@@ -9,6 +9,11 @@ from functools import lru_cache
 import numpy as np
 from scipy.optimize import least_squares
 
+from gauge_envs.evaluation.estimators import (
+    acceleration_error_m_per_s2,
+    acceleration_m_per_s2,
+    slide_friction,
+)
 from gauge_envs.evaluation.metrics.events import oscillation_period
 from gauge_envs.evaluation.motion_kinds import MotionKind, find_impact, recognized
 from gauge_envs.experiments.experiment import Experiment
@@ -129,8 +134,8 @@ def implied_parameters(
                     "1",
                     motion.impact.restitution,
                     0.0,
-                    source="speeds where the parabolas before and after the first impact meet; "
-                    "real: the same for each trial",
+                    source="speeds at the contact of the parabolas before and after the first impact; "
+                    "real: of each trial, where its parabolas meet",
                 )
             )
         if release_offset_s is not None and not experiment.scene.joints:
@@ -162,35 +167,29 @@ def _friction(experiment: Experiment, band: Band, times_s: FloatArray, values: F
         return []
     gravity = experiment.scene.gravity_m_per_s2
     acceleration, error = _acceleration(times_s, 1e-3 * (values - values[0]) @ direction)
-    sine = -float(direction[2])
+    slope_rad = math.asin(-float(direction[2]))
     return [
         ImpliedParameter.beside(
             _real_friction(band),
             "friction",
             "1",
-            _friction_of(acceleration, sine, gravity),
-            error / (gravity * math.sqrt(1.0 - sine**2)),
+            slide_friction(acceleration, slope_rad, gravity_m_per_s2=gravity),
+            error / (gravity * math.cos(slope_rad)),
             source="quadratic through the slide, (g sin - a) / (g cos); real: the same for each trial, tilt included",
         )
     ]
 
 
-def _friction_of(acceleration: float, sine: float, gravity: float) -> float:
-    return (gravity * sine - acceleration) / (gravity * math.sqrt(1.0 - sine**2))
-
-
 def _acceleration(times_s: FloatArray, path_m: FloatArray) -> tuple[float, float]:
-    """Return the acceleration of the moving part of a path and its standard error [m/s^2].
+    """Return the acceleration of the moving part of a path that starts at 0, and its standard error [m/s^2].
 
-    Only the part after 2 mm of travel is fitted, as for the trials: a body that is held is not in the law.
+    Only the part after 2 mm of travel is fitted: a body that is held is not in the law.
     """
     moving = path_m > 2e-3
     if moving.sum() < LEAST_SAMPLES:
         moving = np.ones(len(path_m), dtype=bool)
-    coefficients, covariance = np.polyfit(times_s[moving], path_m[moving], 2, cov="unscaled")
-    residual = path_m[moving] - np.polyval(coefficients, times_s[moving])
-    variance = float(residual @ residual) / max(int(moving.sum()) - 3, 1)
-    return 2.0 * float(coefficients[0]), 2.0 * math.sqrt(variance * float(covariance[0, 0]))
+    moving_s, moving_m = times_s[moving], path_m[moving]
+    return acceleration_m_per_s2(moving_s, moving_m), acceleration_error_m_per_s2(moving_s, moving_m)
 
 
 @lru_cache(maxsize=64)
@@ -199,25 +198,28 @@ def _real_friction(band: Band) -> tuple[float, float, float] | None:
     if band.trials is None or len(band.trials) < 2:
         return None
     path = band.mean[band.measured][-1] - band.mean[band.measured][0]
-    direction = np.linalg.pinv(band.projection) @ (path / np.linalg.norm(path))
+    along = path / np.linalg.norm(path)
+    direction = np.linalg.pinv(band.projection) @ along
     sine = -float(direction[2] / np.linalg.norm(direction))
     if not LEAST_INCLINE < sine < 1.0:
         return None
+    slope_rad = math.asin(sine)
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
     found = []
     for trial in band.trials:
         seen = band.measured & np.isfinite(trial).all(axis=1)
         if seen.sum() < LEAST_SAMPLES:
             continue
-        along = 1e-3 * trial[seen] @ (path / np.linalg.norm(path))
-        acceleration = 2.0 * float(np.polyfit(times_s[seen], along, 2)[0])
-        found.append(_friction_of(acceleration, sine, GRAVITY_M_PER_S2))
+        path_m = 1e-3 * (trial[seen] - trial[seen][0]) @ along
+        acceleration, _ = _acceleration(times_s[seen], path_m)
+        found.append(slide_friction(acceleration, slope_rad, gravity_m_per_s2=GRAVITY_M_PER_S2))
     real = _of_trials(found)
     if real is None:
         return None
     mean, error, scatter = real
-    tilt = math.radians(input_uncertainties().tilt.std) * (1.0 + mean * sine / math.sqrt(1.0 - sine**2))
-    return mean, math.hypot(error, tilt), scatter
+    tilt_rad = math.radians(input_uncertainties().tilt.std)
+    # mu = tan - a / (g cos), so d mu / d slope = 1 + mu tan.
+    return mean, math.hypot(error, tilt_rad * (1.0 + mean * math.tan(slope_rad))), scatter
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
@@ -228,12 +230,16 @@ def _real_restitution(band: Band) -> tuple[float, float, float] | None:
     if band.trials is None:
         return None
     times_s = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    impacts = [
-        find_impact(times_s[seen], trial[seen])
-        for trial in band.trials
-        if (seen := np.isfinite(trial).all(axis=1)).sum() > 2 * LEAST_SAMPLES
-    ]
-    return _of_trials([impact.restitution for impact in impacts if impact is not None])
+    gravity = band.projection @ [0.0, 0.0, -GRAVITY_M_PER_S2]
+    found = []
+    for trial in band.trials:
+        seen = np.isfinite(trial).all(axis=1)
+        if seen.sum() <= 2 * LEAST_SAMPLES:
+            continue
+        impact = find_impact(times_s[seen], trial[seen], gravity_m_per_s2=gravity)
+        if impact is not None:
+            found.append(impact.restitution)
+    return _of_trials(found)
 
 
 # --- release and swing -----------------------------------------------------------------------------------------------

@@ -114,11 +114,7 @@ def slide(scene: Scene, body: str, support: str) -> Straight:
     normal = facets[face, :3]
     downhill = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
     sine = float(np.linalg.norm(downhill))
-    friction = next(
-        contact.friction
-        for contact in scene.contacts
-        if {body, support} in [set(pair) for pair in scene.colliding_pairs(contact)]
-    )
+    friction = _friction_of_pair(scene, body, support)
     acceleration = scene.gravity_m_per_s2 * (sine - friction * float(normal[2]))
     if sine == 0.0 or acceleration <= 0.0:
         raise ShapeError(f"friction {friction:.4g} holds {body} on {support}: it does not slide")
@@ -152,33 +148,58 @@ def pulled(law: PulledLaw, scene: Scene, frame_count: int) -> tuple[FloatArray, 
     Returns:
         Positions [mm], shape [frame_count, 3]; and their standard uncertainty [mm] along the pull, same shape.
     """
-    body, puller, table = scene.body(law.body), scene.body(law.carrier), scene.body(law.table)
+    body = scene.body(law.body)
+    puller = scene.body(law.carrier)
+    table = scene.body(law.table)
     cloth = next(one for one in scene.deformables if one.name == law.cloth)
     (driver,) = (one for one in scene.drivers if one.body == law.carrier)
     if not isinstance(cloth, Cloth) or not isinstance(table.shape, Box):
         raise ShapeError(f"{law.cloth} is no cloth, or {law.table} no box: the law needs a cloth on a box")
-    gravity, times_s = scene.gravity_m_per_s2, np.arange(frame_count) / FRAME_RATE_HZ
-    moved = np.array([driver.pose(puller.pose, time_s).position_m for time_s in times_s])
-    moved -= np.array(puller.pose.position_m)
-    along = moved[-1] / np.linalg.norm(moved[-1])
-    speed = float(np.linalg.norm(driver.state(puller.pose, 0.5 * times_s[-1])[1][:3]))
+    gravity = scene.gravity_m_per_s2
     length_m, width_m = cloth.size_m
+    body_friction = _friction_of_pair(scene, law.body, law.cloth)
+    table_friction = _friction_of_pair(scene, law.table, law.cloth)
+
+    # The puller's path.
+    times_s = np.arange(frame_count) / FRAME_RATE_HZ
+    puller_start_m = np.array(puller.pose.position_m)
+    body_start_m = np.array(body.pose.position_m)
+    moved_m = np.array([driver.pose(puller.pose, time_s).position_m for time_s in times_s])
+    moved_m -= puller_start_m
+    along = moved_m[-1] / np.linalg.norm(moved_m[-1])
+    middle_twist = driver.state(puller.pose, 0.5 * times_s[-1])[1]
+    speed_m_per_s = float(np.linalg.norm(middle_twist[:3]))
+
+    # Tension per width of the cloth at the table's edge: friction of what still lies on the table, T = mu g m / width.
     edge_m = float((table.pose.to_world(table.shape.corners_m) @ along).max())
-    span = np.maximum((np.array(puller.pose.position_m) + moved) @ along - edge_m, 1e-9)
-    friction = {
-        name: next(one.friction for one in scene.contacts if {name, law.cloth} in map(set, scene.colliding_pairs(one)))
-        for name in (law.body, law.table)
-    }
-    lying_kg = cloth.mass_kg * np.clip(1.0 - span / length_m, 0.0, 1.0)
-    tension = friction[law.table] * gravity * (lying_kg + body.mass_kg) / width_m
-    scale = tension * length_m * width_m / (cloth.mass_kg * gravity)
-    sag = 2.0 * scale * np.sinh(0.5 * span / scale) - span
-    apart_m = float((np.array(puller.pose.position_m) - np.array(body.pose.position_m)) @ along)
-    stretch = tension / cloth.stretch_stiffness_n_per_m * apart_m
-    slip = np.minimum(speed * times_s, 0.5 * speed**2 / (friction[law.body] * gravity))
-    drive = 1e-3 * law.speed_sigma_mm_per_s * times_s
-    uncertainty = np.sqrt(sag**2 + stretch**2 + slip**2 + drive**2)
-    return 1e3 * (np.array(body.pose.position_m) + moved), 1e3 * np.abs(uncertainty[:, None] * along)
+    span_m = np.maximum((puller_start_m + moved_m) @ along - edge_m, 1e-9)
+    lying_kg = cloth.mass_kg * np.clip(1.0 - span_m / length_m, 0.0, 1.0)
+    tension_n_per_m = table_friction * gravity * (lying_kg + body.mass_kg) / width_m
+
+    # Catenary: with c = T / (weight per area), an arc over a span s has the length 2 c sinh(s / (2 c)).
+    catenary_m = tension_n_per_m * length_m * width_m / (cloth.mass_kg * gravity)
+    sag_m = 2.0 * catenary_m * np.sinh(0.5 * span_m / catenary_m) - span_m
+
+    # Hooke: the cloth between puller and body stretches by T / K of its length.
+    apart_m = float((puller_start_m - body_start_m) @ along)
+    stretch_m = tension_n_per_m / cloth.stretch_stiffness_n_per_m * apart_m
+
+    # Coulomb: friction brings the body to the speed v of the cloth within the slip v^2 / (2 mu g).
+    slip_m = np.minimum(speed_m_per_s * times_s, 0.5 * speed_m_per_s**2 / (body_friction * gravity))
+
+    drive_m = 1e-3 * law.speed_sigma_mm_per_s * times_s
+    uncertainty_m = np.sqrt(sag_m**2 + stretch_m**2 + slip_m**2 + drive_m**2)
+    positions_mm = 1e3 * (body_start_m + moved_m)
+    return positions_mm, 1e3 * np.abs(uncertainty_m[:, None] * along)
+
+
+def _friction_of_pair(scene: Scene, first: str, second: str) -> float:
+    """Return the friction of the contact between two bodies."""
+    return next(
+        contact.friction
+        for contact in scene.contacts
+        if {first, second} in [set(pair) for pair in scene.colliding_pairs(contact)]
+    )
 
 
 def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatArray) -> float:
@@ -198,20 +219,18 @@ def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatA
         lowest = float(((_corners_m(moving) - np.array(other.pose.position_m)) @ normal).min())
         return lowest / rate if rate > 0.0 else math.inf
     return min(
-        _piece_distance_m(piece, against, direction) for piece in _pieces_m(moving) for against in _pieces_m(other)
+        _piece_distance_m(piece, obstacle, direction) for piece in _pieces_m(moving) for obstacle in _pieces_m(other)
     )
 
 
-def _piece_distance_m(piece: FloatArray, against: FloatArray, direction: FloatArray) -> float:
+def _piece_distance_m(piece: FloatArray, obstacle: FloatArray, direction: FloatArray) -> float:
     """Return the least d >= 0 for which a point of one hull, moved by d, is a point of the other; infinity without."""
-    count, other_count = len(piece), len(against)
-    points = np.concatenate([piece.T, -against.T, direction[:, None]], axis=1)
+    count, other_count = len(piece), len(obstacle)
+    points = np.concatenate([piece.T, -obstacle.T, direction[:, None]], axis=1)
     sums = np.zeros((2, count + other_count + 1))
     sums[0, :count] = sums[1, count:-1] = 1.0
     cost = np.zeros(count + other_count + 1)
     cost[-1] = 1.0
-    # Lists of experiments solve nothing, and the import takes a tenth of a second.
-
     found = linprog(cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0])
     return float(found.x[-1]) if found.success else math.inf
 
@@ -251,35 +270,50 @@ def bar_band(law: UniaxialLaw, scene: Scene, *, variant: str, frame_count: int) 
     (driver,) = (one for one in scene.drivers if one.body == law.carrier)
     if not isinstance(bar, SoftBody) or scene.markers is None:
         raise ShapeError(f"{law.body} is no soft body with markers: the law needs the faces of a bar")
-    held = {one.region.side: one.region.depth_m for one in scene.attachments if one.deformable == law.body}
-    width, _, height = bar.shape.size_m
-    free = height - held["low"] - held["high"]
-    start, times_s = scene.body(law.carrier).pose, np.arange(frame_count) / FRAME_RATE_HZ
-    states = [driver.state(start, time_s) for time_s in times_s]
-    strain = np.array([pose.position_m[2] - start.position_m[2] for pose, _ in states]) / free
-    rate = np.array([velocity[2] for _, velocity in states]) / free
-    own = bar.pose.to_body(np.array(scene.markers.positions_m))
-    fixed = np.array([0.0, 0.0, held["low"] - 0.5 * height])
+    clamped_m = {one.region.side: one.region.depth_m for one in scene.attachments if one.deformable == law.body}
+    width_m, _, height_m = bar.shape.size_m
+    free_m = height_m - clamped_m["low"] - clamped_m["high"]
+
+    # Strain between the clamps, shape [frame_count], and its rate [1/s].
+    carrier_pose = scene.body(law.carrier).pose
+    times_s = np.arange(frame_count) / FRAME_RATE_HZ
+    states = [driver.state(carrier_pose, time_s) for time_s in times_s]
+    strain = np.array([pose.position_m[2] - carrier_pose.position_m[2] for pose, _ in states]) / free_m
+    strain_rate = np.array([velocity[2] for _, velocity in states]) / free_m
+
+    # Uniaxial stress (Hooke): each point goes from the lower clamp by (1 - nu e, 1 - nu e, 1 + e).
+    points_m = bar.pose.to_body(np.array(scene.markers.positions_m))
+    faces = np.array(scene.markers.faces)
+    clamp_m = np.array([0.0, 0.0, clamped_m["low"] - 0.5 * height_m])
     lateral = 1.0 - bar.poisson_ratio * strain
     stretches = np.column_stack([lateral, lateral, 1.0 + strain])[:, None]
-    faces = np.array(scene.markers.faces)
-    areas = face_areas_mm2(fixed + (own - fixed) * stretches, faces)
-    rest = face_areas_mm2(own[None], faces)
-    middle = own[faces, 2].mean(axis=1)
-    clamp = np.minimum(middle - fixed[2], fixed[2] + free - middle)
-    suppressed = bar.poisson_ratio * np.exp(-CLAMP_DECAY * clamp / (0.5 * width))
-    stiffer = bar.poisson_ratio**2 * width / free
-    speed = np.sqrt(bar.young_modulus_pa * width**2 * height / bar.mass_kg)
-    parts = [
-        law.left_out_share * (areas - rest),
-        rest * np.outer(strain, suppressed),
-        rest * stiffer * strain[:, None],
-        rest * 0.5 * bar.poisson_ratio * (1.0 + bar.poisson_ratio) * strain[:, None] ** 2,
-        rest * (rate * free / speed)[:, None],
-    ]
-    uncertainty = np.sqrt(np.sum(np.square(parts), axis=0))
-    sides = np.linalg.norm(own[faces] - own[np.roll(faces, 1, axis=1)], axis=2)
-    measurement = 0.5 * law.sigma_mm * 1e3 * float(np.sqrt(np.square(sides).sum(axis=1).mean()))
+    areas_mm2 = face_areas_mm2(clamp_m + (points_m - clamp_m) * stretches, faces)
+    rest_mm2 = face_areas_mm2(points_m[None], faces)
+
+    # Lateral strain that the nearer clamp suppresses (Saint-Venant), at the middle of each face.
+    middle_m = points_m[faces, 2].mean(axis=1)
+    from_clamp_m = np.minimum(middle_m - clamp_m[2], clamp_m[2] + free_m - middle_m)
+    suppressed = bar.poisson_ratio * np.exp(-CLAMP_DECAY * from_clamp_m / (0.5 * width_m))
+
+    # A clamped end of about half a width does not narrow: its stiffness is larger by about nu^2.
+    stiffer = bar.poisson_ratio**2 * width_m / free_m
+
+    # Strain that has not yet arrived: sound crosses the bar with c = sqrt(E / density).
+    sound_m_per_s = np.sqrt(bar.young_modulus_pa * width_m**2 * height_m / bar.mass_kg)
+    late_strain = strain_rate * free_m / sound_m_per_s
+
+    unknown_strain_mm2 = law.left_out_share * (areas_mm2 - rest_mm2)
+    suppressed_mm2 = rest_mm2 * np.outer(strain, suppressed)
+    stiffer_mm2 = rest_mm2 * stiffer * strain[:, None]
+    logarithmic_mm2 = rest_mm2 * 0.5 * bar.poisson_ratio * (1.0 + bar.poisson_ratio) * strain[:, None] ** 2
+    late_mm2 = rest_mm2 * late_strain[:, None]
+    parts_mm2 = [unknown_strain_mm2, suppressed_mm2, stiffer_mm2, logarithmic_mm2, late_mm2]
+    uncertainty_mm2 = np.sqrt(np.sum(np.square(parts_mm2), axis=0))
+
+    # An area of sides s has the error 0.5 sigma sqrt(sum of s^2) of its measured corners.
+    sides_m = np.linalg.norm(points_m[faces] - points_m[np.roll(faces, 1, axis=1)], axis=2)
+    typical_m = float(np.sqrt(np.square(sides_m).sum(axis=1).mean()))
+    measurement_mm2 = 0.5 * law.sigma_mm * 1e3 * typical_m
     return uniaxial_band(
-        law, variant=variant, areas_mm2=areas, uncertainty_mm2=uncertainty, measurement_mm2=measurement
+        law, variant=variant, areas_mm2=areas_mm2, uncertainty_mm2=uncertainty_mm2, measurement_mm2=measurement_mm2
     )

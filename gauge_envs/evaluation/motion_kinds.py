@@ -21,12 +21,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline, make_interp_spline
-from scipy.optimize import brentq
 
+from gauge_envs.errors import ShapeError
+from gauge_envs.evaluation.estimators import first_bounce
+from gauge_envs.evaluation.laws import free_flight
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
-from gauge_envs.scene import ContactMode
+from gauge_envs.scene import ContactMode, Scene
 from gauge_envs.scene.geometry import FloatArray
 
 Continuation = Callable[[FloatArray], FloatArray]
@@ -96,8 +98,8 @@ class Impact:
         time_s: Time of the impact [s].
         until_s: End of the free flight after it [s]: the next impact, or the last sample.
         normal: Unit vector along which the velocity jumps, shape [C].
-        speed_in: Speed against the normal just before it [unit/s].
-        speed_out: Speed along the normal just after it [unit/s].
+        speed_in: Speed against the normal just before it [mm/s].
+        speed_out: Speed along the normal just after it [mm/s].
     """
 
     time_s: float
@@ -214,7 +216,7 @@ def recognized(
     if single and not experiment.scene.drivers:
         motion = (
             _oscillation(experiment, band, times_s, values)
-            or _rebound(experiment, times_s, values, seen)
+            or _rebound(experiment, band, times_s, values, seen)
             or _uniform_acceleration(times_s, values, seen)
         )
         if motion is not None:
@@ -250,12 +252,19 @@ def _uniform_acceleration(times_s: FloatArray, values: FloatArray, seen: slice) 
     )
 
 
-def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, seen: slice) -> RecognizedMotion | None:
+def _rebound(
+    experiment: Experiment, band: Band, times_s: FloatArray, values: FloatArray, seen: slice
+) -> RecognizedMotion | None:
     body = experiment.recorded[0]
     contacts = [c for c in experiment.scene.contacts if body in (*c.first, *c.second)]
     if experiment.scene.joints or not contacts or any(c.mode is not ContactMode.IMPACT for c in contacts):
         return None
-    impact = find_impact(times_s[seen], values[seen])
+    impact = find_impact(
+        times_s[seen],
+        values[seen],
+        gravity_m_per_s2=gravity_of(experiment.scene, band),
+        contact_mm=_contact(experiment, band),
+    )
     if impact is None:
         return None
     speeds = (-impact.restitution * impact.speed_in, (1.0 - impact.restitution) * impact.speed_in)
@@ -263,12 +272,37 @@ def _rebound(experiment: Experiment, times_s: FloatArray, values: FloatArray, se
     return RecognizedMotion(MotionKind.REBOUND, times_s, values, end_s, values[0], scale_bounds=speeds, impact=impact)
 
 
-def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
+def gravity_of(scene: Scene, band: Band) -> FloatArray:
+    """Return the acceleration of a free body in the coordinates of a band [m/s^2], shape [C]."""
+    return np.asarray(band.projection @ [0.0, 0.0, -scene.gravity_m_per_s2])
+
+
+def _contact(experiment: Experiment, band: Band) -> FloatArray | None:
+    """Return the place at which the recorded body lands if it falls from rest, shape [C]; None if it does not."""
+    scene, body = experiment.scene, experiment.recorded[0]
+    if not scene.body(body).starts_at_rest:
+        return None
+    try:
+        fall = free_flight(scene, body)
+    except ShapeError:
+        return None
+    landed_m = fall.start_m + fall.distance_m * fall.direction
+    return band.project(1e3 * landed_m[None])[0]
+
+
+def find_impact(
+    times_s: FloatArray, values: FloatArray, *, gravity_m_per_s2: FloatArray, contact_mm: FloatArray | None = None
+) -> Impact | None:
     """Return the first impact of a body between two free flights.
+
+    The sharpest change of velocity gives the normal; `estimators.first_bounce` along it gives the speeds.
 
     Args:
         times_s: Times [s], strictly increasing, shape [S].
-        values: Coordinates at these times, shape [S, C].
+        values: Coordinates at these times [mm], shape [S, C].
+        gravity_m_per_s2: Acceleration of a free body in the same coordinates, shape [C].
+        contact_mm: Place of a body that touches the support, shape [C]; the body is let go at rest at the first sample.
+            None of a motion for which neither is known.
 
     Returns:
         The impact. None if the velocity never reverses within `IMPACT_WINDOW_S`, or within two samples if they are
@@ -284,38 +318,21 @@ def find_impact(times_s: FloatArray, values: FloatArray) -> Impact | None:
     sizes = np.linalg.norm(jumps - np.median(jumps, axis=0), axis=1)
     hits = np.flatnonzero(sizes >= IMPACT_SHARE * sizes.max())
     first = hits[0] + int(np.argmax(sizes[hits[0] : hits[0] + window]))
-    later = hits[hits > first + 2 * window]
-    last = int(later[0]) + window if later.size else len(times_s) - 1
     if sizes[first] == 0.0:
         return None
     normal = jumps[first] / np.linalg.norm(jumps[first])
     if velocity[first] @ normal >= 0.0 or velocity[first + window] @ normal <= 0.0:
         return None
-    height = values @ normal
-    before, after = slice(0, first + 2), slice(first + window, last + 1)
-    # Samples from before the release are not in flight.
-    fell = np.abs(height[before] - height[0]) > 0.1 * abs(height[first + 1] - height[0])
-    flight_in = _parabola(times_s[before][fell], height[before][fell])
-    flight_out = _parabola(times_s[after], height[after])
-    if flight_in is None or flight_out is None:
+    heights_m = 1e-3 * values @ normal
+    gravity = -float(gravity_m_per_s2 @ normal)
+    if gravity <= 0.0:
         return None
-    # The flights meet at the contact: the later one lies below the floor before it, the earlier one after it.
-    gap, around = flight_in - flight_out, times_s[[first, min(first + window + 1, last)]]
-    if gap(around[0]) <= 0.0 or gap(around[1]) >= 0.0:
+    contact_m = None if contact_mm is None else 1e-3 * float(contact_mm @ normal)
+    released_m = None if contact_mm is None else float(heights_m[0])
+    bounce = first_bounce(times_s, heights_m, gravity_m_per_s2=gravity, contact_m=contact_m, released_m=released_m)
+    if bounce is None or bounce.speed_out_m_per_s == 0.0 or bounce.misfit > SHAPE_TOLERANCE:
         return None
-    time_s = float(brentq(gap, *around, xtol=1e-12))
-    speed_in, speed_out = -float(flight_in.deriv()(time_s)), float(flight_out.deriv()(time_s))
-    if speed_in <= 0.0 or speed_out <= 0.0:
-        return None
-    return Impact(time_s, float(times_s[last]), normal, speed_in, speed_out)
-
-
-def _parabola(times_s: FloatArray, height: FloatArray) -> np.polynomial.Polynomial | None:
-    if len(times_s) < 4:
-        return None
-    fitted = np.polynomial.Polynomial.fit(times_s, height, 2).convert()
-    misfit = float(np.sqrt(np.mean(np.square(fitted(times_s) - height))))
-    return fitted if misfit <= SHAPE_TOLERANCE * float(np.ptp(height)) else None
+    return Impact(bounce.time_s, bounce.until_s, normal, 1e3 * bounce.speed_in_m_per_s, 1e3 * bounce.speed_out_m_per_s)
 
 
 def _oscillation(

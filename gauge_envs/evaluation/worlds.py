@@ -1,28 +1,26 @@
 """Scores of many worlds of one experiment in one pass, for training and for batches of thousands.
 
 `score_worlds` reads trajectories on the host. `score_recording` reads positions where the engine recorded them: on the
-CPU with NumPy, on a GPU by Warp kernels, and copies the scores alone. Numbers of the kernels agree within 1e-9; NumPy
-stays the reference.
+CPU with NumPy, elsewhere by the engine's kernels, and copies the scores alone. Numbers of the kernels agree within
+1e-9; NumPy stays the reference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gauge_envs.errors import MissingExtraError, ShapeError
+from gauge_envs.backends.base import Recording
+from gauge_envs.errors import BackendError, ShapeError
 from gauge_envs.evaluation.deviation import aligned_baseline, band_baseline
 from gauge_envs.evaluation.metrics.trajectory import MAX_RELEASE_OFFSET_S
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
-
-if TYPE_CHECKING:
-    import warp as wp
 
 DLPACK_CPU = 1
 """Number of the CPU among the devices of DLPack."""
@@ -134,54 +132,31 @@ def _aligned(
 # --- on a device ---
 
 
-def device_array(array: Any) -> wp.array:
-    """Return an array of another library as a Warp array on the same device, without a copy.
-
-    Args:
-        array: An array that follows the DLPack protocol.
-    """
-    try:
-        import warp as wp
-    except ImportError as error:
-        raise MissingExtraError("scoring on a device", "newton", error) from error
-    if isinstance(array, wp.array):
-        return array
-    # Warp logs every kernel that it loads, unless it is told before its start. A second start does nothing.
-    wp.config.log_level = wp.LOG_WARNING
-    wp.init()
-    return wp.from_dlpack(array)
-
-
-def host_array(array: Any) -> NDArray[Any] | None:
-    """Return an array of another library as a NumPy array without a copy, or None if it lies on a GPU.
-
-    An array of Warp stays where it is: its kernels score it on the CPU too.
+def host_array(array: Any) -> NDArray[Any]:
+    """Return an array of another library on the CPU as a NumPy array, without a copy.
 
     Args:
         array: A NumPy array, or one that follows the DLPack protocol.
+
+    Raises:
+        BackendError: It lies on another device.
     """
     if isinstance(array, np.ndarray):
         return array
-    is_on_host = array.__dlpack_device__()[0] == DLPACK_CPU and type(array).__module__.partition(".")[0] != "warp"
-    return np.asarray(np.from_dlpack(array)) if is_on_host else None
-
-
-def copied_array(array: Any) -> FloatArray:
-    """Return an array of another library on the host."""
-    held = host_array(array)
-    return device_array(array).numpy() if held is None else held
+    if array.__dlpack_device__()[0] != DLPACK_CPU:
+        raise BackendError("a recording lies on a GPU, and its engine offers no kernels there: set Recording.kernels")
+    return np.asarray(np.from_dlpack(array))
 
 
 def score_recording(
-    experiment: Experiment, band: Band, *, positions_m: Any, rows: Sequence[int], sample_counts: NDArray[np.intp]
+    experiment: Experiment, band: Band, *, recording: Recording, rows: Sequence[int], sample_counts: NDArray[np.intp]
 ) -> dict[str, FloatArray]:
     """Return the distances of recorded worlds from a band; for experiments that observe positions.
 
     Args:
         experiment: Experiment that was simulated.
         band: Its reference.
-        positions_m: Positions of the bodies [m], 180 samples a second from 0, a contiguous array of 64-bit floats of
-            any library that follows DLPack, shape [sample_count, world_count, body_count, 3].
+        recording: The record, 180 samples a second from 0.
         rows: Numbers of the observed bodies, in the order of the experiment.
         sample_counts: Number of samples of each world that count, shape [world_count]. A world that lacks a frame has
             no score; fewer samples after the last frame shorten the range of time shifts.
@@ -189,8 +164,8 @@ def score_recording(
     Returns:
         As `score_worlds` returns them.
     """
-    held = host_array(positions_m)
-    positions: Any = device_array(positions_m) if held is None else held
+    kernels = recording.kernels
+    positions = host_array(recording.positions_m) if kernels is None else recording.positions_m
     needed = (experiment.frame_count - 1) * SAMPLES_PER_FRAME + 1
     world_count = len(sample_counts)
     width = 3 * len(rows)
@@ -200,69 +175,28 @@ def score_recording(
             f"positions have shape {tuple(positions.shape)} with {len(rows)} observed bodies; [{needed} or more, "
             f"{world_count}, body_count, 3] and {band.projection.shape[1] // 3} observed bodies are needed"
         )
-    # A kernel reads what is there: outside of the array, or halves of numbers.
-    if positions.dtype.__name__ != "float64" if held is None else held.dtype != np.float64:
-        name = positions.dtype.__name__ if held is None else held.dtype.name
-        raise ShapeError(f"positions are of type {name}, expected 64-bit floats")
+    # A kernel would read outside of the array.
     if not all(0 <= row < positions.shape[2] for row in rows):
         raise ShapeError(f"rows are {list(rows)}, expected numbers of the {positions.shape[2]} bodies, from 0")
-    if held is None:
-        return _scored_on_device(experiment, band, positions, rows, sample_counts)
-    values = 1e3 * held[:, :, list(rows)].reshape(len(held), world_count, width)
-    values[np.arange(len(held))[:, None] >= sample_counts] = np.nan
-    times_s = SAMPLE_INTERVAL_S * np.arange(len(held), dtype=np.float64)
-    return score_worlds(experiment, band, times_s=times_s, values=values.transpose(1, 0, 2))
-
-
-def _scored_on_device(
-    experiment: Experiment, band: Band, positions: wp.array, rows: Sequence[int], sample_counts: NDArray[np.intp]
-) -> dict[str, FloatArray]:
-    """Return the distances of recorded worlds from a band, by kernels of Warp."""
-    import warp as wp
-
-    from gauge_envs.evaluation.score_kernels import align, compare, project
-
-    world_count = len(sample_counts)
-    known = np.isfinite(band.mean)
-    frames = np.flatnonzero(known.any(axis=1))
-    with wp.ScopedDevice(positions.device):
-        counts = wp.array(np.minimum(sample_counts, positions.shape[0]).astype(np.int32), dtype=wp.int32)
-        mean = wp.array(np.where(known, band.mean, 0.0), dtype=wp.float64)
-        weight = wp.array(known.astype(np.float64), dtype=wp.float64)
-        last = wp.full(world_count, positions.shape[0] - 1, dtype=wp.int32)
-        projected = wp.empty((positions.shape[0], world_count, len(band.projection)), dtype=wp.float64)
-        squares, shifts, least = (wp.empty(world_count, dtype=wp.float64) for _ in range(3))
-        wp.launch(
-            project,
-            dim=projected.shape[:2],
-            inputs=[
-                positions,
-                wp.array(np.asarray(rows, dtype=np.int32), dtype=wp.int32),
-                wp.array(band.projection, dtype=wp.float64),
-                counts,
-            ],
-            outputs=[last, projected],
-        )
-        wp.launch(
-            compare, dim=world_count, inputs=[projected, mean, weight, SAMPLES_PER_FRAME, counts], outputs=[squares]
-        )
-        scores = {"rmse": np.sqrt(squares.numpy() / len(frames))}
-        if _is_aligned(experiment, band):
-            wp.launch(
-                align,
-                dim=world_count,
-                inputs=[
-                    projected,
-                    mean,
-                    weight,
-                    SAMPLES_PER_FRAME,
-                    int(SAMPLES_PER_FRAME * frames[-1]),
-                    MOST_STEPS,
-                    last,
-                ],
-                outputs=[shifts, least],
-            )
-            missing = ~np.isfinite(scores["rmse"])
-            scores["release_offset_s"] = np.where(missing, np.nan, SAMPLE_INTERVAL_S * shifts.numpy())
-            scores["rmse_aligned"] = np.where(missing, np.nan, np.sqrt(least.numpy() / len(frames)))
+    if kernels is None:
+        if positions.dtype != np.float64:
+            raise ShapeError(f"positions are of type {positions.dtype.name}, expected 64-bit floats")
+        values = 1e3 * positions[:, :, list(rows)].reshape(len(positions), world_count, width)
+        values[np.arange(len(positions))[:, None] >= sample_counts] = np.nan
+        times_s = SAMPLE_INTERVAL_S * np.arange(len(positions), dtype=np.float64)
+        return score_worlds(experiment, band, times_s=times_s, values=values.transpose(1, 0, 2))
+    squares, shifts, shifted_squares = kernels.squares(
+        positions,
+        rows=rows,
+        sample_counts=sample_counts,
+        projection=band.projection,
+        mean=band.mean,
+        shift_limit=MOST_STEPS,
+    )
+    known_frame_count = np.count_nonzero(np.isfinite(band.mean).any(axis=1))
+    scores = {"rmse": np.sqrt(squares / known_frame_count)}
+    if _is_aligned(experiment, band):
+        is_missing = ~np.isfinite(scores["rmse"])
+        scores["release_offset_s"] = np.where(is_missing, np.nan, SAMPLE_INTERVAL_S * shifts)
+        scores["rmse_aligned"] = np.where(is_missing, np.nan, np.sqrt(shifted_squares / known_frame_count))
     return _normalized(experiment, band, scores)

@@ -6,6 +6,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
+from gauge_envs.experiments.tables import Camera, task_camera
 from gauge_envs.experiments.task_format import ScoreSpec, TaskSpec
 from gauge_envs.experiments.variants import Variant
 from gauge_envs.observables.kinds import coordinate_names
@@ -56,6 +57,10 @@ class Asset:
 
 ASSET_NAME = "Asset"
 """Name of experiment files; their Gymnasium id is `GAUGE/Asset`."""
+
+
+EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
+"""Pattern of the name of an experiment file, which is part of ids and of file names."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,6 +125,11 @@ class Experiment:
         A scene has no materials: an engine sees their constants alone.
         """
         return {}
+
+    @property
+    def camera(self) -> Camera | None:
+        """Camera of pictures; None for the one that follows from the scene."""
+        return task_camera(self.name)
 
     @property
     def edited(self) -> bool:

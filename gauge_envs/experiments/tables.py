@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
+from fnmatch import fnmatchcase
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args
 
 import numpy as np
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetPydanticSchema, model_validator
 
-from gauge_envs.references.tables import FileModel, UnitVector
+from gauge_envs.references.tables import FileModel, UnitVector, read_toml, scoring_folder
 from gauge_envs.scene import Box, ConvexUnion, Cylinder, JointDynamics, Plane, Pose, Sphere
 from gauge_envs.scene.drivers import Driver, DriverMotion
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
@@ -33,6 +34,38 @@ def _solid(union: ConvexUnion) -> ConvexUnion:
         if len(piece) < 4 or np.linalg.matrix_rank(points - points.mean(axis=0), tol=1e-9) < 3:
             raise ValueError(f"piece {index} is flat or has fewer than four vertices: it encloses no volume")
     return union
+
+
+class Camera(FileModel):
+    """Where pictures are taken from: a camera without roll.
+
+    Attributes:
+        target_m: Point in the middle of the picture [m].
+        distance_m: Distance of the camera from it [m].
+        azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
+        elevation_deg: Angle of the view above the level plane [deg]; negative from above.
+    """
+
+    target_m: Vector
+    distance_m: Positive
+    azimuth_deg: float
+    elevation_deg: float
+
+
+class CameraFile(FileModel):
+    """Content of `scoring/cameras.toml`.
+
+    Attributes:
+        camera: Camera by the name of the task, which may have wildcards.
+    """
+
+    camera: dict[str, Camera]
+
+
+def task_camera(name: str) -> Camera | None:
+    """Return the camera of a task of the package, or None."""
+    table = read_toml(scoring_folder("cameras.toml"), CameraFile).camera
+    return next((camera for pattern, camera in table.items() if fnmatchcase(name, pattern)), None)
 
 
 class PlateWithHoleSpec(FileModel):

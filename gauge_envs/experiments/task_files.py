@@ -207,15 +207,8 @@ def task_spec(family: str) -> TaskSpec:
 # --- fabrics ----------------------------------------------------------------------------------------------------------
 
 
-FABRICS_FROM = "TextileFlinging"
-"""Family whose task file names the six calibrated fabrics; other families repeat its constants."""
-
-
-def fabrics(family: str = FABRICS_FROM) -> dict[str, Fabric]:
-    """Return the calibrated fabrics of a family, by name.
-
-    The default family has the six fabrics of the benchmark. The nylon of `TableclothPulling` is another cloth.
-    """
+def fabrics(family: str) -> dict[str, Fabric]:
+    """Return the calibrated fabrics of a family, by name."""
     spec = task_spec(family)
     return {
         material: Fabric.of(ClothConstants.model_validate(spec.constants_of(cloth, material, None)))

@@ -208,13 +208,13 @@ def simplified(points: FloatArray, tolerance: float) -> FloatArray:
 # --- scores ---
 
 ROW = 20.0
-MOST_WORDED = 3
+MAX_WORDED = 3
 """Largest number of decades of an axis of scores with words below the 1."""
 LABELS, LONGEST_LABEL = 134.0, 20
 """Room for the labels at the left, and the length of the longest [characters]."""
 VALUES = 52.0
 """Room for the scores at the right end, as 0.00032."""
-LEAST_SCORE = 0.1
+MIN_SCORE = 0.1
 """Left end of the axis of scores; an arrow points at what is below it."""
 
 
@@ -222,11 +222,11 @@ def forest(title: str, rows: Sequence[ForestRow]) -> Html:
     """Return scores with intervals on a logarithmic axis, with a line at 1: the mean score of the real trials."""
     highest = max([1.0, *(row.interval[1] if row.interval else row.value for row in rows)])
     right = 10.0 ** math.ceil(math.log10(highest * 1.2))
-    span = (math.log10(LEAST_SCORE), math.log10(right))
+    span = (math.log10(MIN_SCORE), math.log10(right))
     to_x = _scale(*span, LABELS, WIDTH - VALUES)
 
     def place(value: float) -> float:
-        return float(to_x(np.array(math.log10(max(value, LEAST_SCORE)))))
+        return float(to_x(np.array(math.log10(max(value, MIN_SCORE)))))
 
     bottom = TOP + ROW * len(rows)
     parts: list[Html] = [element("text", title, x=2, y=12, font_weight="600")]
@@ -235,7 +235,7 @@ def forest(title: str, rows: Sequence[ForestRow]) -> Html:
         kind = "one" if power == 0 else "grid"
         parts.append(element("line", x1=f"{x:.1f}", x2=f"{x:.1f}", y1=TOP, y2=bottom, class_=kind))
         # More decades leave too little room for the words.
-        text = "1 = real trials" if power == 0 and span[1] - span[0] <= MOST_WORDED else f"{value:g}"
+        text = "1 = real trials" if power == 0 and span[1] - span[0] <= MAX_WORDED else f"{value:g}"
         parts.append(element("text", text, x=f"{x:.1f}", y=bottom + 13, text_anchor="middle", class_="quiet"))
     for number, row in enumerate(rows):
         y = TOP + ROW * (number + 0.5)
@@ -244,17 +244,17 @@ def forest(title: str, rows: Sequence[ForestRow]) -> Html:
         low, high = row.interval or (row.value, row.value)
         paint = f"stroke:{row.color};stroke-width:2.5"
         parts.append(element("line", x1=f"{place(low):.1f}", x2=f"{place(high):.1f}", y1=y, y2=y, style=paint))
-        if low < LEAST_SCORE:
+        if low < MIN_SCORE:
             x = place(low)
             arrow = f"M{x + 4:.1f} {y - 4}L{x - 1:.1f} {y}L{x + 4:.1f} {y + 4}"
             parts.append(element("path", d=arrow, style=f"fill:none;{paint}"))
-        if row.value >= LEAST_SCORE:
+        if row.value >= MIN_SCORE:
             parts.append(element("circle", cx=f"{place(row.value):.1f}", cy=y, r=4, style=f"fill:{row.color}"))
         parts.append(element("text", score_text(row.value), x=WIDTH - 2, y=f"{y + 4:.1f}", text_anchor="end"))
     values = "; ".join(f"{row.label} {interval_text(row.value, row.interval)}" for row in rows)
     box, label = f"0 0 {WIDTH:.0f} {bottom + 18:.0f}", f"{title}: {values}"
     drawing = element("svg", *parts, viewBox=box, role="img", aria_label=label, class_="plot")
-    if any(row.value < LEAST_SCORE for row in rows):
-        note = f"Scores below {LEAST_SCORE:g} have an arrow in place of a dot."
+    if any(row.value < MIN_SCORE for row in rows):
+        note = f"Scores below {MIN_SCORE:g} have an arrow in place of a dot."
         return element("figure", drawing, element("figcaption", note))
     return element("figure", drawing)

@@ -23,13 +23,13 @@ from gauge_envs.pages.text import markdown_row, markdown_text, value_text
 GAP = "  "
 """Between two columns, and the indentation of rows below a heading."""
 
-LEAST_FIRST_WIDTH = 12
+MIN_FIRST_WIDTH = 12
 """The first column gets at least this width; longer first cells have a line of their own [characters]."""
 
 TITLE_WIDTH = 12
 """Longer titles are wrapped [characters]."""
 
-MOST_KEY_WIDTH = 22
+MAX_KEY_WIDTH = 22
 """Longer names of facts have a line of their own [characters]."""
 
 
@@ -141,55 +141,64 @@ class Table:
 
     def markdown(self) -> str:
         """Return the table as GitHub Markdown, with all columns."""
-        lines = [f"**{markdown_text(self.title)}**", ""] if self.title else []
         columns = [column for column in self.columns if not column.narrow_only]
+        lines = []
+        if self.title:
+            lines += [f"**{markdown_text(self.title)}**", ""]
         lines.append(markdown_row([column.label for column in columns]))
-        lines.append(f"| {' | '.join('---:' if column.is_number else '---' for column in columns)} |")
-        lines += [markdown_row([column.text(row) for column in columns]) for row in self.rows]
+        marks = ["---:" if column.is_number else "---" for column in columns]
+        lines.append(f"| {' | '.join(marks)} |")
+        for row in self.rows:
+            lines.append(markdown_row([column.text(row) for column in columns]))
+        if self.notes:
+            lines.append("")
         # Two blanks end a line in Markdown.
-        lines += ["", *(f"{markdown_text(note)}  " for note in self.notes)] if self.notes else []
+        lines += [f"{markdown_text(note)}  " for note in self.notes]
         return "\n".join(lines)
 
     def csv(self) -> str:
         """Return the values with full digits, below the keys of the columns; a missing value is an empty cell."""
         stream = io.StringIO()
-        csv.writer(stream, lineterminator="\n").writerows(
-            [
-                [column.key for column in self.columns],
-                *([column.value(row) for column in self.columns] for row in self.rows),
-            ]
-        )
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow([column.key for column in self.columns])
+        for row in self.rows:
+            writer.writerow([column.value(row) for column in self.columns])
         return stream.getvalue()
 
     def latex(self) -> str:
         """Return the table as a LaTeX `tabular`, with all columns."""
         layout = "".join("r" if column.is_number else "l" for column in self.columns)
-        cells = [[column.label for column in self.columns], *([c.text(row) for c in self.columns] for row in self.rows)]
-        lines = [" & ".join(re.sub(r"([&%$#_{}^])", r"\\\1{}", cell) for cell in line) for line in cells]
-        return "\n".join([f"\\begin{{tabular}}{{{layout}}}", *(f"{line} \\\\" for line in lines), "\\end{tabular}\n"])
+        lines = [f"\\begin{{tabular}}{{{layout}}}"]
+        for row in (None, *self.rows):
+            cells = [column.label if row is None else column.text(row) for column in self.columns]
+            escaped = [re.sub(r"([&%$#_{}^])", r"\\\1{}", cell) for cell in cells]
+            lines.append(f"{' & '.join(escaped)} \\\\")
+        return "\n".join([*lines, "\\end{tabular}\n"])
 
     def html(self) -> Html:
         """Return the table as an element; on a narrow screen the cells of a row may stand below each other."""
         columns = [column for column in self.columns if not column.narrow_only]
         beside = [column for column in columns if column.place is not Place.BELOW]
         below = [column for column in columns if column.place is Place.BELOW]
-        head = (
-            element("th", column.title if isinstance(column.title, Html) else column.label, scope="col", class_=kind)
-            for column in beside
-            for kind in ["n" if column.is_number else None]
-        )
-        body: list[Html] = []
+        head = []
+        for column in beside:
+            title = column.title if isinstance(column.title, Html) else column.label
+            head.append(element("th", title, scope="col", class_="n" if column.is_number else None))
+        body = []
         for row in self.rows:
             body.append(element("tr", *(_cell(column, row) for column in beside)))
-            texts = filter(None, (column.markup(row) for column in below))
-            body += [element("tr", element("td", text, colspan=len(beside)), class_="more") for text in texts]
+            for column in below:
+                text = column.markup(row)
+                if text:
+                    body.append(element("tr", element("td", text, colspan=len(beside)), class_="more"))
         table = element("table", element("thead", element("tr", *head)), element("tbody", *body), class_=self.look)
-        title = [element("h3", self.title)] if self.title else []
-        notes = (element("p", note, class_="small") for note in self.notes)
         # A keyboard scrolls what has the focus.
-        label = beside[0].label if "matrix" in self.look else None
-        focus = {"tabindex": label and "0", "role": label and "region", "aria_label": label}
-        return join([*title, element("div", table, class_="scroll", **focus), *notes])
+        focus = {}
+        if "matrix" in self.look and beside[0].label:
+            focus = {"tabindex": "0", "role": "region", "aria_label": beside[0].label}
+        above = element("h3", self.title) if self.title else None
+        notes = (element("p", note, class_="small") for note in self.notes)
+        return join([above, element("div", table, class_="scroll", **focus), *notes])
 
 
 def _cell(column: Column, row: Any) -> Html:
@@ -224,40 +233,47 @@ def grid(
 
 def _lines(table: Table, wide: bool, width: int) -> Iterator[Text]:
     """Yield headings, rows and what stands below them, none longer than the width."""
-    chosen = [c for c in table.columns if not (c.narrow_only if wide else c.wide_only)]
-    shown = {place: [c for c in chosen if c.place is place] for place in Place}
-    indent = GAP if shown[Place.HEADING] else ""
-    columns, widths = _fitted(shown[Place.CELL], table.rows, width - len(indent))
-    spilled = shown[Place.CELL][len(columns) :]
+    chosen = [column for column in table.columns if not (column.narrow_only if wide else column.wide_only)]
+    headings = [column for column in chosen if column.place is Place.HEADING]
+    cells = [column for column in chosen if column.place is Place.CELL]
+    below = [column for column in chosen if column.place is Place.BELOW]
+    indent = GAP if headings else ""
+    columns, widths = _fitted(cells, table.rows, width - len(indent))
+    spilled = cells[len(columns) :]
 
     def line(texts: Sequence[str], styles: Sequence[str]) -> Text:
         padded = Text(indent)
         for column, size, text, style in zip(columns, widths, texts, styles, strict=True):
-            padded.append(f"{text:>{size}}" if column.is_number else f"{text:<{size}}", style=style).append(GAP)
+            padded.append(text.rjust(size) if column.is_number else text.ljust(size), style=style).append(GAP)
         padded.rstrip()
         return padded
 
     titles = [_wrap(column.label, size) for column, size in zip(columns, widths, strict=True)]
     height = max(map(len, titles))
-    for texts in zip(*([""] * (height - len(title)) + title for title in titles), strict=True):
-        yield line(texts, ["dim"] * len(columns))
-    last = None
+    # Short titles stand at the bottom.
+    padded_titles = [[""] * (height - len(title)) + title for title in titles]
+    for level in zip(*padded_titles, strict=True):
+        yield line(level, ["dim"] * len(columns))
+    last = ""
     for row in table.rows:
-        heading = GAP.join(
-            f"{c.title if index else ''} {c.text(row)}".strip() for index, c in enumerate(shown[Place.HEADING])
-        )
-        if heading != (last or ""):
+        parts = []
+        for number, column in enumerate(headings):
+            title = column.title if number else ""
+            parts.append(f"{title} {column.text(row)}".strip())
+        heading = GAP.join(parts)
+        if heading != last:
             yield from _wrapped(heading, width, style="bold")
         last = heading
-        cells, styles = [c.text(row) for c in columns], [c.style_of(row) for c in columns]
-        if len(cells[0]) > widths[0]:
-            yield from _wrapped(cells[0], width, indent=indent, style=styles[0])
-            cells[0] = ""
-        if any(cells):
-            yield line(cells, styles)
-        below = [c.text(row) for c in shown[Place.BELOW]]
-        below.append("; ".join(f"{c.label}: {c.text(row)}" for c in spilled if c.value(row) is not None))
-        for text in filter(None, below):
+        texts = [column.text(row) for column in columns]
+        styles = [column.style_of(row) for column in columns]
+        if len(texts[0]) > widths[0]:
+            yield from _wrapped(texts[0], width, indent=indent, style=styles[0])
+            texts[0] = ""
+        if any(texts):
+            yield line(texts, styles)
+        lines = [column.text(row) for column in below]
+        lines.append("; ".join(f"{one.label}: {one.text(row)}" for one in spilled if one.value(row) is not None))
+        for text in filter(None, lines):
             yield from _wrapped(text, width, indent=2 * GAP)
 
 
@@ -269,7 +285,7 @@ def _fitted(columns: Sequence[Column], rows: Sequence[Any], width: int) -> tuple
     """
     widths = [max(map(len, [*_wrap(c.label, TITLE_WIDTH), *(c.text(row) for row in rows)])) for c in columns]
     room = width - sum(widths[1:]) - len(GAP) * (len(widths) - 1)
-    widths[0] = min(widths[0], room if room >= LEAST_FIRST_WIDTH else width // 2)
+    widths[0] = min(widths[0], room if room >= MIN_FIRST_WIDTH else width // 2)
     count = len(columns)
     while count > 1 and sum(widths[:count]) + len(GAP) * (count - 1) > width:
         count -= 1
@@ -294,7 +310,7 @@ class Facts:
 
     def lines(self, width: int, *, wide: bool = False) -> Iterator[Text]:
         """Yield a line for each name; a long text goes on below its beginning."""
-        key_width = max((len(key) for key in self.pairs if len(key) <= MOST_KEY_WIDTH), default=0)
+        key_width = max((len(key) for key in self.pairs if len(key) <= MAX_KEY_WIDTH), default=0)
         for key, text in self.pairs.items():
             if len(key) > key_width:
                 yield from _wrapped(key, width, style="cyan")

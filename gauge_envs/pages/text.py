@@ -8,19 +8,6 @@ from gauge_envs.files import printable
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 
-BACKEND_TITLES = {
-    "drake": "Drake",
-    "genesis": "Genesis",
-    "mujoco": "MuJoCo",
-    "newton": "Newton",
-    "physx": "PhysX",
-    "pybullet": "PyBullet",
-    "rapier": "Rapier",
-}
-"""Names of the engines of this package as their authors write them."""
-
-ENGINE_TITLES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
-
 METRIC_TITLES = {key: metric.title for key, metric in METRICS.items()}
 
 COST_TITLE = "wall s/sim s"

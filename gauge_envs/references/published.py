@@ -22,8 +22,8 @@ from gauge_envs.references.metrics import MetricKey
 from gauge_envs.references.tables import FileModel, read_rows, read_toml, scoring_folder
 from gauge_envs.scene.geometry import Positive
 
-ENGINES = ("isaacsim", "genesis", "newton")
-"""Engines whose scores were published."""
+PUBLISHED_ENGINES = {"isaacsim": "Isaac Sim", "genesis": "Genesis", "newton": "Newton"}
+"""Titles of the engines whose scores were published, by column of the file."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ class _BaselineRow(FileModel):
             unit="1" if percent else self.unit,
             mean=mean / 100 if percent else mean,
             std=std / 100 if percent and std is not None else std,
-            engines={engine: getattr(self, engine) for engine in ENGINES},
+            engines={engine: getattr(self, engine) for engine in PUBLISHED_ENGINES},
         )
 
 

@@ -1,56 +1,44 @@
-"""The camera of a scene: it frames what is expected to move, and sees the motion from the side.
-
-The expectation comes before the run: from the start, the drivers, strings and hinges, free flight, and the reference
-where it is of positions. It decides the picture alone, so that a coarse guess is enough.
-"""
-
-from dataclasses import dataclass
+"""The camera of pictures: `scoring/cameras.toml` for tasks, and a rule for all other scenes."""
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from gauge_envs.evaluation.reference_path import ReferencePath
-from gauge_envs.rendering.expected import Expected, expected_motion
-from gauge_envs.scene import Plane, Scene, SoftBody
-from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.experiments.experiment import Experiment
+from gauge_envs.experiments.tables import Camera
+from gauge_envs.scene import Box, Cloth, Deformable, Hinge, Plane, Rope, Scene, SoftBody
+from gauge_envs.scene.geometry import FloatArray, vector
 
 FIELD_OF_VIEW_DEG = 30.0
 """Vertical field of view of the camera [deg]."""
+TABLE_ASPECT = 4.0 / 3.0
+"""Least width over height of pictures that show all that the cameras of the table frame."""
+
+# --- the rule for scenes without a camera in the table ---
+
 AZIMUTH_DEG = 125.0
-"""Direction of a view without a plane of motion, anticlockwise from the x axis [deg]."""
-OFF_AXIS_DEG = 32.0
-"""Angle between the view and the normal of the plane of motion [deg]: bodies show two sides."""
-ELEVATIONS_DEG = (-34.0, -13.0)
-"""Elevation of the view for a flat action, and for one as high as wide [deg]."""
-MARGIN = 0.07
-"""Share of the picture between the action and each edge."""
-MOST_PLACES = 400
-"""About the largest number of places that are tested for what hides them."""
-LEAST_SIZE_M = 0.08
-"""Smallest extent that fills a picture [m]."""
+ELEVATION_DEG = -18.0
+OFF_AXIS_DEG = 20.0
+"""Angle between the view and the axis of a swing [deg]: the swing is seen nearly face on, and bodies show two sides."""
+ROOM = 1.25
+"""Radius of the sphere that fills the height of a picture, over that of the sphere around the scene."""
+LEAST_RADIUS_M = 0.04
+"""Smallest radius of the sphere around a scene [m]."""
+FLOOR_IN_VIEW_M = 0.6
+"""Largest distance of the floor below all bodies at which it is in the picture [m]."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class View:
-    """A perspective camera without roll.
-
-    Attributes:
-        target_m: Point in the middle of the picture [m], shape [3].
-        distance_m: Distance of the camera from it [m].
-        azimuth_deg: Direction of the view in the level plane, anticlockwise from the x axis [deg].
-        elevation_deg: Angle of the view above the level plane [deg]; negative from above.
-    """
-
-    target_m: FloatArray
-    distance_m: float
-    azimuth_deg: float
-    elevation_deg: float
+class View(Camera):
+    """A perspective camera, and where it sees points."""
 
     @property
     def axes(self) -> FloatArray:
         """Unit vectors to the right, up and into the picture, as rows, shape [3, 3]."""
-        return _axes(self.azimuth_deg, self.elevation_deg)
+        azimuth, elevation = np.radians([self.azimuth_deg, self.elevation_deg])
+        level = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
+        forward = np.cos(elevation) * level + [0.0, 0.0, np.sin(elevation)]
+        right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
+        return np.array([right, np.cross(right, forward), forward])
 
     @property
     def eye_m(self) -> FloatArray:
@@ -75,103 +63,99 @@ class View:
         camera.type = mujoco.mjtCamera.mjCAMERA_FREE
         camera.lookat[:] = self.target_m
         camera.distance = self.distance_m
-        camera.azimuth, camera.elevation = self.azimuth_deg, self.elevation_deg
+        camera.azimuth = self.azimuth_deg
+        camera.elevation = self.elevation_deg
         return camera
 
 
-def scene_view(scene: Scene, *, aspect: float = 4.0 / 3.0, reference: ReferencePath | None = None) -> View:
-    """Return the view that shows the expected action of a scene as large as it fits.
+def experiment_view(
+    experiment: Experiment, *, aspect: float = TABLE_ASPECT, reference: ReferencePath | None = None
+) -> View:
+    """Return the view of an experiment: that of its camera, else that of the rule.
+
+    Args:
+        experiment: The experiment.
+        aspect: Width of the picture over its height; a narrow one is taken from further away.
+        reference: Places that the rule frames beside those of the scene, or None.
+    """
+    camera = experiment.camera
+    view = scene_view(experiment.scene, reference=reference) if camera is None else View(**camera.model_dump())
+    if aspect >= TABLE_ASPECT:
+        return view
+    return view.model_copy(update={"distance_m": view.distance_m * TABLE_ASPECT / aspect})
+
+
+def scene_view(
+    scene: Scene, *, reference: ReferencePath | None = None, field_of_view_deg: float = FIELD_OF_VIEW_DEG
+) -> View:
+    """Return the view that shows the bodies at the start, and where they can go, by a rule.
 
     Args:
         scene: The scene.
-        aspect: Width of the picture over its height.
-        reference: Places of the reference, or None.
+        reference: Further places that are shown, or None.
+        field_of_view_deg: Vertical field of view of the camera [deg].
     """
-    expected = expected_motion(scene, reference)
-    points = expected.points_m
-    extent = np.ptp(points, axis=0)
-    flatness = extent[2] / max(float(np.hypot(*extent[:2])), 1e-9)
-    low, high = ELEVATIONS_DEG
-    elevation = low + (high - low) * min(flatness / 0.7, 1.0)
-    azimuth = _azimuth_deg(scene, expected, elevation)
-    return _fitted(points, azimuth, elevation, aspect)
-
-
-def _axes(azimuth_deg: float, elevation_deg: float) -> FloatArray:
-    azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
-    forward = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
-    right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
-    return np.array([right, np.cross(right, forward), forward])
-
-
-def _fitted(points_m: FloatArray, azimuth_deg: float, elevation_deg: float, aspect: float) -> View:
-    """Return the nearest view in which all points are inside the margin.
-
-    Each of two opposite sides of the frustum bounds the depth of the camera; the stricter pair decides, and the other
-    one is centred.
-    """
-    axes = _axes(azimuth_deg, elevation_deg)
-    middle = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))
-    places = (points_m - middle) @ axes.T
-    half = np.array([aspect, 1.0]) * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) * (1.0 - 2.0 * MARGIN)
-    across, depth = places[:, :2], places[:, 2:]
-    highest, lowest = (across + half * depth).min(axis=0), (across - half * depth).max(axis=0)
-    near = min(float(((highest - lowest) / (2.0 * half)).min()), float(depth.min()) - 0.5 * LEAST_SIZE_M / half[1])
-    # The view is centred where its sides touch the points at this depth.
-    centre = 0.5 * ((across - half * (depth - near)).max(axis=0) + (across + half * (depth - near)).min(axis=0))
-    eye = middle + np.array([*centre, near]) @ axes
-    distance = -near
+    points = [_start_and_reach_m(scene)]
+    if reference is not None:
+        known = np.isfinite(reference.places_m).all(axis=2)
+        points.append(reference.places_m[known])
+    corners = np.concatenate(points)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    radius = max(0.5 * float(np.linalg.norm(high - low)), LEAST_RADIUS_M)
+    azimuth_deg = AZIMUTH_DEG
+    for joint in scene.joints:
+        axis = joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0)
+        azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + OFF_AXIS_DEG
     return View(
-        target_m=eye + distance * axes[2], distance_m=distance, azimuth_deg=azimuth_deg, elevation_deg=elevation_deg
+        target_m=vector(0.5 * (low + high)),
+        distance_m=ROOM * radius / np.sin(np.radians(0.5 * field_of_view_deg)),
+        azimuth_deg=azimuth_deg,
+        elevation_deg=ELEVATION_DEG,
     )
 
 
-def _azimuth_deg(scene: Scene, expected: Expected, elevation_deg: float) -> float:
-    """Return the azimuth from which the motion is seen side-on and the fewest of its places and markers are hidden."""
-    across = expected.across
-    if across is None:
-        candidates = [AZIMUTH_DEG + turn for turn in (0.0, 180.0, 90.0, -90.0)]
-    else:
-        normal = float(np.degrees(np.arctan2(across[1], across[0])))
-        candidates = [normal + side + turn for side in (0.0, 180.0) for turn in (OFF_AXIS_DEG, -OFF_AXIS_DEG)]
-    candidates.sort(key=lambda angle: abs((angle - AZIMUTH_DEG + 180.0) % 360.0 - 180.0))
-    forwards = [_axes(angle, elevation_deg)[2] for angle in candidates]
-    hidden = [_hidden_share(scene, expected, forward) + _hidden_markers(scene, forward) for forward in forwards]
-    # Python's minimum is the first of equals, the one nearest to the usual direction.
-    return candidates[int(np.argmin(hidden))]
-
-
-def _hidden_share(scene: Scene, expected: Expected, forward: FloatArray) -> float:
-    """Return the share of the places of moving bodies that a still body covers, seen along a direction."""
-    places = expected.places_m[:: -(-len(expected.places_m) // MOST_PLACES)]
-    hidden = np.zeros(len(places), dtype=np.bool_)
+def _start_and_reach_m(scene: Scene) -> FloatArray:
+    """Return corners at the start, ends of driven motion and of swings, and the floor below, shape [point_count, 3]."""
+    points = [np.zeros((0, 3))]
     for body in scene.bodies:
-        if body.name in expected.movers or isinstance(body.shape, Plane):
-            continue
-        corners = body.shape.corners_m
-        starts, way = body.pose.to_body(places), body.pose.rotation.apply(-forward, inverse=True)
-        hidden |= _meets_box(starts, way, corners.min(axis=0), corners.max(axis=0))
-    return float(hidden.mean())
+        if not isinstance(body.shape, Plane):
+            points.append(body.pose.to_world(body.shape.corners_m))
+    for soft in scene.deformables:
+        points.append(_outline_m(soft))
+    for driver in scene.drivers:
+        carrier = scene.body(driver.body)
+        end = driver.pose(carrier.pose, scene.duration_s)
+        way_m = np.subtract(end.position_m, carrier.pose.position_m)
+        points.append(carrier.pose.to_world(carrier.shape.corners_m) + way_m)
+        carried = {attachment.deformable for attachment in scene.attachments if attachment.to == driver.body}
+        for soft in scene.deformables:
+            if soft.name in carried:
+                points.append(_outline_m(soft) + way_m)
+    for joint in scene.joints:
+        anchor = np.asarray(joint.anchor_m)
+        arm_m = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
+        axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
+        sideways = np.cross(axis, (0.0, 0.0, 1.0))
+        points.append(anchor + arm_m * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
+    corners = np.concatenate(points)
+    if not len(corners):
+        return np.zeros((1, 3))
+    hanging = {joint.body for joint in scene.joints}
+    can_fall = any(body.name not in hanging for body in scene.dynamic_bodies)
+    lowest = corners.min(axis=0)
+    if can_fall and 0.0 < lowest[2] - scene.floor_height_m < FLOOR_IN_VIEW_M:
+        corners = np.concatenate([corners, [[lowest[0], lowest[1], scene.floor_height_m]]])
+    return corners
 
 
-def _hidden_markers(scene: Scene, forward: FloatArray) -> float:
-    """Return the share of the markers that are on the far sides of soft bodies, seen along a direction."""
-    if scene.markers is None:
-        return 0.0
-    places = np.array(scene.markers.positions_m)
-    hidden = np.zeros(len(places), dtype=np.bool_)
-    for body in scene.deformables:
-        if isinstance(body, SoftBody):
-            corners = body.shape.corners_m
-            starts, way = body.pose.to_body(places), body.pose.rotation.apply(-forward, inverse=True)
-            # A little smaller than the body, so that a marker on a near side does not hide itself.
-            hidden |= _meets_box(starts, way, 0.98 * corners.min(axis=0), 0.98 * corners.max(axis=0))
-    return float(hidden.mean())
-
-
-def _meets_box(starts: FloatArray, way: FloatArray, low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """Return which rays from points along one direction meet a box; a ray that starts inside does."""
-    way = np.where(np.abs(way) < 1e-12, 1e-12, way)
-    first, second = (low - starts) / way, (high - starts) / way
-    enter, leave = np.minimum(first, second).max(axis=1), np.maximum(first, second).min(axis=1)
-    return np.asarray((leave > np.maximum(enter, 0.0)) & (leave > 0.0))
+def _outline_m(body: Deformable) -> FloatArray:
+    """Return the corners of a deformable body at the start [m], shape [8, 3]."""
+    if isinstance(body, SoftBody):
+        box = body.shape
+    elif isinstance(body, Cloth):
+        box = Box(size_m=(*body.size_m, 0.0))
+    elif isinstance(body, Rope):
+        box = Box(size_m=(body.length_m, 0.0, 0.0))
+    else:
+        box = Box(size_m=(0.0, 0.0, body.length_m))
+    return body.pose.to_world(box.corners_m)

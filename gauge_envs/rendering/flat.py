@@ -9,19 +9,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.mujoco.model import add_geoms
-from gauge_envs.rendering.expected import outline_m
+from gauge_envs.rendering.camera import scene_view
 from gauge_envs.rendering.materials import USUAL
 from gauge_envs.rendering.overlay import Color
 from gauge_envs.rendering.skin import Skin
 from gauge_envs.rendering.studio import material_textures
-from gauge_envs.scene import Hinge, Motion, Plane, Scene
+from gauge_envs.scene import Motion, Plane, Scene
 
 FIELD_OF_VIEW_DEG = 40.0
 """Field of view of the camera that the projection replaces [deg]."""
-LIGHT_ELEVATION_DEG = -18.0
-LIGHT_AZIMUTH_DEG = 125.0
-FLOOR_IN_VIEW_M = 0.6
-"""Largest distance of the floor below all bodies at which the camera of the headlight sees it [m]."""
 BACKDROP_M = 2.0
 """Distance of the backdrop and of the camera of a parallel projection from the middle of the scene [m]."""
 BACKDROP_TEXELS = 512
@@ -151,37 +147,5 @@ def _add_backdrop(spec: mujoco.MjSpec, view: FlatView, width: int, height: int) 
 
 
 def light_camera(scene: Scene) -> mujoco.MjvCamera:
-    """Return the camera whose headlight shines on a film; the projection replaces its view, but not its light.
-
-    It sees the bodies at the start and their reach: driven motion, swings, and a floor below.
-    """
-    points = [body.pose.to_world(body.shape.corners_m) for body in scene.bodies if not isinstance(body.shape, Plane)]
-    points += [body.pose.to_world(outline_m(body)) for body in scene.deformables]
-    for driver in scene.drivers:
-        start = scene.body(driver.body).pose
-        away = np.subtract(driver.pose(start, scene.duration_s).position_m, start.position_m)
-        carried = {a.deformable for a in scene.attachments if a.to == driver.body}
-        points.append(start.to_world(scene.body(driver.body).shape.corners_m) + away)
-        points += [body.pose.to_world(outline_m(body)) + away for body in scene.deformables if body.name in carried]
-    azimuth_deg = LIGHT_AZIMUTH_DEG
-    for joint in scene.joints:
-        anchor = np.asarray(joint.anchor_m)
-        arm = np.linalg.norm(anchor - scene.body(joint.body).pose.position_m)
-        axis = np.asarray(joint.axis if isinstance(joint, Hinge) else (0.0, 1.0, 0.0))
-        sideways = np.cross(axis, (0.0, 0.0, 1.0))
-        points.append(anchor + arm * np.array([sideways, -sideways, (0.0, 0.0, -1.0), (0.0, 0.0, 0.0)]))
-        # The view is nearly along the axis, so that the swing is seen face on.
-        azimuth_deg = float(np.degrees(np.arctan2(axis[1], axis[0]))) + 20.0
-    corners = np.concatenate(points) if points else np.zeros((1, 3))
-    low, high = corners.min(axis=0), corners.max(axis=0)
-    hanging = {joint.body for joint in scene.joints}
-    falls = any(body.name not in hanging for body in scene.dynamic_bodies)
-    if falls and low[2] - scene.floor_height_m < FLOOR_IN_VIEW_M:
-        low[2] = min(low[2], scene.floor_height_m)
-    camera = mujoco.MjvCamera()
-    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
-    camera.lookat[:] = 0.5 * (low + high)
-    radius = 0.5 * float(np.linalg.norm(high - low))
-    camera.distance = 1.25 * radius / np.sin(np.radians(0.5 * FIELD_OF_VIEW_DEG))
-    camera.azimuth, camera.elevation = azimuth_deg, LIGHT_ELEVATION_DEG
-    return camera
+    """Return the camera whose headlight shines on a film; the projection replaces its view, but not its light."""
+    return scene_view(scene, field_of_view_deg=FIELD_OF_VIEW_DEG).mujoco_camera()

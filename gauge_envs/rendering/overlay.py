@@ -10,13 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from gauge_envs.errors import ParameterError, ShapeError
-from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
+from gauge_envs.evaluation.reference_path import ReferencePath
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import shots_of
 from gauge_envs.observables.kinds import Observable
-from gauge_envs.references.bands import Band
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 
@@ -28,154 +27,107 @@ SIMULATED_COLOR: Color = (0.07, 0.33, 0.85, 1.0)
 RECORDED_COLOR: Color = (0.85, 0.05, 0.38, 1.0)
 """Colour of the reference, as the mean of the real trials."""
 
+PLACES = (Observable.POSITION, Observable.MARKER_POSITION)
+"""Observables that are places in space."""
 MOST_PATHS = 12
 """Largest number of points whose paths are drawn; the paths of more hide the scene."""
 MOST_POINTS = 240
 """Largest number of points of a path; more of them cost time, and show nothing more."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OverlayPath:
-    """A line through points, drawn as a thin tube.
-
-    Attributes:
-        points_m: Points in order [m], shape [point_count, 3]; the tube has a gap at a point that is not finite.
-        color: Red, green, blue and opacity from 0 to 1.
-    """
-
-    points_m: FloatArray
-    color: Color = SIMULATED_COLOR
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "points_m", _points("points_m", self.points_m))
-        _check_color(self.color)
+def _no_points() -> FloatArray:
+    return np.zeros((0, 3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Overlay:
-    """Tracked points, paths and translucent bodies of one picture.
+    """Tracked points, paths and translucent bodies of one picture. Points that are not finite are left out.
 
     Attributes:
-        markers_m: Points of the simulation [m], shape [n, 3], drawn as small bright balls. A point that is not finite
-            is left out, here and in `recorded_m`.
+        markers_m: Points of the simulation [m], shape [n, 3], drawn as small bright balls.
         recorded_m: Points of the reference at the same time [m], shape [n, 3], in the colour of the reference.
-        paths: Paths, as of the simulation so far or of the reference.
-        ghosts: Bodies that are drawn once more, translucent and with their own shape: position [m] and quaternion
-            w x y z by name of the body, shape [7]. Deformable bodies have no pose; draw their points as `recorded_m`.
-        ghost_color: Colour of the ghosts.
-
-    Example:
-        >>> import numpy as np
-        >>> overlay = Overlay(
-        ...     markers_m=np.zeros((1, 3)), paths=(OverlayPath(points_m=np.array([[0, 0, 0], [0, 0, 0.1]])),)
-        ... )
-        >>> overlay.geom_count
-        2
+        paths: Lines of the simulation so far [m], shape [point_count, 3] each, drawn as thin tubes.
+        recorded_paths: Lines of the reference, in its colour.
+        ghosts: Bodies of the reference that are drawn translucent, with their own shape: position [m] and quaternion
+            w x y z by name of the body, shape [7].
     """
 
-    markers_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    recorded_m: FloatArray = field(default_factory=lambda: np.zeros((0, 3)))
-    paths: tuple[OverlayPath, ...] = ()
+    markers_m: FloatArray = field(default_factory=_no_points)
+    recorded_m: FloatArray = field(default_factory=_no_points)
+    paths: tuple[FloatArray, ...] = ()
+    recorded_paths: tuple[FloatArray, ...] = ()
     ghosts: Mapping[str, FloatArray] = field(default_factory=dict)
-    ghost_color: Color = (*RECORDED_COLOR[:3], 0.35)
-
-    def __post_init__(self) -> None:
-        for name in ("markers_m", "recorded_m"):
-            object.__setattr__(self, name, _points(name, getattr(self, name)))
-        ghosts = {name: np.asarray(pose, dtype=np.float64) for name, pose in self.ghosts.items()}
-        for name, pose in ghosts.items():
-            if pose.shape != (7,):
-                raise ShapeError(
-                    f"ghosts[{name!r}] has shape {pose.shape}; [7] is needed: position, quaternion w x y z"
-                )
-        object.__setattr__(self, "ghosts", ghosts)
-        _check_color(self.ghost_color)
 
     @property
     def geom_count(self) -> int:
         """Number of balls and tubes; ghosts come on top of it."""
-        tubes = sum(max(len(path.points_m) - 1, 0) for path in self.paths)
+        tubes = sum(max(len(path) - 1, 0) for path in (*self.paths, *self.recorded_paths))
         return len(self.markers_m) + len(self.recorded_m) + tubes
-
-
-def _points(name: str, values: FloatArray) -> FloatArray:
-    points = np.asarray(values, dtype=np.float64)
-    if points.ndim != 2 or points.shape[1] != 3:
-        raise ShapeError(f"{name} has shape {points.shape}; [point_count, 3] is needed")
-    return points
-
-
-def _check_color(color: Color) -> None:
-    if len(color) != 4 or not all(0.0 <= part <= 1.0 for part in color):
-        raise ParameterError(f"colour {color!r}: expected red, green, blue and opacity from 0 to 1")
-
-
-# --- episodes ---
 
 
 def tracked_overlay(
     experiment: Experiment,
-    band: Band | None,
+    reference: ReferencePath | None,
     *,
+    time_s: float,
     samples: FloatArray,
     markers_m: FloatArray,
     poses: Mapping[str, FloatArray],
 ) -> Overlay:
-    """Return the overlay of an episode that has begun.
+    """Return the overlay of a moment of an episode.
 
     Tracked points are the markers of deformable bodies, and the recorded origins of rigid ones. Both the simulation and
     the reference have a path where g(t) is of positions. A body of the reference is drawn once more as a ghost.
 
     Args:
-        experiment: The experiment.
-        band: Its band, or None.
-        samples: g(t) up to the last frame, in its unit, shape [frame_count, coordinate_count].
-        markers_m: Markers at the last frame [m], shape [marker_count, 3].
-        poses: Position [m] and quaternion w x y z of each rigid body at the last frame, shape [7].
+        experiment: The experiment, with the trial that it starts from.
+        reference: Places of its reference, or None.
+        time_s: The moment [s].
+        samples: g(t) up to the moment, in its unit, shape [sample_count, coordinate_count].
+        markers_m: Markers at the moment [m], shape [marker_count, 3].
+        poses: Poses of the simulated bodies at the moment, shape [7] each; others stand at their start.
     """
-    frame = len(samples) - 1
-    observable = experiment.score.observable
-    paths: list[OverlayPath] = []
-    if observable in (Observable.POSITION, Observable.MARKER_POSITION):
+    paths: tuple[FloatArray, ...] = ()
+    if experiment.score.observable in PLACES:
         places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
-        markers_m = places_m[-1]
-        if markers_m.shape[0] <= MOST_PATHS:
-            paths += [OverlayPath(points_m=_thinned(places_m[:, index])) for index in range(len(markers_m))]
-    reference = reference_path(experiment, band)
-    recorded_m, ghosts = np.zeros((0, 3)), {}
-    if reference is not None:
-        if len(reference.names) <= MOST_PATHS:
-            paths += [
-                OverlayPath(points_m=_thinned(reference.places_m[:, index]), color=RECORDED_COLOR)
-                for index in range(len(reference.names))
-            ]
-        if frame < len(reference.places_m):
-            recorded_m = reference.places_m[frame]
-            ghosts = reference_ghosts(experiment, reference, recorded_m, time_s=frame / FRAME_RATE_HZ, poses=poses)
-    return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
+        markers_m, paths = places_m[-1], _paths(places_m)
+    if reference is None:
+        return Overlay(markers_m=markers_m, paths=paths)
+    recorded_m, ghosts = _no_points(), {}
+    at = round(time_s * FRAME_RATE_HZ, 6)
+    if at <= len(reference.places_m) - 1:
+        recorded_m = between(reference.places_m, at)
+        ghosts = _ghosts(experiment, reference, recorded_m, time_s, poses)
+    if ghosts:
+        recorded_m = np.array([pose[:3] for pose in ghosts.values()])
+    return Overlay(
+        markers_m=markers_m,
+        recorded_m=recorded_m,
+        paths=paths,
+        recorded_paths=_paths(reference.places_m),
+        ghosts=ghosts,
+    )
 
 
-def reference_ghosts(
+def between(points: NDArray[np.floating], at: float) -> FloatArray:
+    """Return points between two views, which are rows, by linear interpolation; the last view stays."""
+    first = min(int(at), len(points) - 1)
+    later = min(first + 1, len(points) - 1)
+    share = at - first if later > first else 0.0
+    here = points[first].astype(np.float64)
+    if share == 0.0:
+        return here
+    return (1.0 - share) * here + share * points[later]
+
+
+def _ghosts(
     experiment: Experiment,
     reference: ReferencePath,
     places_m: FloatArray,
-    *,
     time_s: float,
     poses: Mapping[str, FloatArray],
 ) -> dict[str, FloatArray]:
-    """Return the poses of the bodies of a reference; one that holds no orientation turns as the simulation.
-
-    Args:
-        experiment: The experiment, with the trial that it starts from.
-        reference: Places of the reference.
-        places_m: Those of the moment [m], shape [body_count, 3].
-        time_s: The moment [s].
-        poses: Poses of the simulated bodies at that moment, shape [7] each; others stand at their start.
-
-    Returns:
-        Position [m] and quaternion w x y z of each body, shape [7]; none where g(t) is not of positions, or of many
-        bodies.
-    """
+    """Return the poses of the bodies of a reference; one that holds no orientation turns as the simulation."""
     if experiment.score.observable is not Observable.POSITION or len(reference.names) > MOST_PATHS:
         return {}
     shots, ghosts = shots_of(experiment), {}
@@ -190,7 +142,10 @@ def reference_ghosts(
     return ghosts
 
 
-def _thinned(points_m: FloatArray) -> FloatArray:
-    """Return every k-th point and the last one."""
-    step = -(-len(points_m) // MOST_POINTS)
-    return np.concatenate([points_m[:-1:step], points_m[-1:]])
+def _paths(places_m: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the path of each point, every k-th place and the last one; none of many points."""
+    if places_m.shape[1] > MOST_PATHS:
+        return ()
+    step = -(-len(places_m) // MOST_POINTS)
+    thinned_m = np.concatenate([places_m[:-1:step], places_m[-1:]])
+    return tuple(thinned_m[:, index] for index in range(places_m.shape[1]))

@@ -35,6 +35,7 @@ PATH_PX = 1.6
 """Radius of the tube of a path [pixels]."""
 RECORDED_PATH_PX = 1.3
 """Radius of a path in the colour of the reference [pixels]: where a simulation follows it, its own path covers it."""
+GHOST_OPACITY = 0.35
 GHOST_AHEAD_PX = 3.0
 """Distance by which a ghost is drawn nearer to the camera than it is [pixels].
 
@@ -81,7 +82,7 @@ class SceneRenderer:
         rest_nodes_m: For each deformable body its nodes at the start [m], shape [node_count, 3].
         width: Picture width [pixels].
         height: Picture height [pixels].
-        view: Perspective camera, or a parallel projection; None for a camera that frames the expected action.
+        view: Perspective camera, or a parallel projection; None for a camera by the rule.
         materials: Material of bodies by name, as `wood`; others have colours by how they move. A parallel projection
             states its own colours.
 
@@ -113,7 +114,7 @@ class SceneRenderer:
             self._model = flat_model(scene, self._skins, width, height, view)
             self._pixel_m, self._least_radius_m = view.scale_m_per_px, 0.0
         else:
-            self.camera = view or scene_view(scene, aspect=width / height)
+            self.camera = view or scene_view(scene)
             self._model = studio_model(scene, self._skins, rest_nodes_m, materials or {}, self.camera, width, height)
             # Size of a pixel in the middle of the scene.
             self._pixel_m = 2.0 * self.camera.distance_m * np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG)) / height
@@ -259,17 +260,18 @@ def _add_overlay(drawing: mujoco.MjvScene, model: mujoco.MjModel, overlay: Overl
     ):
         for point in points[np.isfinite(points).all(axis=1)]:
             _add_ball(drawing, point, radius_m=radius_px * pixel_m, color=color)
-    for path in overlay.paths:
-        known = np.asarray(np.isfinite(path.points_m).all(axis=1))
-        radius_m = pixel_m * (RECORDED_PATH_PX if path.color == RECORDED_COLOR else PATH_PX)
-        for (start, end), both_known in zip(pairwise(path.points_m), known[1:] & known[:-1], strict=True):
-            if both_known:
-                _add_tube(drawing, start, end, radius_m=radius_m, color=path.color)
+    for paths, color, radius_px in (
+        (overlay.paths, SIMULATED_COLOR, PATH_PX),
+        (overlay.recorded_paths, RECORDED_COLOR, RECORDED_PATH_PX),
+    ):
+        for start, end in (pair for path in paths for pair in pairwise(path)):
+            if np.isfinite([start, end]).all():
+                _add_tube(drawing, start, end, radius_m=radius_px * pixel_m, color=color)
                 drawing.geoms[drawing.ngeom - 1].emission = 0.4
     for name, pose in overlay.ghosts.items():
         if np.isfinite(pose).all():
             ahead = GHOST_AHEAD_PX * pixel_m * _to_camera(drawing, pose[:3])
-            _add_ghost(drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]]), overlay.ghost_color)
+            _add_ghost(drawing, model, name, np.concatenate([pose[:3] + ahead, pose[3:]]))
 
 
 def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
@@ -280,7 +282,7 @@ def _to_camera(drawing: mujoco.MjvScene, point_m: FloatArray) -> FloatArray:
     return way / np.linalg.norm(way)
 
 
-def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray, color: Color) -> None:
+def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose: FloatArray) -> None:
     turn = Rotation.from_quat(pose[3:], scalar_first=True)
     body = model.body(_known(model, name))
     for index in range(int(body.geomadr[0]), int(body.geomadr[0] + body.geomnum[0])):
@@ -288,7 +290,7 @@ def _add_ghost(drawing: mujoco.MjvScene, model: mujoco.MjModel, name: str, pose:
         axes = (turn * Rotation.from_quat(model.geom_quat[index], scalar_first=True)).as_matrix()
         geom = _next_geom(drawing)
         kind = mujoco.mjtGeom(int(model.geom_type[index]))
-        rgba = np.array(color, dtype=np.float32)
+        rgba = np.array((*RECORDED_COLOR[:3], GHOST_OPACITY), dtype=np.float32)
         mujoco.mjv_initGeom(geom, kind, model.geom_size[index], place, axes.ravel(), rgba)
         if kind == mujoco.mjtGeom.mjGEOM_MESH:
             # A drawing numbers each mesh twice: as itself, then as its convex hull.

@@ -147,7 +147,8 @@ def _set_quality(spec: mujoco.MjSpec, view: View, width: int, height: int) -> No
     visual.quality.shadowsize = int(np.clip(wanted, *SHADOW_TEXELS))
     visual.quality.offsamples = SAMPLES
     # Clipping planes, haze and shadows are relative to these two.
-    spec.stat.center, spec.stat.extent = view.target_m.tolist(), view.distance_m
+    spec.stat.center = view.target_m
+    spec.stat.extent = view.distance_m
     visual.map.znear, visual.map.zfar = 0.02, 40.0
     # Ground outside of the shadow map shows specks near its border: the map is wider than the picture.
     visual.map.shadowclip = 1.2
@@ -179,7 +180,7 @@ def _add_light(spec: mujoco.MjSpec, view: View) -> None:
     for name, direction, diffuse, specular in _lights(view):
         spec.worldbody.add_light(
             name=name,
-            pos=view.target_m - 2.0 * view.distance_m * direction,
+            pos=np.asarray(view.target_m) - 2.0 * view.distance_m * direction,
             dir=direction,
             type=mujoco.mjtLightType.mjLIGHT_DIRECTIONAL,
             diffuse=[diffuse] * 3,

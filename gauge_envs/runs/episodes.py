@@ -1,5 +1,6 @@
 """Runs of single episodes and of repeats, and their results."""
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -12,6 +13,7 @@ from gauge_envs.backends.settings import settings_record
 from gauge_envs.envs.arguments import EnvArguments, TrialStart, check_support, jittered_experiment, start_of
 from gauge_envs.envs.at_once import episodes_in_lockstep
 from gauge_envs.envs.episode import Episode
+from gauge_envs.errors import GaugeError, ParameterError, UnsupportedSceneError
 from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.files import json_ready, versions
@@ -21,7 +23,9 @@ from gauge_envs.references.sensitivities import write_sensitivities
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Outcome, RecordedTrajectory, Result
 from gauge_envs.runs.result_file import asset_record
-from gauge_envs.scene.jitter import Jitter
+from gauge_envs.scene.jitter import Jitter, jittered
+
+_log = logging.getLogger(__name__)
 
 
 def run_episode(request: RunRequest) -> Result:
@@ -107,6 +111,54 @@ def with_measured_uncertainty(request: RunRequest, results: Sequence[Result]) ->
             result = replace(result, score=score)
         rescored.append(result)
     return rescored
+
+
+def planned_results(request: RunRequest) -> list[Result]:
+    """Return the results of a request that has not run, in the order of their seeds.
+
+    Args:
+        request: The request, with the jitter that applies.
+    """
+    calibrated = request.calibrated_experiment()
+    return [
+        planned_result(request, calibrated, seed=seed, jitter=start_of(calibrated, request.jitter, seed=seed))
+        for seed in range(request.seed, request.seed + request.repeats)
+    ]
+
+
+def not_run(planned: Sequence[Result], outcome: Outcome, reason: str) -> list[Result]:
+    """Return planned results with an outcome and its reason."""
+    return [replace(one, outcome=outcome, error=reason) for one in planned]
+
+
+def run_request(request: RunRequest) -> list[Result]:
+    """Run the episodes of a request; whatever the engine raises becomes the reason of a result.
+
+    Args:
+        request: The request, with the jitter that applies.
+
+    Returns:
+        The results in the order of their seeds. Those of episodes that were declined or failed hold the reason.
+    """
+    planned = planned_results(request)
+    try:
+        experiment = request.experiment()
+        if request.jitter is not None:
+            jittered(experiment.scene, request.jitter, seed=0)
+    except GaugeError as error:
+        outcome = Outcome.DECLINED if isinstance(error, ParameterError) else Outcome.FAILED
+        return not_run(planned, outcome, str(error))
+    try:
+        return run_episodes(request)
+    except GaugeError as error:
+        outcome = Outcome.DECLINED if isinstance(error, UnsupportedSceneError) else Outcome.FAILED
+        return not_run(planned, outcome, str(error))
+    except KeyboardInterrupt:
+        raise
+    # An engine may raise any error, SystemExit included, and the other episodes must still run.
+    except BaseException as error:
+        _log.exception("%s on %s", planned[0].id, request.backend)
+        return not_run(planned, Outcome.FAILED, f"{type(error).__name__}: {error}".removesuffix(": "))
 
 
 def episode_result(

@@ -39,7 +39,7 @@ RIGID_VIEWS_PER_FRAME = 2
 VIEWS_PER_FRAME = (1, 2, 3, SAMPLES_PER_FRAME)
 """Numbers of views in a frame that divide its samples."""
 
-MOST_REPLAY_BYTES = 512 * MEGABYTE
+MAX_REPLAY_BYTES = 512 * MEGABYTE
 
 
 class ReplayError(GaugeError, RuntimeError):
@@ -222,7 +222,7 @@ def _stored(result: Result, path: Path, key: NDArray[np.uint8]) -> Replay | None
         bodies = (*(body.name for body in scene.dynamic_bodies), *(driver.body for driver in scene.drivers))
         names = {f"nodes_{index}": body.name for index, body in enumerate(scene.deformables)}
         wanted = ("key", "rate_hz", "poses", "markers_m", *names)
-        arrays = npz_arrays(read_regular(path, MOST_REPLAY_BYTES), wanted, MOST_REPLAY_BYTES)
+        arrays = npz_arrays(read_regular(path, MAX_REPLAY_BYTES), wanted, MAX_REPLAY_BYTES)
     except (OSError, ValueError, GaugeError):
         return None
     if len(arrays) < len(wanted) or not np.array_equal(arrays["key"], key):

@@ -17,8 +17,16 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
 from gauge_envs.evaluation.trajectory_file import LARGEST
-from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.experiment import (
+    ASSET_NAME,
+    EXPERIMENT_NAME,
+    Asset,
+    AssetKind,
+    Experiment,
+    driver_provenance,
+)
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
@@ -28,8 +36,8 @@ from gauge_envs.references.user_data import BUNDLED_DATA, DataSource
 from gauge_envs.registry import scene_files
 from gauge_envs.runs.result import Outcome, Result
 
-MOST_RESULT_BYTES = 32 * MEGABYTE
-MOST_DEPTH = 64
+MAX_RESULT_BYTES = 32 * MEGABYTE
+MAX_DEPTH = 64
 
 
 def result_file_name(result: Result) -> str:
@@ -66,23 +74,18 @@ def write_result(result: Result, file: Path) -> None:
         write_whole(file, text.encode())
 
 
-def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
-    """Read a result file.
-
-    Args:
-        file: The file.
-        needs_trajectory: Whether a result of an episode that did not run is an error.
-    """
+def load_result(file: Path) -> Result:
+    """Read a result file."""
     try:
-        content = json_document(read_regular(file, MOST_RESULT_BYTES))
+        content = json_document(read_regular(file, MAX_RESULT_BYTES))
         if not isinstance(content, dict):
             raise ValueError(f"expected a JSON object, got a {type(content).__name__}")
         # Files of older versions lack these keys; they have the defaults of that time.
         content.setdefault("revision", 1)
         content.setdefault("jitter", {})
         content.setdefault("marker_proxy", MarkerProxy.NODE.value)
-        stated = content.get("dataset") or {}
-        content["dataset"] = BUNDLED_DATA | stated if isinstance(stated, dict) else stated
+        dataset = content.get("dataset") or {}
+        content["dataset"] = BUNDLED_DATA | dataset if isinstance(dataset, dict) else dataset
         content.setdefault("asset", {})
         content.setdefault("deformation", None)
         content.setdefault("cpu_s", None)
@@ -90,7 +93,7 @@ def load_result(file: Path, *, needs_trajectory: bool = True) -> Result:
         if missing:
             raise ValueError(f"no {missing[0]!r}")
         result = TypeAdapter(Result).validate_python(content)
-        _check(result, needs_trajectory=needs_trajectory)
+        _check(result)
     except OSError as error:
         raise ResultFileError(f"{file}: cannot be read: {error.strerror or error}") from error
     except ValidationError as error:
@@ -113,25 +116,22 @@ class _AssetRecord(BaseModel):
     changes: list[str]
 
 
-def _check(result: Result, *, needs_trajectory: bool) -> None:
+def _check(result: Result) -> None:
     """Check what types alone do not state."""
     _check_depth([result.parameters, result.settings, result.settings_given, result.asset])
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if result.has_experiment_file:
-        from gauge_envs.experiments.user_file import EXPERIMENT_NAME
-
         if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
             raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
     else:
         find_variant(result.id)
-    stated = {"score.grade": (result.score.grade, BandGrade), "marker_proxy": (result.marker_proxy, MarkerProxy)}
-    stated |= {f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA}
-    for key, (value, known) in stated.items():
+    choices = {"score.grade": (result.score.grade, BandGrade), "marker_proxy": (result.marker_proxy, MarkerProxy)}
+    choices |= {f"dataset.{key}": (result.dataset[key], DataSource) for key in BUNDLED_DATA}
+    for key, (value, known) in choices.items():
         if value not in tuple(known):
             raise ValueError(f"{key} is {value!r}, expected one of {', '.join(known)}")
-    if result.trajectory is not None or result.error is None or needs_trajectory:
-        _check_trajectory(result)
+    _check_trajectory(result)
 
 
 def _check_trajectory(result: Result) -> None:
@@ -148,9 +148,9 @@ def _check_trajectory(result: Result) -> None:
         raise ValueError(f"trajectory.samples: amounts of at most {LARGEST:g} are expected")
 
 
-def _check_depth(value: Any, left: int = MOST_DEPTH) -> None:
+def _check_depth(value: Any, left: int = MAX_DEPTH) -> None:
     if left == 0:
-        raise ValueError(f"its tables and lists are nested more than {MOST_DEPTH} deep")
+        raise ValueError(f"its tables and lists are nested more than {MAX_DEPTH} deep")
     for inner in value.values() if isinstance(value, dict) else value if isinstance(value, list) else ():
         _check_depth(inner, left - 1)
 
@@ -168,13 +168,10 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
-            scene_files(path.suffix).write_scene(experiment.scene, path)
+            scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     if asset.kind is AssetKind.EXPERIMENT:
-        from gauge_envs.experiments.user_file import FileExperiment, experiment_record
-
-        assert isinstance(experiment, FileExperiment)
-        record["experiment"] = experiment_record(experiment)
+        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(experiment)
     return record
 
 
@@ -192,13 +189,13 @@ def recorded_experiment(result: Result) -> Experiment:
         return load_experiment(
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
         )
-    from gauge_envs.experiments.user_file import recorded_experiment_file
+    files = scene_files(RECORDED_SUFFIX)
 
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             path.write_text(record["scene"], encoding="utf-8")
-            scene = scene_files(path.suffix).read_scene(path).scene
+            scene = files.read_scene(path).scene
         asset = Asset(
             path=Path(record["file"]),
             kind=AssetKind(record["kind"]),
@@ -207,7 +204,9 @@ def recorded_experiment(result: Result) -> Experiment:
             changes=tuple(record["changes"]),
         )
         if result.has_experiment_file:
-            return recorded_experiment_file(record["experiment"], scene, asset=asset, file_sha256=result.task_sha256)
+            return files.recorded_experiment_file(
+                record["experiment"], scene, asset=asset, file_sha256=result.task_sha256
+            )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, GaugeError):
             raise

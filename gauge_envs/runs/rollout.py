@@ -177,11 +177,11 @@ def raised_at(error: BaseException) -> str:
         return ""
     folders = [Path(frame.filename).parent for frame in frames]
     first = next((at for at, folder in enumerate(folders) if _is_of_engine(folder)), len(frames) - 1)
-    own = max(at for at, folder in enumerate(folders) if folder == folders[first])
-    places = [
-        f"{frame.name}, {Path(frame.filename).name}, line {frame.lineno}"
-        for frame in (frames[own], *frames[own + 1 :][-1:])
-    ]
+    last = max(at for at, folder in enumerate(folders) if folder == folders[first])
+    shown = [frames[last]]
+    if last < len(frames) - 1:
+        shown.append(frames[-1])
+    places = [f"{frame.name}, {Path(frame.filename).name}, line {frame.lineno}" for frame in shown]
     return f" ({'; in '.join(places)})"
 
 

@@ -78,7 +78,7 @@ def _experiment_of_file(
         known = isinstance(origin.parameters, str | dict) and not origin.has_asset
         parameters = origin.parameters if known else "calibrated"
     experiment = resolve_experiment(name, parameters, reference=reference)
-    stated = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
-    if stated is not None and stated != experiment.id:
+    file_id = origin.id if origin.id is None or origin.has_asset else find_variant(origin.id).id
+    if file_id is not None and file_id != experiment.id:
         raise TrajectoryFileError(f"{file}: the id in the file is {origin.id!r}, but {experiment.id} was asked for")
     return experiment

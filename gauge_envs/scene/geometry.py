@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from annotated_types import Ge, Gt, MinLen
@@ -12,8 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
+if TYPE_CHECKING:
+    # It takes 0.2 s, and only pictures need it.
+    import trimesh
+
 Vector = tuple[float, float, float]
 FloatArray = NDArray[np.float64]
+
+PLATE_SIZE_M = (2.0, 2.0, 0.002)
+"""Size of the plate that shows a plane in pictures [m]."""
 
 # Bounds of numbers, which pydantic checks where it reads a file. A constructor called by code does not check them.
 Positive = Annotated[float, Gt(0.0)]
@@ -81,6 +88,12 @@ class Box:
         signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1])).reshape(3, -1).T
         return 0.5 * signs * np.asarray(self.size_m)
 
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        return trimesh.creation.box(extents=self.size_m)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
@@ -98,6 +111,12 @@ class Sphere:
     def corners_m(self) -> FloatArray:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(size_m=(2 * self.radius_m,) * 3).corners_m
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        return trimesh.creation.icosphere(radius=self.radius_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,6 +137,12 @@ class Cylinder:
         """Corners of the bounding box in the body frame [m], shape [8, 3]."""
         return Box(size_m=(2 * self.radius_m, 2 * self.radius_m, self.length_m)).corners_m
 
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        return trimesh.creation.cylinder(radius=self.radius_m, height=self.length_m)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Plane:
@@ -134,6 +159,11 @@ class Plane:
     def corners_m(self) -> FloatArray:
         """The body origin, shape [1, 3]."""
         return np.zeros((1, 3))
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a thin plate below the plane as a mesh for pictures, in the body frame."""
+        plate = Box(size_m=PLATE_SIZE_M).mesh()
+        return plate.apply_translation((0.0, 0.0, -0.5 * PLATE_SIZE_M[2]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -157,6 +187,12 @@ class ConvexUnion:
     def corners_m(self) -> FloatArray:
         """All vertices in the body frame [m], shape [vertex_count, 3]."""
         return np.concatenate([np.asarray(piece) for piece in self.pieces_m])
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        return trimesh.util.concatenate([trimesh.convex.convex_hull(np.asarray(piece)) for piece in self.pieces_m])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,6 +218,12 @@ class Capsule:
         width = 2.0 * self.radius_m
         return Box(size_m=(width, width, self.length_m + width)).corners_m
 
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        return trimesh.creation.capsule(radius=self.radius_m, height=self.length_m)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Ellipsoid:
@@ -199,6 +241,10 @@ class Ellipsoid:
         """Corners of the bounding box in the frame of the ellipsoid [m], shape [8, 3]."""
         x, y, z = self.radii_m
         return Box(size_m=(2.0 * x, 2.0 * y, 2.0 * z)).corners_m
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        return Sphere(radius_m=1.0).mesh().apply_scale(self.radii_m)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,6 +273,17 @@ class Compound:
     def corners_m(self) -> FloatArray:
         """Corners of all parts in the body frame [m], shape [corner_count, 3]."""
         return np.concatenate([part.pose.to_world(part.shape.corners_m) for part in self.parts])
+
+    def mesh(self) -> trimesh.Trimesh:
+        """Return a closed mesh for pictures, in the body frame."""
+        import trimesh
+
+        meshes = []
+        for part in self.parts:
+            mesh = part.shape.mesh()
+            mesh.vertices = part.pose.to_world(mesh.vertices)
+            meshes.append(mesh)
+        return trimesh.util.concatenate(meshes)
 
 
 Shape = Box | Sphere | Cylinder | Plane | ConvexUnion | Compound

@@ -18,8 +18,10 @@ from textwrap import fill
 import numpy as np
 from pydantic import TypeAdapter
 
-from gauge_envs.files import write_whole
-from gauge_envs.tools.cost import Family, Phenomenon, Point, Tradeoff
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+
+from generated import settle
+from pareto_model import Family, Phenomenon, Point, Tradeoff
 
 DATA = Path(__file__).parents[2] / "scoring" / "pareto.json"
 NOTE = Path(__file__).with_name("README.md")
@@ -169,12 +171,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     before, _, rest = note.partition(BEGIN)
     _, _, after = rest.partition(END)
     text = f"{before}{BEGIN}\n{lessons(found)}{END}{after}"
-    if not options.check:
-        write_whole(NOTE, text.encode())
-    elif text != note:
-        print(f"{NOTE} is not current: run python studies/accuracy_and_cost/lessons.py", file=sys.stderr)
-        return 1
-    return 0
+    return settle({NOTE: text}, "../studies/accuracy_and_cost/lessons.py", check=options.check)
 
 
 if __name__ == "__main__":

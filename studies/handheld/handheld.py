@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import VideoError
 from gauge_envs.tools.video import FileFrames, read_camera
-from gauge_envs.tools.video.own import SQUARES, FrontalFilm, charuco, score_own
+from gauge_envs.tools.video.phone_films import SQUARES, FrontalFilm, charuco, score_phone_film
 
 FloatArray = NDArray[np.float64]
 
@@ -300,7 +300,7 @@ def main() -> None:
                 one = shot(motion, seed, given.folder, fps=30.0 if motion == "pendulum" else 60.0)
                 try:
                     film = FrontalFilm(FileFrames(one.video), read_camera(one.camera))
-                    found = score_own(film, one.motion, one.box_px)
+                    found = score_phone_film(film, one.motion, one.box_px)
                 except VideoError as error:
                     print(error)
                     rows.writerow([motion, seed, f"{one.truth:.4f}", *["nan"] * 3, "False", "refused"])

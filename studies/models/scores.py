@@ -22,14 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from gauge_envs.backends import backend
+from gauge_envs.backends import backend, backend_names, is_bundled
 from gauge_envs.errors import MissingExtraError
 from gauge_envs.evaluation.deviation import Deviation, band_deviations
 from gauge_envs.evaluation.reference import band_grade, reference_band
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
 from gauge_envs.files import write_whole
-from gauge_envs.pages.text import BACKEND_TITLES
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.models import solved_model
 from gauge_envs.references.published import published_baselines
@@ -55,7 +54,7 @@ def scored_ids(patterns: Sequence[str]) -> Iterator[str]:
 def installed() -> list[str]:
     """Return the engines of this environment."""
     found = []
-    for name in BACKEND_TITLES:
+    for name in filter(is_bundled, backend_names()):
         with suppress(MissingExtraError):
             found.append(backend(name).name)
     return found
@@ -118,7 +117,7 @@ def write(options: argparse.Namespace) -> int:
     rows, apart = [], {preset: [0, 0] for preset in ("default", "out_of_box", "both")}
     for name in scored_ids(options.ids):
         found: dict[tuple[str, str], Deviation] = {}
-        for engine in BACKEND_TITLES:
+        for engine in filter(is_bundled, backend_names()):
             for preset in PRESETS:
                 file = options.out / name / f"{engine}-{preset}.npz"
                 if not file.exists():

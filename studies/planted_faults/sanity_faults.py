@@ -2,7 +2,7 @@
 
 python studies/planted_faults/sanity_faults.py                 writes sanity.csv
 python studies/planted_faults/sanity_faults.py --only gravcomp prints one fault
-python studies/planted_faults/sanity_faults.py --good          writes sanity_good.csv, of the packages installed here
+python studies/planted_faults/sanity_faults.py --good          prints good robots: of Gymnasium, and of named files
 """
 
 from __future__ import annotations
@@ -24,10 +24,8 @@ from gauge_envs.tools.sanity import Report, check, configuration  # noqa: E402
 from gauge_envs.tools.sanity.run import applied  # noqa: E402
 
 GOOD = ("Ant-v5", "HalfCheetah-v5", "Hopper-v5", "Humanoid-v5", "Walker2d-v5", "Swimmer-v5")
-GOOD += ("dm_control:walker/walk", "dm_control:quadruped/run", "dm_control:acrobot/swingup", "dm_control:humanoid/run")
-GOOD += ("dm_control:hopper/hop", "dm_control:cheetah/run", "playground:Go1JoystickFlatTerrain")
-GOOD += ("playground:SpotFlatTerrainJoystick", "playground:G1JoystickFlatTerrain")
-GOOD += ("playground:T1JoystickFlatTerrain", "mjlab:Mjlab-Velocity-Flat-Unitree-Go1")
+"""Robots of Gymnasium. `sanity_good.csv` also has those of dm_control, Playground and mjlab."""
+
 ROBOT = ("robot-*", "floor-tilt", "gravity")
 QUICK = (*ROBOT, "foot-*", "creep-wood", "rest-height", "release", "slide-wood", "slide-turned", "point")
 """Rows that are measured: without the slow turntables, pendulum and wall."""
@@ -81,20 +79,21 @@ def main() -> None:
     warnings.simplefilter("ignore")
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--only", nargs="*", default=[])
-    parser.add_argument("--good", action="store_true")
+    parser.add_argument("--good", nargs="*", metavar="TARGET", help="good robots beside those of Gymnasium")
     options = parser.parse_args()
     rows = []
-    if not options.good and not options.only:
+    if options.good is None and not options.only:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "robot.xml"
             path.write_text(good_xml())
             print("without a fault:", flags(check(path)), flush=True)
-    for name in options.only or (GOOD if options.good else FAULTS):
-        row = good(name) if options.good else planted(name)
+    is_good = options.good is not None
+    for name in options.only or ((*GOOD, *options.good) if is_good else FAULTS):
+        row = good(name) if is_good else planted(name)
         print(row, flush=True)
         rows.append(row)
-    if not options.only:
-        write(HERE / ("sanity_good.csv" if options.good else "sanity.csv"), rows)
+    if not options.only and not is_good:
+        write(HERE / "sanity.csv", rows)
 
 
 if __name__ == "__main__":

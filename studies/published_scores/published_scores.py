@@ -25,7 +25,7 @@ from gauge_envs.evaluation.score import Score, score_trajectory
 from gauge_envs.pages.text import markdown_row
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.references.published import ENGINES, published_baselines, published_variants
+from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines, published_variants
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
 
@@ -83,7 +83,7 @@ def comparable(engine: str, pattern: str = "*") -> Iterator[tuple[str, dict[str,
     """Yield each variant with published scores that this package can measure too, and these scores by metric.
 
     Args:
-        engine: Published engine, one of `ENGINES`.
+        engine: Published engine, one of `PUBLISHED_ENGINES`.
         pattern: Shell-style pattern of variants.
     """
     for variant in published_variants():
@@ -126,7 +126,7 @@ def compare(
     Args:
         backend: Engine of this package.
         preset: Its preset; None for the default of each scene.
-        engine: Published engine, one of `ENGINES`.
+        engine: Published engine, one of `PUBLISHED_ENGINES`.
         pattern: Shell-style pattern of variants.
         steps_late: As in `late_score`; if it is not 0, driven variants are left out.
     """
@@ -155,7 +155,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--backend", required=True, help="engine of this package")
     parser.add_argument("--preset", help="preset of the engine; without it, the default of each scene")
-    parser.add_argument("--engine", required=True, choices=ENGINES, help="published engine")
+    parser.add_argument("--engine", required=True, choices=tuple(PUBLISHED_ENGINES), help="published engine")
     parser.add_argument("--only", default="*", help="pattern of variants, as SlopeSlider-*")
     parser.add_argument("--steps-late", type=int, default=0, help="steps of 1/180 s by which frames are late")
     given = parser.parse_args()

@@ -5,11 +5,8 @@ from __future__ import annotations
 import io
 import json
 import os
-import sqlite3
-import sys
 import zipfile
 from collections.abc import Callable, Mapping
-from contextlib import closing
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -29,7 +26,6 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_files import load_task
-from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.files import data_folder
 from gauge_envs.pages.document import as_markdown
@@ -58,14 +54,13 @@ from gauge_envs.tools.leaderboard.words import leaderboard_document
 from gauge_envs.tools.recipes import Aim, engine_names, engine_settings
 from gauge_envs.tools.recipes.command import NUMBERS
 from gauge_envs.tools.recipes.explain import parsed_contact
-from gauge_envs.tools.sanity import configuration, export, judge
-from gauge_envs.tools.sanity.exchange.scenes import COLUMNS, MANIFEST, MOTION, scenes
-from gauge_envs.tools.sanity.probe.program import document as probe_document
+from gauge_envs.tools.sanity import configuration
+from gauge_envs.tools.sanity.gauge_probe import document as probe_document
 from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-from gauge_envs.tools.sweep.store import SweepFolder, update_store
 from gauge_envs.tools.transfer.policies.load import load_policy
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
 
@@ -135,39 +130,6 @@ sim:
     restitution_combine_mode: multiply}
 decimation: 4
 """
-
-MJLAB = """
-decimation: 4
-scene:
-  entities:
-    robot:
-      collisions: !!python/tuple
-      - {conaffinity: 1, condim: {'.*': 3}, contype: 1, geom_names_expr: !!python/tuple ['.*_collision'], priority: 0,
-         solref: !!python/tuple [0.03, 1], friction: !!python/tuple [0.8]}
-      articulation: {actuators: [{delay_max_lag: 2}]}
-      spec_fn: !!python/name:mjlab.robots.get_spec ''
-  terrain:
-    terrain_type: plane
-observations: {policy: {terms: {gyro: {delay_max_lag: 1}}}}
-sim:
-  mujoco:
-    cone: pyramidal
-    disableflags: !!python/tuple [eulerdamp]
-    gravity: !!python/tuple [0.0, 0.0, -9.81]
-    integrator: euler
-    iterations: 10
-    timestep: 0.005
-  njmax: 300
-"""
-
-MJLAB_FILES = {
-    "__init__.py": "from pathlib import Path\nPATH: Path = Path(__file__).parent",
-    "robots.py": "import mujoco\nfrom mjlab import PATH\n"
-    'def get_spec():\n    return mujoco.MjSpec.from_file(str(PATH / "dog.xml"))\n',
-    "dog.xml": '<mujoco><worldbody><body name="trunk" pos="0 0 .3"><freejoint/>'
-    '<geom name="trunk_collision" type="box" size=".2 .1 .05"/></body></worldbody></mujoco>',
-}
-"""A package with the structure of mjlab."""
 
 GENESIS = json.dumps(
     {
@@ -435,21 +397,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
     column = MatrixColumn(backend="mujoco", name="PGS", settings={"solver": "PGS"})
     list(run_column(column, ["free-fall", "foam-start", "slide-plane"], None))
     matrix = write_columns([column], folder / "column.json").read_bytes()
-    swept = SweepFolder(folder / "swept")
-    swept.create()
-    swept.write(result, "a.json")
-    update_store(swept.path)
-
-    def store_read(file: Path) -> None:
-        """Read a damaged store beside a result file that is whole: it has one row."""
-        swept.store_path.write_bytes(file.read_bytes())
-        try:
-            with closing(sqlite3.connect(update_store(swept.path))) as store:
-                ((count,),) = store.execute("SELECT count(*) FROM results").fetchall()
-        finally:
-            for left in swept.path.glob("sweep.sqlite*"):
-                left.unlink()
-        assert count == 1, count
 
     def replay_read(file: Path) -> None:
         """Read a damaged replay beside a result that is whole: it counts, or the episode runs again."""
@@ -500,7 +447,6 @@ def _of_results(folder: Path) -> dict[str, Parser]:
         "submission": Parser(".json", results, submission_read, documents, 0.01),
         "statement": Parser(".toml", [STATEMENT.encode()], statement_read),
         "sweep": Parser(".toml", [SWEEP.encode()], sweep_read),
-        "store": Parser(".sqlite", [swept.store_path.read_bytes()], store_read, damage.in_bytes, 0.05),
         "matrix": Parser(
             ".json",
             [matrix],
@@ -526,49 +472,19 @@ def _of_imports(folder: Path) -> dict[str, Parser]:
 
 
 def _of_training(folder: Path) -> dict[str, Parser]:
-    (folder / "packages" / "mjlab").mkdir(parents=True)
-    for name, text in MJLAB_FILES.items():
-        (folder / "packages" / "mjlab" / name).write_text(text)
-    sys.path.append(str(folder / "packages"))
     probe = json.dumps(probe_document(mujoco.MjModel.from_xml_string(ROBOT))).encode()
     rows = [
         {"phenomenon": "creep-wood", "verdict": "wrong", "configured": 0.3, "reality": {"value": 0, "tolerance": 1}}
     ]
-    exported = folder / "exported"
-    export(exported, only=["rebound"])
-    manifest = (exported / MANIFEST).read_bytes()
-    (scene,) = scenes(["rebound"])
-    motion_file = exported / scene.name / MOTION
-    bodies = [(name, scene.scenario.scene.body(name).pose) for name in scene.recorded]
-    lines = [
-        ",".join(map(str, (number / 100, name, *pose.position_m, *pose.quaternion)))
-        for number in range(200)
-        for name, pose in bodies
-    ]
-    motion = "\n".join([",".join(COLUMNS[:9]), *lines]).encode()
-
-    def manifest_read(file: Path) -> None:
-        motion_file.unlink(missing_ok=True)
-        (exported / MANIFEST).write_bytes(file.read_bytes())
-        judge(exported)
-
-    def motion_read(file: Path) -> None:
-        (exported / MANIFEST).write_bytes(manifest)
-        motion_file.write_bytes(file.read_bytes())
-        judge(exported, only=["rebound"])
-
     large = [file.read_bytes() for file in sorted(EXAMPLES.glob("g1_*.yaml"))]
     return {
         "isaac_lab": Parser(".yaml", [LAB.encode()], configuration, share=0.3),
         "g1": Parser(".yaml", large, configuration, share=0.02),
         "isaac_gym": Parser(".yaml", [GYM.encode()], configuration, share=0.3),
-        "mjlab": Parser(".yaml", [MJLAB.encode()], configuration, share=0.05),
         "genesis": Parser(".json", [GENESIS.encode()], configuration, damage.in_json, 0.3),
         "settings": Parser(".toml", [SETTINGS.encode()], configuration),
         "robot": Parser(".xml", [ROBOT.encode()], configuration, share=0.004),
         "probe": Parser(".gaugeprobe.json", [probe], configuration, damage.in_json, 0.1),
-        "manifest": Parser(".json", [manifest], manifest_read, damage.in_json, 0.3),
-        "motion": Parser(".csv", [motion], motion_read, share=0.05),
         "baseline": Parser(
             ".json", [b"\n".join(json.dumps(row).encode() for row in rows)], read_baseline, damage.in_json
         ),

@@ -348,12 +348,12 @@ SHOWN_TRIAL, SHOWN_S = 9, (0.0, 0.1, 0.2, 0.3)
 
 def picture(options: argparse.Namespace) -> None:
     """Draw one toss as recorded, above the same toss in MuJoCo."""
-    from gauge_envs.rendering.camera import scene_view
+    from gauge_envs.rendering.camera import experiment_view
     from gauge_envs.rendering.renderer import SceneRenderer
     from gauge_envs.tools.film import Caption, PanelText, save_still, strip_picture
 
     experiment = with_trial(load_experiment(NAME), SHOWN_TRIAL)
-    view = scene_view(experiment.scene, reference=reference_path(experiment, reference_band(experiment)))
+    view = experiment_view(experiment, reference=reference_path(experiment, reference_band(experiment)))
     renderer = SceneRenderer(experiment.scene, {}, 240, 180, view=view, materials=experiment.materials)
     ((_, times_s, states),) = tosses("mujoco", [SHOWN_TRIAL])
     rows: list[list[NDArray[np.uint8]]] = [[], []]

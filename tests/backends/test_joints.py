@@ -15,8 +15,7 @@ from gauge_envs.runs.rollout import record
 from gauge_envs.scene import BodyHinge, Box, Hinge, JointDynamics, Pose, Scene
 from gauge_envs.scene.driver_path import motor_commands
 from gauge_envs.scene.motors import Servo, TorqueMotor
-from gauge_envs.tools.conformance.lab import body, ramp
-from gauge_envs.tools.conformance.laws import box_inertia_kg_m2
+from gauge_envs.tools.bench.parts import body, box_inertia_kg_m2, ramp
 
 ENGINES = {
     "mujoco": "mujoco",

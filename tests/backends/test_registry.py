@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from gauge_envs.backends import Backend, Support, backend, backend_names
+from gauge_envs.backends.registry import backend_class, backend_title
 from gauge_envs.errors import BackendError, MissingExtraError, UnknownNameError
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.scene import Scene
@@ -29,6 +30,8 @@ class EntryPoint:
 
 class BackendNothing(Backend):
     name = "nothing"
+    title = "Nothing at all"
+    color = "#123456"
 
     def versions(self) -> dict[str, str]:
         return {"nothing": "1.0"}
@@ -86,3 +89,19 @@ def test_the_others_stay_usable(monkeypatch: pytest.MonkeyPatch) -> None:
     lacks = list_rows([find_variant("SlopeSlider-2-wood")])[0]["backends"]
     assert lacks["nothing"] == ["it does nothing"]
     assert "libengine.so" in lacks["broken"][0]
+
+
+@pytest.mark.usefixtures("installed")
+def test_somebody_elses_engine_gives_its_title_and_colour() -> None:
+    assert backend_title("nothing") == "Nothing at all"
+    assert backend_class("nothing").color == "#123456"
+    # Results of engines that cannot be loaded, or are nowhere, keep the name of their backend.
+    for name in ("broken", "other", "elsewhere"):
+        assert backend_title(name) == name
+        assert backend_class(name).color == ""
+
+
+def test_engines_of_this_package_have_titles_and_colours_without_being_installed() -> None:
+    classes = {name: backend_class(name) for name in backend_names()}
+    assert {one.title.lower() for one in classes.values()} == set(classes)
+    assert len({one.color for one in classes.values()}) == len({one.marker for one in classes.values()}) == len(classes)

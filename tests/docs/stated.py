@@ -16,12 +16,12 @@ from inspect import getsource
 from typing import Any, get_args
 
 import gymnasium as gym
-from gauge_envs.cli.commands import COMMANDS
 from places import ROOT
 from test_docs import NOTE_WORDS
 
 from gauge_envs import Score, load_experiment, reference_band, variants
 from gauge_envs.backends.settings import SteppedSettings
+from gauge_envs.registry import command_lines
 
 DEGREE = math.pi / 180.0
 
@@ -274,8 +274,8 @@ def engines() -> dict[str, list[str]]:
             f"boxes sink by {-measured('drake', 'rest-box'):.0f} mm",
         ],
         "docs/engines/isaac_sim.md": [
-            f"{of('scene.fabrics.ISAAC_POISSON_BELOW'):.2f} if that is negative, "
-            f"{of('scene.fabrics.ISAAC_POISSON_ABOVE'):.2f} if it is 0.5 or more",
+            f"{of('tools.usd.isaac_fabric.POISSON_BELOW'):.2f} if that is negative, "
+            f"{of('tools.usd.isaac_fabric.POISSON_ABOVE'):.2f} if it is 0.5 or more",
             f"{of('tools.assets.isaac_sim.VOLUME_HZ')} Hz with foam",
         ],
     }
@@ -337,21 +337,21 @@ def readers() -> dict[str, list[str]]:
     start, baseline, motion = (
         of(f"tools.leaderboard.trajectory.{name}") for name in ("START_TOLERANCE", "COPY_OF_BASELINE", "COPY_OF_MOTION")
     )
-    (download_size,) = re.findall(r"\d+ GB", COMMANDS["data download"][1])
+    (download_size,) = re.findall(r"\d+ GB", command_lines()["data download"])
     files = (of("files.MOST_JSON_CONTAINERS"), of("scene.timing.MOST_FRAMES"))
     return {
         "docs/limits.md": [
             f"| trial of the dataset | {mb('tools.dataset.trial.MOST_TRIAL_BYTES')}, {files[0]:,} objects and lists |",
-            f"| {mb('runs.result_file.MOST_RESULT_BYTES')}; arrays of an NPZ file "
+            f"| {mb('runs.result_file.MAX_RESULT_BYTES')}; arrays of an NPZ file "
             f"{mb('evaluation.trajectory_file.MOST_ARRAY_BYTES')} |",
             f"| {mb('files.MOST_TOML_BYTES')}, {files[1]:,} frames; {mb('references.tables.MOST_TABLE_BYTES')} |",
             f"| USD | {mb('scene.usd.source.MOST_FILE_BYTES')}, text layers {mb('scene.usd.source.MOST_TEXT_BYTES')}; "
             f"{of('scene.usd.source.MOST_PRIMS'):,} prims, {of('scene.usd.reader.MOST_BODIES'):,} bodies |",
-            f"| MJCF | {mb('backends.mujoco.mjcf_reader.MOST_FILE_BYTES')}, a time step of at least "
-            f"{of('backends.mujoco.mjcf_reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
+            f"| MJCF | {mb('tools.mjcf.reader.MOST_FILE_BYTES')}, a time step of at least "
+            f"{of('tools.mjcf.reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
             f"of `gauge sanity` | {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}; "
             f"{mb('tools.sanity.stacks.mjcf.MOST_MODEL_BYTES')} without meshes |",
-            f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MOST_EPISODES'):,} episodes |",
+            f"| sweep file | {mb('files.MEGABYTE')}, {of('tools.sweep.spec.MAX_EPISODES'):,} episodes |",
             f"| policy | {mb('tools.transfer.policies.load.MOST_ONNX_BYTES')} |",
             f"| {mb('tools.conformance.matrix.MOST_BYTES')}; {mb('tools.video.track.MOST_TRACK_BYTES')}, "
             f"{mb('files.MEGABYTE')} |",
@@ -359,8 +359,8 @@ def readers() -> dict[str, list[str]]:
             jitter("The jitter of {position} is that of real starts where it was measured; the {angle} are"),
         ],
         "docs/leaderboard.md": [
-            f"{mb('runs.result_file.MOST_RESULT_BYTES')} for a result and "
-            f"{mb('tools.leaderboard.submission.MOST_TOTAL_BYTES')} for a submission",
+            f"{mb('runs.result_file.MAX_RESULT_BYTES')} for a result and "
+            f"{mb('tools.leaderboard.submission.MAX_TOTAL_BYTES')} for a submission",
             f"within {start['mm']:g} mm, {start['mm^2']:g} mm^2 or {start['rad']:.0e} rad".replace("e-06", "e-6"),
             f"{100 * baseline:g} % of the distance of real trials from their mean or {100 * motion:g} % of the motion",
             f"at most {100 * of('tools.leaderboard.reruns.RERUN_SHARE'):g} % of the distance",
@@ -378,8 +378,7 @@ def readers() -> dict[str, list[str]]:
         "docs/adding_a_stack.md": [
             f"{mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, {of('tools.sanity.stacks.documents.MOST_DEPTH')} "
             f"levels, {of('tools.sanity.stacks.documents.MOST_NODES'):,} values".replace("50,000", "50 000"),
-            f"{of('tools.sanity.python_source.source.DEEPEST_CALL')} nested calls, "
-            f"{mb('tools.sanity.python_source.source.MOST_BYTES')} a file",
+            f"| a probe file | `probe.py` in `stacks/` | {mb('tools.sanity.stacks.probe.MOST_PROBE_BYTES')}",
         ],
         "docs/sanity_stacks.md": [
             f"at most {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}, "
@@ -453,7 +452,7 @@ def sanity() -> dict[str, list[str]]:
 
 
 def tolerance_of_gravity() -> float:
-    return float(of("tools.sanity.stated.GRAVITY_ROW").reality.tolerance)
+    return float(of("tools.sanity.target_checks.GRAVITY_ROW").reality.tolerance)
 
 
 def good_step_s() -> float:
@@ -571,7 +570,7 @@ def others() -> dict[str, list[str]]:
             f"at {100 * of('tools.compare.grades.ERROR_RATE'):.0f} % the two are *distinguishable*",
             f"A difference of at most {of('tools.compare.significance.NEGLIGIBLE')}, which tables do not show",
         ],
-        "docs/report_site.md": [f"after {of('tools.site.experiment_page.MOST_SECONDS'):g} s"],
+        "docs/report_site.md": [f"after {of('tools.site.experiment_page.MAX_SECONDS'):g} s"],
         "docs/transfer.md": [
             f"below {100 * of('tools.transfer.transfer.FALL_SHARE'):g} % of what",
             jitter("scatter by {position}"),
@@ -614,7 +613,7 @@ TESTED = {
         ("with 95 % of the law's acceleration", "tests/backends/physx/test_physx_laws.py"),
     ],
     "docs/world_models.md": [
-        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_own.py"),
+        ("0.4 solid ball, 0.667 hollow ball, 0.5 solid cylinder", f"{VIDEO}_phone_films.py"),
         ("| synthetic clips: error at most | 2 % | 0.01 N | 0.02 | 1 % |", f"{VIDEO}_score.py"),
         ("| rendered MuJoCo films: error at most | 2 % | 0.03 N | 0.02 | 1 % |", f"{VIDEO}_render.py"),
     ],

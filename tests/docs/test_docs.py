@@ -19,7 +19,7 @@ import pytest
 from places import ROOT
 
 from gauge_envs.cli.app import load_command
-from gauge_envs.cli.commands import COMMANDS
+from gauge_envs.registry import command_lines, instruments_by
 
 DOCS = ROOT / "docs"
 README = ROOT / "README.md"
@@ -197,7 +197,7 @@ def mentioned(page: Path) -> list[list[str]]:
 
 def command_of(words: list[str]) -> tuple[Any, list[str]]:
     """The command of words, and its arguments."""
-    name = next(name for name in (" ".join(words[:2]), words[0]) if name in COMMANDS)
+    name = next(name for name in (" ".join(words[:2]), words[0]) if name in command_lines())
     return load_command(name), words[len(name.split()) :]
 
 
@@ -230,7 +230,7 @@ def test_the_page_of_commands_lists_every_command_with_an_example() -> None:
     rows = re.findall(
         r"^\| `([a-z -]+)` \| .* \| `gauge (.*)` \|$", page.read_text(encoding="utf-8"), flags=re.MULTILINE
     )
-    assert [name for name, _ in rows] == [name for name, (instrument, _) in COMMANDS.items() if instrument]
+    assert [name for name, _ in rows] == list(instruments_by("commands"))
     for name, example in rows:
         assert example.startswith(name)
         parse(shlex.split(example))

@@ -13,10 +13,10 @@ from test_at_once import Together, zeros
 
 from gauge_envs.backends.base import Recording, Worlds
 from gauge_envs.backends.mujoco import BackendMuJoCo
+from gauge_envs.backends.newton.recordings import WarpKernels, device_array
 from gauge_envs.envs.divergence import RigidBoundsOfWorlds
 from gauge_envs.envs.vector import GaugeVectorEnv
 from gauge_envs.errors import ActionError, BackendError, EpisodeError
-from gauge_envs.evaluation.worlds import device_array
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.scene import Scene
 
@@ -44,7 +44,8 @@ class Recorded(Together):
             self.plant(positions, frames)
         if self.on_device:
             positions, frames = device_array(positions), device_array(frames)
-        return Recording(device="cpu", positions_m=positions, states=frames)
+        kernels = WarpKernels() if self.on_device else None
+        return Recording(device="cpu", positions_m=positions, states=frames, kernels=kernels)
 
 
 @pytest.fixture(params=["numpy", "kernels"])

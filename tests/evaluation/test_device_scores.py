@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from gauge_envs.errors import ShapeError
+from gauge_envs.backends.base import Recording
+from gauge_envs.errors import BackendError, ShapeError
 from gauge_envs.evaluation import worlds
 from gauge_envs.evaluation.reference import reference_band
-from gauge_envs.evaluation.worlds import device_array, score_recording, score_worlds
+from gauge_envs.evaluation.worlds import score_recording, score_worlds
 from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -18,8 +21,10 @@ from gauge_envs.observables.kinds import Observable
 from gauge_envs.references.bands import Band
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S, SAMPLES_PER_FRAME
 
-pytest.importorskip("warp")
+wp = pytest.importorskip("warp")
+recordings = pytest.importorskip("gauge_envs.backends.newton.recordings")
 
+Record = Callable[[Any], Recording]
 COUNT = 33
 LATER = 10 * SAMPLES_PER_FRAME
 
@@ -67,6 +72,14 @@ def on_the_host(experiment: Experiment, band: Band, positions: np.ndarray, count
     )
 
 
+def on_host(positions: Any) -> Recording:
+    return Recording(device="cpu", positions_m=positions, states=None)
+
+
+def on_device(positions: np.ndarray) -> Recording:
+    return Recording(device="cpu", positions_m=wp.from_numpy(positions), states=None, kernels=recordings.WarpKernels())
+
+
 def assert_same(one: dict[str, np.ndarray], other: dict[str, np.ndarray]) -> None:
     assert one.keys() == other.keys()
     for key, values in one.items():
@@ -82,7 +95,7 @@ def test_kernels_give_the_scores_of_numpy(name: str) -> None:
     experiment = load_experiment(name)
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
-    kernels = score_recording(experiment, band, positions_m=device_array(positions), rows=[0], sample_counts=counts)
+    kernels = score_recording(experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts)
     host = on_the_host(experiment, band, positions, counts)
     assert_same(kernels, host)
     # Some laws end before the last frame, which is then not needed.
@@ -104,8 +117,20 @@ def test_arrays_on_the_cpu_are_scored_without_kernels() -> None:
             return positions.__dlpack_device__()
 
     for array in (positions, Handed()):
-        found = score_recording(experiment, band, positions_m=array, rows=[0], sample_counts=counts)
+        found = score_recording(experiment, band, recording=on_host(array), rows=[0], sample_counts=counts)
         assert all(np.array_equal(values, host[key], equal_nan=True) for key, values in found.items())
+
+
+def test_arrays_on_a_gpu_need_kernels() -> None:
+    class OnGPU:
+        def __dlpack_device__(self) -> tuple[int, int]:
+            return 2, 0
+
+    experiment = load_experiment("SlopeSlider-2-wood")
+    with pytest.raises(BackendError, match="kernels"):
+        score_recording(
+            experiment, reference_band(experiment), recording=on_host(OnGPU()), rows=[0], sample_counts=np.ones(1, int)
+        )
 
 
 @pytest.mark.parametrize("fault", ["one world shifted", "row of the band", "release offset", "range of shifts"])
@@ -124,7 +149,7 @@ def test_planted_faults_are_found(fault: str, monkeypatch: pytest.MonkeyPatch) -
         monkeypatch.setattr(worlds, "SAMPLE_INTERVAL_S", SAMPLE_INTERVAL_S * 1.001)
     else:
         counts[2:8] += 1
-    kernels = score_recording(experiment, band, positions_m=device_array(positions), rows=[0], sample_counts=counts)
+    kernels = score_recording(experiment, band, recording=on_device(positions), rows=[0], sample_counts=counts)
     with pytest.raises(AssertionError):
         assert_same(kernels, host)
 
@@ -135,7 +160,7 @@ def test_the_observed_body_is_chosen_among_several() -> None:
     positions, counts = recorded(experiment, band)
     among = np.ascontiguousarray(np.concatenate([positions + 1.0, positions, positions - 1.0], axis=2))
     one, other = (
-        score_recording(experiment, band, positions_m=device_array(array), rows=[row], sample_counts=counts)
+        score_recording(experiment, band, recording=on_device(array), rows=[row], sample_counts=counts)
         for array, row in ((positions, 0), (among, 1))
     )
     assert all(np.array_equal(one[key], other[key], equal_nan=True) for key in one)
@@ -150,16 +175,17 @@ def test_positions_of_another_shape_are_refused(change: str) -> None:
     positions = positions[:50].copy() if change == "length" else positions
     counts = counts[1:] if change == "worlds" else counts
     with pytest.raises(ShapeError, match="are needed"):
-        score_recording(experiment, band, positions_m=device_array(positions), rows=rows, sample_counts=counts)
+        score_recording(experiment, band, recording=on_device(positions), rows=rows, sample_counts=counts)
 
 
+@pytest.mark.parametrize("record", [on_host, on_device])
 @pytest.mark.parametrize(
     ("rows", "kind", "reason"),
     [([7], np.float64, "numbers of the"), ([-1], np.float64, "numbers of the"), ([0], np.float32, "64-bit floats")],
 )
-def test_a_kernel_never_reads_outside_of_the_positions(rows: list[int], kind: type, reason: str) -> None:
+def test_a_kernel_reads_only_the_positions(record: Record, rows: list[int], kind: type, reason: str) -> None:
     experiment = load_experiment("SlopeSlider-2-wood")
     band = reference_band(experiment)
     positions, counts = recorded(experiment, band)
     with pytest.raises(ShapeError, match=reason):
-        score_recording(experiment, band, positions_m=positions.astype(kind), rows=rows, sample_counts=counts)
+        score_recording(experiment, band, recording=record(positions.astype(kind)), rows=rows, sample_counts=counts)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.special import ellipk
-from sweep_lanes import needs_rapier
+from sweep_workers import needs_rapier
 
 from gauge_envs import load_experiment, reference_band, score_trajectory
 from gauge_envs.backends import backend

@@ -143,7 +143,7 @@ def test_damaged_events_are_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     text = (data_folder("scoring") / "bands" / "events.toml").read_text(encoding="utf-8")
     (folder / "events.toml").write_text(text.replace("0.37", "-0.37"), encoding="utf-8")
     monkeypatch.setattr(tables, "data_folder", lambda name: tmp_path / name)
-    with pytest.raises(ReferenceFileError, match=r"events.2.values_s.1: Input should be greater than 0 .given: -0.37."):
+    with pytest.raises(ReferenceFileError, match=r"events\.2\.values_s\.1: .*given: -0\.37"):
         recorded_events("NewtonsCradle-metal")
 
 

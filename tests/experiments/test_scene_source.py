@@ -440,7 +440,7 @@ def test_markers_must_be_those_of_the_id(edited: Callable[[str, Edit], Path]) ->
         (None, "gone.usda", "cannot be read: No such file"),
         (b"", "empty.usda", "empty.usda"),
         (b"PXR-USDC and then nothing", "damaged.usdc", "damaged.usdc"),
-        (b"solid", "cube.stl", "suffix '.stl' is neither USD"),
+        (b"solid", "cube.stl", "suffix '.stl' is neither that of a scene file"),
         (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef Xform "World" {\n', "cut.usda", "cut.usda"),
         (b'#usda 1.0\n(\n upAxis = "Z"\n)\ndef PhysicsScene "P" {}\n', "nounits.usda", "metersPerUnit"),
         (b'#usda 1.0\n(\n metersPerUnit = 1\n)\ndef PhysicsScene "P" {}\n', "noup.usda", "upAxis"),

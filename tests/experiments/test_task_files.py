@@ -71,7 +71,7 @@ def edited(tmp_path: Path, family: str, old: str, new: str) -> Path:
     [
         ("SlopeSlider", 'title = "Slope slider"', 'titel = "Slope slider"', "title", "missing key"),
         ("SlopeSlider", "recorded = true", "recorded = true\nrecordet = true", "bodies.cube.recordet", "unknown key"),
-        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "constants.cube.wood.mass_kg", "greater than 0"),
+        ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = -0.0903", "constants.cube.wood.mass_kg", "-0.0903"),
         ("SlopeSlider", "mass_kg = 0.0903", "mass_kg = nan", "constants.cube.wood.mass_kg", "nan"),
         ("SlopeSlider", "friction = 0.273673", "fricton = 0.273673", "constants.cube.wood.fricton", "unknown key"),
         ("SlopeSlider", "restitution = 0.223583", "restitution = 1.2", "constants.cube.wood.restitution", "1.2"),

@@ -49,8 +49,8 @@ def tasks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 # How the file is broken, and what the error says.
 BREAKS = {
-    "no TOML": (b"family = ", "cannot be read: Invalid value"),
-    "no text": (b"\xff", "cannot be read: 'utf-8' codec"),
+    "no TOML": (b"family = ", "cannot be read: "),
+    "no text": (b"\xff", "cannot be read: "),
     "no materials": (b'family = "Pendulum"', "cannot be read: materials: a list of names is expected"),
     "no family": (b"family = 3", "cannot be read: family: a name is expected"),
     "no task": (b'family = "Pendulum"\nmaterials = ["metal"]', "missing key"),
@@ -89,7 +89,7 @@ def crate(tmp_path: Path) -> Path:
 def test_the_number_of_frames_is_limited(frames: int, crate: Path) -> None:
     lines = [line if not line.startswith("frames") else f"frames = {frames}" for line in crate.read_text().splitlines()]
     crate.write_text("\n".join(lines))
-    with pytest.raises(TaskFileError, match=r"crate\.toml: frames: Input should be less than or equal to 18000"):
+    with pytest.raises(TaskFileError, match=r"crate\.toml: frames: "):
         load_experiment_file(crate)
 
 

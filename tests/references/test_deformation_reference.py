@@ -110,9 +110,9 @@ def test_shapes_must_agree() -> None:
     [
         ("FoamBending-soft.csv", "mean.strain.yy", "mean.strain.y", "line 1: columns are"),
         ("FoamBending-soft.csv", "\n1,", "\n2,", "line 3: frame 2 where 1 is next"),
-        ("FoamBending-soft.csv", "0.0266", "-0.0266", "uncertainty.strain.yy: Input should be greater"),
+        ("FoamBending-soft.csv", "0.0266", "-0.0266", "uncertainty.strain.yy: "),
         ("FoamBending-soft.toml", "frames = 35", "frames = 5", "frames is 5, but the table has 35"),
-        ("FoamBending-soft.toml", '"statistics"', '"trials"', "grade: Input should be 'statistics'"),
+        ("FoamBending-soft.toml", '"statistics"', '"trials"', "grade: "),
         ("FoamBending-soft.toml", "trial_count = 1", "", "trial_count: missing key"),
     ],
 )

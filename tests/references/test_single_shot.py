@@ -148,7 +148,7 @@ def test_damaged_files_are_named(tmp_path, monkeypatch) -> None:
     (tmp_path / f"{NAME}.toml").write_bytes((folder / f"{NAME}.toml").read_bytes())
     (tmp_path / f"{NAME}.npz").write_bytes(b"nothing")
     monkeypatch.setattr(single_shot, "scoring_folder", lambda _: tmp_path)
-    with pytest.raises(ReferenceFileError, match=r"CubeToss-acrylic.npz: File is not a zip file"):
+    with pytest.raises(ReferenceFileError, match=r"CubeToss-acrylic.npz: "):
         single_shots(NAME)
 
 

@@ -9,11 +9,12 @@ import pytest
 from opengl import needs_opengl
 
 from gauge_envs import GaugeEnv, load_experiment
-from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, View, experiment_view
 from gauge_envs.rendering.materials import LOOKS, USUAL, look_of
 from gauge_envs.rendering.renderer import SceneRenderer
 from gauge_envs.rendering.studio import GROUND, grid_pitch_m
 from gauge_envs.scene import Motion, Plane, Scene
+from gauge_envs.scene.geometry import vector
 
 SIZE = (320, 240)
 
@@ -23,7 +24,8 @@ def start_picture(name: str, **arguments: object) -> tuple[np.ndarray, SceneRend
     env = GaugeEnv(name)
     env.reset(seed=0)
     scene = env.experiment.scene
-    renderer = SceneRenderer(scene, env.episode.rest_nodes_m, *SIZE, materials=env.experiment.materials, **arguments)
+    looks = {"view": experiment_view(env.experiment), "materials": env.experiment.materials} | arguments
+    renderer = SceneRenderer(scene, env.episode.rest_nodes_m, *SIZE, **looks)
     picture = renderer.picture(env.episode.poses(), env.episode.nodes_m())
     renderer.close()
     env.close()
@@ -56,7 +58,7 @@ def test_the_grid_has_the_stated_pitch(height_m: float) -> None:
     scene = replace(scene, bodies=tuple(body for body in scene.bodies if isinstance(body.shape, Plane)), contacts=())
     ground = scene.bodies[0].pose.position_m
     distance = 0.5 * height_m / np.tan(np.radians(0.5 * FIELD_OF_VIEW_DEG))
-    view = View(target_m=np.array(ground), distance_m=distance, azimuth_deg=90.0, elevation_deg=-89.999)
+    view = View(target_m=vector(ground), distance_m=distance, azimuth_deg=90.0, elevation_deg=-89.999)
     renderer = SceneRenderer(scene, {}, 600, 600, view=view)
     picture = renderer.picture({}, {}).astype(float)
     renderer.close()

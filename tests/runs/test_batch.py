@@ -9,7 +9,7 @@ from interruption import interrupt_in_episode
 
 from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
 from gauge_envs.errors import ParameterError, ResultFileError, UnknownNameError, UnsupportedSceneError
-from gauge_envs.runs import batch
+from gauge_envs.runs import pool
 from gauge_envs.runs.batch import check_requests, run_many
 from gauge_envs.runs.episodes import run_episode
 from gauge_envs.runs.request import RunRequest
@@ -107,12 +107,12 @@ def test_jobs_at_once_give_the_same_bits_in_the_same_order(tmp_path):
 def test_an_interrupted_run_of_several_jobs_ends_their_processes(tmp_path, monkeypatch):
     workers = []
 
-    class Counted(batch.Worker):
+    class Counted(pool.Worker):
         def __init__(self, *args, **kwargs):
             super().__init__(*args, **kwargs)
             workers.append(self)
 
-    monkeypatch.setattr(batch, "Worker", Counted)
+    monkeypatch.setattr(pool, "Worker", Counted)
     results = run_many([RunRequest(name) for name in (*THREE, SOFT)], jobs=2, out=tmp_path)
     assert next(results).error is None
     results.close()

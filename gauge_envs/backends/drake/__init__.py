@@ -27,6 +27,9 @@ class BackendDrake(BundledBackend):
     """Drake's discrete multibody plant on the CPU: rigid bodies, hinges, tethers and driven bodies."""
 
     name = "drake"
+    title = "Drake"
+    color = "#e69f00"
+    marker = "v"
     modules = ("pydrake",)
     packages = ("drake",)
     settings_for = staticmethod(settings_for)

@@ -8,6 +8,7 @@ from types import MappingProxyType
 from typing import Any
 
 from gauge_envs.backends.base import Feature, Simulation, Worlds
+from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.presets import settings_for, unsupported_features
 from gauge_envs.backends.genesis.settings import SettingsGenesis
 from gauge_envs.backends.shared.bundled import BundledBackend, check_settings
@@ -24,6 +25,9 @@ class BackendGenesis(BundledBackend):
     """
 
     name = "genesis"
+    title = "Genesis"
+    color = "#56b4e9"
+    marker = "P"
     modules = ("genesis", "torch")
     # MuJoCo reads the description of the bodies.
     packages = ("genesis-world", "quadrants", "torch", "mujoco")
@@ -36,6 +40,7 @@ class BackendGenesis(BundledBackend):
     features = frozenset(Feature) - {Feature.AIR}
     own_defaults = frozenset({"out_of_box", "paper"})
     settings_for = staticmethod(settings_for)
+    fabric_constants = staticmethod(pbd_constants)
     configurations = MappingProxyType(
         {"CG": {"constraint_solver": "CG", "contact_resolution": "convex"}}
         | {name: {"preset": name} for name in ("out_of_box", "paper")}

@@ -18,6 +18,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from gauge_envs.backends.genesis.engine import engine
+from gauge_envs.backends.genesis.fabrics import pbd_constants
 from gauge_envs.backends.genesis.parts import DeformablePart, contiguous, coupled_geoms
 from gauge_envs.backends.genesis.settings import (
     CLOTH_CELL_M,
@@ -33,7 +34,7 @@ from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
-from gauge_envs.scene.fabrics import Fabric, genesis_pbd
+from gauge_envs.scene.fabrics import Fabric
 
 ROOM_M = 20.0
 """Distance from the cloth to the walls of the domain, which every Genesis particle has [m]."""
@@ -71,7 +72,7 @@ class _Sheet:
     def add(self, scene: Any, folder: Path) -> None:
         """Add the entity to a scene that is not built."""
         gs, settings = engine(), self._settings
-        nominal = genesis_pbd(Fabric.of(self.cloth)).constants
+        nominal = pbd_constants(Fabric.of(self.cloth)).constants
         material = gs.materials.PBD.Cloth(
             rho=self.cloth.areal_density_kg_per_m2,
             static_friction=0.0,

@@ -29,12 +29,12 @@ from gauge_envs.backends.genesis.settings import (
     sound_time_s,
 )
 from gauge_envs.backends.shared.bundled import replaced
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
     TetrahedralMesh,
     grid_lines_m,
-    grid_points_m,
     lame_constants,
     linear_weights,
     points_in_box_m,
@@ -281,7 +281,7 @@ class _MPMRow(_Row):
         self.all_m = np.concatenate([self.points_m, *(points for _, points in self.grips)])
         self.count = len(self.all_m)
         # A grid of places in the free material, its surface included.
-        nodes_m = grid_points_m(grid_lines_m(soft_row.blocks, soft_row.axis, voxel_m))
+        nodes_m = grid_points(*grid_lines_m(soft_row.blocks, soft_row.axis, voxel_m))
         self._node_weights = self._weights_of_nodes(nodes_m)
         self.nodes_of = soft_row.nodes_of(nodes_m)
 

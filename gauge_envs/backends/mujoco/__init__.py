@@ -7,7 +7,7 @@ from typing import Any
 
 from gauge_envs.backends.base import Feature, ModelFile
 from gauge_envs.backends.mujoco.deformables import unsupported_features
-from gauge_envs.backends.mujoco.mjcf_reader import load_model, read_model
+from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.backends.mujoco.model import build_model
 from gauge_envs.backends.mujoco.model_settings import option_settings
 from gauge_envs.backends.mujoco.settings import settings_for
@@ -16,6 +16,7 @@ from gauge_envs.backends.mujoco.versions import without_absent, without_deformab
 from gauge_envs.backends.settings import check_kept
 from gauge_envs.backends.shared.bundled import BundledBackend
 from gauge_envs.errors import ParameterError, UnsupportedSceneError
+from gauge_envs.registry import model_files
 from gauge_envs.scene import Scene
 
 __all__ = ["BackendMuJoCo"]
@@ -25,8 +26,12 @@ class BackendMuJoCo(BundledBackend):
     """MuJoCo on the CPU: rigid bodies, hinges, tethers, driven bodies; with MuJoCo 4, deformable bodies too."""
 
     name = "mujoco"
+    title = "MuJoCo"
+    color = "#0072b2"
+    marker = "o"
     packages = ("mujoco",)
     settings_for = staticmethod(settings_for)
+    fabric_constants = staticmethod(flex_constants)
     file_suffixes = (".xml",)
     corrections = ("the damping of a contact is derived from the restitution, of which MuJoCo has no coefficient",)
     features = frozenset(Feature)
@@ -56,8 +61,8 @@ class BackendMuJoCo(BundledBackend):
         return SimulationMuJoCo(scene, in_force, spec, model, parts)
 
     def read_file(self, path: Path, scene: Scene) -> ModelFile:
-        """Read an MJCF file; see `gauge_envs.backends.mujoco.mjcf_reader`."""
-        return read_model(path, scene, self.build(scene))
+        """Read an MJCF file, through the instrument that reads them."""
+        return model_files(self.name).read_model(path, scene, self.build(scene))
 
     def build_file(self, path: Path, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCo:
         """Build an MJCF file. It contains all numerical settings, so `settings` must be empty."""
@@ -66,4 +71,4 @@ class BackendMuJoCo(BundledBackend):
                 f"settings {', '.join(map(repr, settings))} with {path.name}: an MJCF file contains its own settings; "
                 "change them in the file"
             )
-        return SimulationMuJoCo(scene, *load_model(path, scene))
+        return SimulationMuJoCo(scene, *model_files(self.name).load_model(path, scene))

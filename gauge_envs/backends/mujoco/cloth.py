@@ -54,13 +54,15 @@ class ClothPartMuJoCo(FlexPart):
         """Write the fabric's membrane law and scale the bending stiffness of the diagonals."""
         flex = self.flex.id
         membrane = _membrane(self.grid, self.cloth.stretch_stiffness_n_per_m, self.cloth.shear_stiffness_n_per_m)
-        flex_table(model, "flex_stiffness", flex).reshape(-1, STIFFNESS_PER_TRIANGLE)[: len(membrane), :6] = membrane
+        stiffness = flex_table(model, "flex_stiffness", flex).reshape(-1, STIFFNESS_PER_TRIANGLE)
+        stiffness[: len(membrane), :6] = membrane
 
-        edge, count = model.flex_edgeadr[flex], model.flex_edgenum[flex]
-        ends = self.grid.plane_m[model.flex_edge[edge : edge + count]]
-        diagonal = (np.abs(ends[:, 1] - ends[:, 0]) > 1e-9).all(axis=1)
-        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)
-        forms[:count][diagonal] *= _diagonal_weight(*self.grid.cell_m)
+        edge = model.flex_edgeadr[flex]
+        edge_count = model.flex_edgenum[flex]
+        ends_m = self.grid.plane_m[model.flex_edge[edge : edge + edge_count]]
+        is_diagonal = (np.abs(ends_m[:, 1] - ends_m[:, 0]) > 1e-9).all(axis=1)
+        forms = flex_table(model, "flex_bending", flex).reshape(-1, BENDING_PER_EDGE)[:edge_count]
+        forms[is_diagonal] *= _diagonal_weight(*self.grid.cell_m)
 
 
 def add_cloth(
@@ -139,13 +141,15 @@ def _diagonal_weight(along_x_m: float, along_y_m: float) -> float:
 
 def _membrane(grid: ClothGrid, stretch_n_per_m: float, shear_n_per_m: float) -> NDArray[np.float64]:
     """Return MuJoCo's stiffness of each triangle for diag(stretch, stretch, shear), shape [triangle_count, 6]."""
-    corners = grid.plane_m[grid.triangles]
-    edges = corners[:, [2, 0, 1]] - corners[:, [1, 2, 0]]
-    to_edges = np.stack([edges[..., 0] ** 2, edges[..., 1] ** 2, edges[..., 0] * edges[..., 1]], axis=-1)
+    corners_m = grid.plane_m[grid.triangles]
+    edges_m = corners_m[:, [2, 0, 1]] - corners_m[:, [1, 2, 0]]
+    x, y = edges_m[..., 0], edges_m[..., 1]
+    # B: half the change of an edge's square is exx x^2 + eyy y^2 + 2 exy x y; S = (area / 2) B^-T C B^-1.
+    to_edges = np.stack([x**2, y**2, x * y], axis=-1)
     to_strains = np.linalg.inv(to_edges)
     law = np.diag([stretch_n_per_m, stretch_n_per_m, shear_n_per_m])
-    half_area = 0.25 * grid.cell_m[0] * grid.cell_m[1]
-    matrices = half_area * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
+    half_area_m2 = 0.25 * grid.cell_m[0] * grid.cell_m[1]
+    matrices = half_area_m2 * (to_strains.transpose(0, 2, 1) @ law @ to_strains)
     rows, columns = np.triu_indices(3)
     return np.asarray(matrices[:, rows, columns])
 
@@ -192,8 +196,10 @@ class FoldWatch:
 
 def _rest_m(before: NDArray[np.float64], after: NDArray[np.float64]) -> float:
     """Return the largest part of the points' displacements [m] beside a translation and a part w x r."""
-    arms, moves = before - before.sum(axis=0) / len(before), after - before
+    arms = before - before.sum(axis=0) / len(before)
+    moves = after - before
     moves -= moves.sum(axis=0) / len(moves)
+    # The rotation w of points of equal mass: I w = sum(r x d), with the inertia I = sum(r.r) 1 - sum(r r').
     inertia = np.eye(3) * np.vdot(arms, arms) - arms.T @ arms
     x, y, z = np.linalg.solve(inertia, _cross(arms, moves).sum(axis=0)).tolist()
     moves -= arms @ ((0.0, z, -y), (-z, 0.0, x), (y, -x, 0.0))

@@ -47,42 +47,56 @@ class Points:
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the joints of the points in a compiled model."""
-        joints = np.array([model.body(self._names[index]).jntadr[0] for index in self.free])
-        self._addresses = model.jnt_qposadr[joints[:, None] + np.arange(3)].astype(np.intp)
-        self._carriers = []
-        for attachment in {
-            attachment.body: attachment for attachment in self._held.values() if attachment.motion is not Motion.FIXED
-        }.values():
-            rows = np.array([index for index, other in self._held.items() if other.body == attachment.body])
-            address = int(model.joint(model.body(attachment.body).jntadr[0]).qposadr[0])
-            arms = attachment.pose.to_body(self._rest_m[rows])
-            speeds = int(model.joint(model.body(attachment.body).jntadr[0]).dofadr[0])
-            self._carriers.append((rows, slice(address, address + 7), slice(speeds, speeds + 6), arms))
-        self._qpos, self._qvel = data.qpos, data.qvel
-        self.dofs = model.jnt_dofadr[joints[:, None] + np.arange(3)].astype(np.intp)
+        # A free point has slide joints along x, y and z, one after another.
+        first_joints = [model.body(self._names[index]).jntadr[0] for index in self.free]
+        joints = np.array(first_joints, dtype=np.intp)[:, None] + np.arange(3)
+        self._addresses = model.jnt_qposadr[joints].astype(np.intp)
+        self.dofs = model.jnt_dofadr[joints].astype(np.intp)
+        self._qpos = data.qpos
+        self._qvel = data.qvel
+        rows_by_body: dict[str, list[int]] = {}
+        for index, attachment in self._held.items():
+            if attachment.motion is not Motion.FIXED:
+                rows_by_body.setdefault(attachment.body, []).append(index)
+        # Attached points, their positions in the frame of their body [m], and views of its pose and its velocity.
+        self._moving = []
+        for body, rows in rows_by_body.items():
+            arms_m = self._held[rows[0]].pose.to_body(self._rest_m[rows])
+            self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
     def positions(self) -> NDArray[np.float64]:
         """Return the current world positions [m], shape [point_count, 3], from joint coordinates alone."""
         positions = self._rest_m.copy()
         positions[self.free] += self._qpos[self._addresses]
-        rotation = np.empty(9)
-        for rows, address, _, arms in self._carriers:
-            pose = self._qpos[address]
-            mujoco.mju_quat2Mat(rotation, pose[3:])
-            positions[rows] = arms @ rotation.reshape(3, 3).T + pose[:3]
+        for rows, arms_m, pose, _ in self._moving:
+            positions[rows] = arms_m @ rotation_matrix(pose[3:]).T + pose[:3]
         return positions
 
     def velocities(self) -> NDArray[np.float64]:
         """Return the current velocities [m/s], shape [point_count, 3], from joint coordinates alone."""
         velocities = np.zeros_like(self._rest_m)
         velocities[self.free] = self._qvel[self.dofs]
-        rotation = np.empty(9)
-        for rows, address, speeds, arms in self._carriers:
-            mujoco.mju_quat2Mat(rotation, self._qpos[address][3:])
-            linear, spin = self._qvel[speeds][:3], self._qvel[speeds][3:]
-            # MuJoCo keeps a free joint's angular velocity in the body frame.
-            velocities[rows] = linear + np.cross(spin, arms) @ rotation.reshape(3, 3).T
+        for rows, arms_m, pose, velocity in self._moving:
+            # v + w x r; MuJoCo keeps a free joint's angular velocity w in the body frame.
+            turning = np.cross(velocity[3:], arms_m)
+            velocities[rows] = velocity[:3] + turning @ rotation_matrix(pose[3:]).T
         return velocities
+
+
+def free_joint_views(
+    model: mujoco.MjModel, data: mujoco.MjData, body: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return views of the pose, shape [7], and of the velocity, shape [6], of a body with a free joint."""
+    joint = model.joint(model.body(body).jntadr[0])
+    position, velocity = int(joint.qposadr[0]), int(joint.dofadr[0])
+    return data.qpos[position : position + 7], data.qvel[velocity : velocity + 6]
+
+
+def rotation_matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the matrix of a rotation w, x, y, z, shape [3, 3]."""
+    matrix = np.empty(9)
+    mujoco.mju_quat2Mat(matrix, quaternion)
+    return matrix.reshape(3, 3)
 
 
 class FlexPart:

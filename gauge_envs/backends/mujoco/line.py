@@ -44,27 +44,34 @@ class LinePartMuJoCo(FlexPart):
 
     def track(self, points_m: ArrayLike) -> Callable[[], NDArray[np.float64]]:
         """Return a reader of material points in or on the line; each moves with its cross-section, without twist."""
-        span = self.rest_m[-1] - self.rest_m[0]
-        length, count = float(np.linalg.norm(span)), len(self.rest_m) - 1
-        axis = span / length
-        places = (np.asarray(points_m, dtype=np.float64) - self.rest_m[0]) @ axis / length * count
+        start_m = self.rest_m[0]
+        span_m = self.rest_m[-1] - start_m
+        length_m = float(np.linalg.norm(span_m))
+        axis = span_m / length_m
+        count = len(self.rest_m) - 1
+        # Distances from the start along the line, in segments.
+        places = (np.asarray(points_m, dtype=np.float64) - start_m) @ axis / length_m * count
         if not np.all((places > -1e-3) & (places < count + 1e-3)):
             raise ShapeError(f"a point lies beyond an end of {self.name!r}: track points within its length")
         segment = np.clip(np.floor(places).astype(int), 0, count - 1)
         share = (places - segment)[:, None]
-        offsets = points_m - (self.rest_m[0] + (places * length / count)[:, None] * axis)
+        offsets_m = points_m - (start_m + (places * length_m / count)[:, None] * axis)
+
+        def between(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            """Return the values of nodes at the points."""
+            return (1 - share) * values[segment] + share * values[segment + 1]
 
         def read() -> NDArray[np.float64]:
-            nodes = self.nodes()
-            slopes = np.gradient(nodes, axis=0)
-            tangents = (1 - share) * slopes[segment] + share * slopes[segment + 1]
+            nodes_m = self.nodes()
+            centres_m = between(nodes_m)
+            tangents = between(np.gradient(nodes_m, axis=0))
             tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-            centres = (1 - share) * nodes[segment] + share * nodes[segment + 1]
-            # Shortest rotation from the axis to the tangent (Rodrigues' formula with the cross product as axis).
+            # The shortest rotation from the axis a to the tangent t takes r to c r + n x r + (n.r) n / (1 + c), with
+            # n = a x t and c = a.t (Rodrigues' formula).
             normals = np.cross(axis, tangents)
             cosine = tangents @ axis
-            along = np.sum(normals * offsets, axis=1) / (1.0 + cosine)
-            return centres + cosine[:, None] * offsets + np.cross(normals, offsets) + along[:, None] * normals
+            along = np.sum(normals * offsets_m, axis=1) / (1.0 + cosine)
+            return centres_m + cosine[:, None] * offsets_m + np.cross(normals, offsets_m) + along[:, None] * normals
 
         return read
 

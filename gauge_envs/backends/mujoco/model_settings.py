@@ -64,22 +64,27 @@ class ContactPairs:
 
 def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
     """Return all pairs of geoms that can collide, explicit ones included, with their constants."""
-    implicit = _implicit_pairs(model)
+    moves = can_move(model)
     explicit = np.sort(np.column_stack([model.pair_geom1, model.pair_geom2]).astype(np.intp), axis=1)
-    explicit_rows = np.flatnonzero(can_move(model)[explicit].any(axis=1))
+    explicit_rows = np.flatnonzero(moves[explicit].any(axis=1))
     explicit = explicit[explicit_rows]
     # An explicit pair replaces the implicit one.
     stated = set(map(tuple, explicit.tolist()))
+    implicit = _implicit_pairs(model)
     implicit = implicit[[tuple(row) not in stated for row in implicit.tolist()]]
+
     constants = np.vstack([_mixed_constants(model, *implicit.T), _stated_constants(model, explicit_rows)])
     if overrides_contacts(model):
         _override(model, constants)
-    constants[:, COLUMNS["friction"]] = np.maximum(constants[:, COLUMNS["friction"]], MIN_FRICTION)
+    friction = constants[:, COLUMNS["friction"]]
+    np.maximum(friction, MIN_FRICTION, out=friction)
+
     geoms = np.vstack([implicit, explicit])
-    moves = can_move(model)[geoms]
-    on_ground = (np.isin(model.geom_type, GROUND_TYPES)[geoms] & ~moves).any(axis=1)
-    kinds = np.where(moves.all(axis=1), PairKind.MOVING, np.where(on_ground, PairKind.GROUND, PairKind.STATIC))
-    return ContactPairs(geoms=geoms, kinds=kinds.astype(np.intp), constants=constants)
+    is_ground = np.isin(model.geom_type, GROUND_TYPES) & ~moves
+    kinds = np.full(len(geoms), PairKind.STATIC, dtype=np.intp)
+    kinds[is_ground[geoms].any(axis=1)] = PairKind.GROUND
+    kinds[moves[geoms].all(axis=1)] = PairKind.MOVING
+    return ContactPairs(geoms=geoms, kinds=kinds, constants=constants)
 
 
 def can_move(model: mujoco.MjModel) -> NDArray[np.bool_]:
@@ -115,28 +120,32 @@ def _mixed_constants(model: mujoco.MjModel, first: NDArray[np.intp], second: NDA
     table = np.zeros((len(first), 17))
     rank = model.geom_priority[first] - model.geom_priority[second]
     share = _share(model.geom_solmix[first], model.geom_solmix[second])
-    share = np.where(rank > 0, 1.0, np.where(rank < 0, 0.0, share))[:, None]
+    share[rank > 0] = 1.0
+    share[rank < 0] = 0.0
+    share = share[:, None]
 
     def by_priority(values: NDArray[Any]) -> NDArray[Any]:
         """Return the value of the geom with the higher priority, or the greater value for equal priorities."""
-        one, other = values[first], values[second]
-        ranks = rank.reshape(-1, *[1] * (values.ndim - 1))
-        return np.where(ranks > 0, one, np.where(ranks < 0, other, np.maximum(one, other)))
+        found = np.maximum(values[first], values[second])
+        found[rank > 0] = values[first[rank > 0]]
+        found[rank < 0] = values[second[rank < 0]]
+        return found
 
     def mixed(values: NDArray[np.float64]) -> NDArray[np.float64]:
         return share * values[first] + (1.0 - share) * values[second]
 
     table[:, 0] = by_priority(model.geom_condim)
+    # Sliding, torsional and rolling friction of a geom are two, one and two coefficients of a contact.
     table[:, COLUMNS["friction"]] = by_priority(model.geom_friction)[:, [0, 0, 1, 2, 2]]
     solref = model.geom_solref
-    standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
+    is_standard = (solref[first, 0] > 0.0) & (solref[second, 0] > 0.0) | (rank != 0)
     # The direct format, minus stiffness and damping, is not averaged: the minimum is the stiffer one.
     direct = np.minimum(solref[first], solref[second])
-    table[:, COLUMNS["solref"]] = np.where(standard[:, None], mixed(solref), direct)
+    table[:, COLUMNS["solref"]] = np.where(is_standard[:, None], mixed(solref), direct)
     table[:, COLUMNS["solimp"]] = mixed(model.geom_solimp)
     # Margins and gaps add up for all priorities.
-    for name, values in (("margin", model.geom_margin), ("gap", model.geom_gap)):
-        table[:, COLUMNS[name].start] = values[first] + values[second]
+    table[:, COLUMNS["margin"].start] = model.geom_margin[first] + model.geom_margin[second]
+    table[:, COLUMNS["gap"].start] = model.geom_gap[first] + model.geom_gap[second]
     return table
 
 

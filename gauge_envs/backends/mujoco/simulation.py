@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Simulation
 from gauge_envs.backends.mujoco.cloth import AirOnCloth, ClothPartMuJoCo, FoldWatch, check_air_step
-from gauge_envs.backends.mujoco.flex import FlexPart
+from gauge_envs.backends.mujoco.flex import FlexPart, free_joint_views
 from gauge_envs.backends.mujoco.line import LinePartMuJoCo
 from gauge_envs.backends.mujoco.model import START_KEY, rotated_back
-from gauge_envs.backends.mujoco.soft import SoftPartMuJoCo
+from gauge_envs.backends.mujoco.soft import Grip, SoftPartMuJoCo
 from gauge_envs.backends.shared.rigid import hinges_by_body
 from gauge_envs.backends.shared.states import Snapshot, StateOrigin
 from gauge_envs.scene import Hinge, Motion, Pose, Scene
@@ -59,23 +59,26 @@ class SimulationMuJoCo(Simulation):
         parts: Mapping[str, FlexPart],
     ) -> None:
         self.settings = settings
-        self.spec, self.model, self._parts = spec, model, parts
-        self.data = mujoco.MjData(self.model)
-        for part in dict.fromkeys(self._parts.values()):
-            part.bind(self.model, self.data)
-        soft = [part for part in dict.fromkeys(self._parts.values()) if isinstance(part, SoftPartMuJoCo)]
-        self.grips = [grip for part in soft for grip in part.grips]
+        self.spec = spec
+        self.model = model
+        self._parts = parts
+        self.data = mujoco.MjData(model)
+        self.grips: list[Grip] = []
+        for part in dict.fromkeys(parts.values()):
+            part.bind(model, self.data)
+            if isinstance(part, SoftPartMuJoCo):
+                self.grips += part.grips
         self._timestep_s = float(settings["timestep_s"])
         self._air: list[AirOnCloth] = []
         if scene.air is not None:
-            cloth = [part for part in self._parts.values() if isinstance(part, ClothPartMuJoCo)]
+            cloth = [part for part in parts.values() if isinstance(part, ClothPartMuJoCo)]
             check_air_step(scene, cloth, self._timestep_s)
             self._air = [AirOnCloth(scene.air, part, self.data) for part in cloth]
         # A scene in which a cloth touches nothing but itself.
         touching = {name for contact in scene.contacts for name in (*contact.first, *contact.second)}
-        lone = self._parts.get(*touching) if len(touching) == 1 else None
+        lone = parts.get(*touching) if len(touching) == 1 else None
         self._folds = FoldWatch(lone, model, self.data) if isinstance(lone, ClothPartMuJoCo) else None
-        self._state_size = mujoco.mj_stateSize(self.model, mujoco.mjtState.mjSTATE_INTEGRATION)
+        self._state_size = mujoco.mj_stateSize(model, mujoco.mjtState.mjSTATE_INTEGRATION)
         self._readers: dict[tuple[str, ...], _StateReader] = {}
         self._driven: dict[str, tuple[NDArray[np.float64], ...]] = {}
         self._scene = scene
@@ -96,13 +99,9 @@ class SimulationMuJoCo(Simulation):
         """Write the body's pose, its velocity, and the force that gives its large mass the acceleration."""
         if body not in self._driven:
             # Views of MuJoCo's arrays with the pose, velocity, force and mass of the body.
-            (position, freedom), index = _free_joint_addresses(self.model, body), self.model.body(body).id
-            self._driven[body] = (
-                self.data.qpos[position : position + 7],
-                self.data.qvel[freedom : freedom + 6],
-                self.data.xfrc_applied[index],
-                self.model.body_mass[index : index + 1],
-            )
+            index = self.model.body(body).id
+            force, mass_kg = self.data.xfrc_applied[index], self.model.body_mass[index : index + 1]
+            self._driven[body] = (*free_joint_views(self.model, self.data, body), force, mass_kg)
         place, speed, force, mass_kg = self._driven[body]
         place[:3] = pose.position_m
         place[3:] = pose.quaternion
@@ -227,21 +226,15 @@ def _reader(scene: Scene, model: mujoco.MjModel, data: mujoco.MjData, names: tup
     return _AnyBodies(model, data, names)
 
 
-def _free_joint_addresses(model: mujoco.MjModel, name: str) -> tuple[int, int]:
-    joint = model.joint(name)
-    return int(joint.qposadr[0]), int(joint.dofadr[0])
-
-
 class _OneFreeBody:
     """A single free body: its state is a slice of qpos and qvel."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, name: str) -> None:
-        position, velocity = _free_joint_addresses(model, name)
-        self._position = data.qpos[position : position + 3]
-        self._pose = data.qpos[position : position + 7]
-        self._quaternion = data.qpos[position + 3 : position + 7]
-        self._linear = data.qvel[velocity : velocity + 3]
-        self._angular = data.qvel[velocity + 3 : velocity + 6]
+        self._pose, velocity = free_joint_views(model, data, name)
+        self._position = self._pose[:3]
+        self._quaternion = self._pose[3:]
+        self._linear = velocity[:3]
+        self._angular = velocity[3:]
 
     def states(self) -> NDArray[np.float64]:
         """Return the state of the body, shape [1, 13]."""
@@ -261,11 +254,11 @@ class _FreeBodies:
     """Several free bodies, read from qpos and qvel by index arrays."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, names: tuple[str, ...]) -> None:
-        addresses = [_free_joint_addresses(model, name) for name in names]
-        self._qpos, self._qvel = data.qpos, data.qvel
-        starts = np.array(addresses, dtype=np.intp).reshape(-1, 2)
-        self._poses = starts[:, :1] + np.arange(7)
-        self._velocities = starts[:, 1:] + np.arange(6)
+        self._qpos = data.qpos
+        self._qvel = data.qvel
+        joints = [model.joint(name).id for name in names]
+        self._poses = model.jnt_qposadr[joints][:, None] + np.arange(7)
+        self._velocities = model.jnt_dofadr[joints][:, None] + np.arange(6)
 
     def states(self) -> NDArray[np.float64]:
         """Return the states of the bodies, shape [body_count, 13]."""

@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import csr_matrix
 
-from gauge_envs.backends.mujoco.flex import FlexPart, Points, make_firm
+from gauge_envs.backends.mujoco.flex import FlexPart, Points, free_joint_views, make_firm, rotation_matrix
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import TOLERANCE_M, Block, SoftRow
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Motion, SoftBody
@@ -61,34 +62,36 @@ class Grip:
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Look up the bodies in a compiled model."""
-        carrier, joint = model.body(self.body), model.joint(self.body)
-        place, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
-        # Views of the pose, the velocity and the force of the driven body.
-        self._pose, self._speed = data.qpos[place : place + 7], data.qvel[speed : speed + 6]
-        self._force, self._mass_kg = data.xfrc_applied[carrier.id], float(carrier.mass[0])
+        driven = model.body(self.body)
+        self._pose, self._velocity = free_joint_views(model, data, self.body)
+        self._force = data.xfrc_applied[driven.id]
+        self._mass_kg = float(driven.mass[0])
         self._nodes = np.array([model.body(name).id for name in self.names])
         joints = model.body_jntadr[self._nodes][:, None] + np.arange(3)
-        self._addresses, self._freedoms = model.jnt_qposadr[joints], model.jnt_dofadr[joints]
-        self._rest_m, self._masses_kg = model.body_pos[self._nodes], model.body_mass[self._nodes, None]
-        self._own_m = (self._rest_m - carrier.pos) @ _matrix(carrier.quat)
+        self._addresses = model.jnt_qposadr[joints]
+        self._freedoms = model.jnt_dofadr[joints]
+        self._rest_m = model.body_pos[self._nodes]
+        self._masses_kg = model.body_mass[self._nodes, None]
+        # Positions of the nodes in the frame of the driven body.
+        self._local_m = (self._rest_m - driven.pos) @ rotation_matrix(driven.quat)
         self._data = data
 
     def follow(self) -> None:
-        """Write position, velocity and force of the nodes from those that were written for the driven body."""
-        turn, pose, speed, rates = _matrix(self._pose[3:]), self._pose, self._speed, self._force / self._mass_kg
-        arms, spin = self._own_m @ turn.T, turn @ speed[3:]
-        relative = np.cross(spin, arms)
-        self._data.qpos[self._addresses] = pose[:3] + arms - self._rest_m
-        self._data.qvel[self._freedoms] = speed[:3] + relative
-        pull = rates[:3] + np.cross(rates[3:], arms) + np.cross(spin, relative)
-        self._data.xfrc_applied[self._nodes, :3] = self._masses_kg * pull
+        """Write position, velocity and force of the nodes from those that were written for the driven body.
 
-
-def _matrix(quaternion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the matrix of a rotation w, x, y, z, shape [3, 3]."""
-    matrix = np.empty(9)
-    mujoco.mju_quat2Mat(matrix, quaternion)
-    return matrix.reshape(3, 3)
+        A point at the arm r of a rigid body has the velocity v + w x r and the acceleration a + b x r + w x (w x r).
+        """
+        rotation = rotation_matrix(self._pose[3:])
+        arms_m = self._local_m @ rotation.T
+        # MuJoCo keeps a free joint's angular velocity in the body frame.
+        spin = rotation @ self._velocity[3:]
+        turning = np.cross(spin, arms_m)
+        # The mass and all moments of inertia of a driven body are the same number.
+        acceleration = self._force / self._mass_kg
+        node_acceleration = acceleration[:3] + np.cross(acceleration[3:], arms_m) + np.cross(spin, turning)
+        self._data.qpos[self._addresses] = self._pose[:3] + arms_m - self._rest_m
+        self._data.qvel[self._freedoms] = self._velocity[:3] + turning
+        self._data.xfrc_applied[self._nodes, :3] = self._masses_kg * node_acceleration
 
 
 class SoftPartMuJoCo(FlexPart):
@@ -174,7 +177,7 @@ class _Lattice:
     def grid_m(self, subdivisions: tuple[int, ...]) -> NDArray[np.float64]:
         """Return a regular grid of positions [m], z fastest, with the given intervals in each cell."""
         steps = [np.arange(n * part + 1) / part for n, part in zip(self.cells, subdivisions, strict=True)]
-        return self._low_m + self.cell_m * np.stack(np.meshgrid(*steps, indexing="ij"), axis=-1).reshape(-1, 3)
+        return self._low_m + self.cell_m * grid_points(*steps)
 
     def node_masses(self, cell_kg: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the masses of the nodes [kg], z fastest, by Simpson's rule as in MuJoCo.
@@ -192,16 +195,16 @@ class _Lattice:
     def weights(self, points_m: NDArray[np.float64]) -> csr_matrix:
         """Return the matrix from node positions to material points, shape [point_count, lattice_node_count]."""
         places = (points_m - self._low_m) / self.cell_m
-        cell = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
-        x = places - cell
-        # Quadratic Lagrange polynomials with nodes at 0, 1/2 and 1.
+        cells = np.clip(np.floor(places).astype(int), 0, np.array(self.cells) - 1)
+        x = places - cells
+        # Quadratic Lagrange polynomials with nodes at 0, 1/2 and 1, shape [point_count, axis, 3].
         shapes = np.stack([(2 * x - 1) * (x - 1), 4 * x * (1 - x), x * (2 * x - 1)], axis=-1)
-        values = np.einsum("pi,pj,pk->pijk", shapes[:, 0], shapes[:, 1], shapes[:, 2]).reshape(-1)
-        index = 2 * cell[:, :, None] + np.arange(3)
-        i, j, k = index[:, 0, :, None, None], index[:, 1, None, :, None], index[:, 2, None, None, :]
-        columns = ((i * self.shape[1] + j) * self.shape[2] + k).reshape(-1)
-        rows = np.repeat(np.arange(len(points_m)), 27)
-        return csr_matrix((values, (rows, columns)), shape=(len(points_m), len(self.rest_m)))
+        # The shape function of a node is the product of those along x, y and z.
+        values = np.einsum("pi,pj,pk->pijk", *np.moveaxis(shapes, 1, 0)).reshape(-1, 27)
+        steps = np.stack(np.unravel_index(np.arange(27), (3, 3, 3)))
+        nodes = np.ravel_multi_index(tuple(2 * cells.T[:, :, None] + steps[:, None]), self.shape)
+        starts = 27 * np.arange(len(points_m) + 1)
+        return csr_matrix((values.ravel(), nodes.ravel(), starts), shape=(len(points_m), len(self.rest_m)))
 
 
 def add_soft(

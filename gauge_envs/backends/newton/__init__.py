@@ -12,6 +12,7 @@ from typing import Any
 
 from gauge_envs.backends.base import Feature, Simulation, Worlds
 from gauge_envs.backends.newton.contacts import unsupported_surface_contacts
+from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.settings import (
     SettingsLines,
     SettingsMPM,
@@ -37,9 +38,13 @@ class BackendNewton(BundledBackend):
     """
 
     name = "newton"
+    title = "Newton"
+    color = "#cc79a7"
+    marker = "D"
     modules = ("newton", "warp", "mujoco_warp")
     packages = ("newton", "warp-lang", "mujoco-warp", "mujoco")
     settings_for = staticmethod(settings_for)
+    fabric_constants = staticmethod(vbd_constants)
     configurations = MappingProxyType({"out_of_box": {"preset": "out_of_box"}, "paper": {"preset": "paper"}})
     corrections = (
         "the damping of a contact is derived from the restitution, whose coefficient the MuJoCo solver ignores",

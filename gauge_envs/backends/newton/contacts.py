@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gauge_envs.backends.newton.settings import SettingsMuJoCoWarp
+from gauge_envs.backends.shared.pair_values import values_of_sums
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Contact, ContactMode, Rod, Rope, Scene, SoftBody
 
@@ -224,10 +225,6 @@ def _pairs(scene: Scene) -> dict[tuple[str, str], float]:
 def _side_frictions(pairs: dict[tuple[str, str], float]) -> dict[str, float]:
     """Return the coefficient of each side, the least-squares solution of log a + log b = 2 log(pair friction)."""
     names = sorted({name for pair in pairs for name in pair})
-    matrix = np.zeros((len(pairs), len(names)))
-    for row, pair in zip(matrix, pairs, strict=True):
-        for name in pair:
-            row[names.index(name)] += 1.0
-    right = 2.0 * np.log(np.maximum(list(pairs.values()), FRICTION_FLOOR))
-    logs = np.linalg.lstsq(matrix, right, rcond=None)[0] if pairs else ()
-    return {name: float(np.exp(value)) for name, value in zip(names, logs, strict=True)}
+    sums = 2.0 * np.log(np.maximum(list(pairs.values()), FRICTION_FLOOR))
+    logs = values_of_sums(names, dict(zip(pairs, sums.tolist(), strict=True)), lowest=-np.inf)
+    return {name: float(np.exp(value)) for name, value in logs.items()}

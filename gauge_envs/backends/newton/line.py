@@ -98,7 +98,8 @@ class LinePartNewton(Part):
 
         def read(state: newton.State) -> NDArray[np.float64]:
             poses = _poses(state)
-            nodes, rotations = self._nodes(poses), self._rotations(poses)
+            nodes = self._nodes(poses)
+            rotations = self._rotations(poses)
             centres = (1.0 - share) * nodes[low] + share * nodes[low + 1]
             rotation = (1.0 - share) * rotations[low] + share * rotations[low + 1]
             return np.asarray(centres + Rotation.from_quat(rotation).apply(offsets))
@@ -106,21 +107,25 @@ class LinePartNewton(Part):
         return read
 
     def _nodes(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        bodies = np.array([[anchor.body for anchor in pair] for pair in self.anchors]).ravel()
-        places = np.array([[anchor.place_m for anchor in pair] for pair in self.anchors]).reshape(-1, 3)
-        ends = poses[bodies, :3] + Rotation.from_quat(poses[bodies, 3:]).apply(places)
-        return np.asarray(ends.reshape(-1, 2, 3).mean(axis=1))
+        anchors = [anchor for pair in self.anchors for anchor in pair]
+        at = poses[[anchor.body for anchor in anchors]]
+        points = at[:, :3] + Rotation.from_quat(at[:, 3:]).apply([anchor.place_m for anchor in anchors])
+        return np.asarray(points.reshape(-1, 2, 3).mean(axis=1))
 
     def _rotations(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the rotation of the line at each node since the start, as unit quaternions, shape [node_count, 4]."""
-        # The holder of a rope's end rotates independently. The second anchor of a pair is a segment, except at a tip.
-        anchors = [anchor for pair in self.anchors for anchor in (pair if self.keeps_direction else (pair[1], pair[1]))]
+        anchors: list[_Anchor] = []
+        for first, second in self.anchors:
+            # The holder of a rope's end rotates independently. The second anchor is a segment, except at a tip.
+            anchors += [first if self.keeps_direction else second, second]
         now = Rotation.from_quat(poses[[anchor.body for anchor in anchors], 3:])
-        rotations = (now * Rotation.concatenate([anchor.start for anchor in anchors]).inv()).as_quat()
+        start = Rotation.concatenate([anchor.start for anchor in anchors])
+        quaternions = (now * start.inv()).as_quat()
         # A quaternion and its negative are one rotation. The nearer one of both along the line has a meaningful mean.
-        signs = np.where(np.sum(rotations[1:] * rotations[:-1], axis=1) < 0.0, -1.0, 1.0)
-        rotations[1:] *= np.cumprod(signs)[:, None]
-        means = rotations.reshape(-1, 2, 4).mean(axis=1)
+        cosines = np.sum(quaternions[1:] * quaternions[:-1], axis=1)
+        signs = np.where(cosines < 0.0, -1.0, 1.0)
+        quaternions[1:] *= np.cumprod(signs)[:, None]
+        means = quaternions.reshape(-1, 2, 4).mean(axis=1)
         return np.asarray(means / np.linalg.norm(means, axis=1, keepdims=True))
 
 
@@ -282,12 +287,18 @@ def _add_capsules(
     ends: Mapping[str, RigidAttachment],
 ) -> tuple[int, ...]:
     """Add the capsules of the segments; the round end of a free end lies within the line."""
-    shapes, config = [], newton.ModelBuilder.ShapeConfig(density=0.0)
+    shapes = []
     for index, link in enumerate(links):
-        low = line.radius_m if index == 0 and "low" not in ends else 0.0
-        high = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
-        frame = wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low - high)), wp.quat_identity())
-        half_m = max(0.5 * (length_m - low - high), 0.0)
-        given = {"radius": line.radius_m, "half_height": half_m, "cfg": config, "label": line.name}
-        shapes.append(builder.add_shape_capsule(link, xform=frame, **given))
+        # What the round end of a free end takes of the segment.
+        low_m = line.radius_m if index == 0 and "low" not in ends else 0.0
+        high_m = line.radius_m if index == len(links) - 1 and "high" not in ends else 0.0
+        shape = builder.add_shape_capsule(
+            link,
+            xform=wp.transform(wp.vec3(0.0, 0.0, 0.5 * (low_m - high_m)), wp.quat_identity()),
+            radius=line.radius_m,
+            half_height=max(0.5 * (length_m - low_m - high_m), 0.0),
+            cfg=newton.ModelBuilder.ShapeConfig(density=0.0),
+            label=line.name,
+        )
+        shapes.append(shape)
     return tuple(shapes)

@@ -35,16 +35,20 @@ def fitted_voxel_m(soft_row: SoftRow, settings: SettingsMPM) -> float:
     One voxel is centred at the world's origin, and a point in a grip holds its whole voxel. The free length is
     therefore the distance of two grid planes, which may be a voxel too short.
     """
-    low, high = soft_row.low_m[soft_row.axis], soft_row.high_m[soft_row.axis]
-    candidates = (settings.cell_m or VOXEL_M) * np.linspace(*VOXEL_RANGE, 601)
+    low_m = soft_row.low_m[soft_row.axis]
+    high_m = soft_row.high_m[soft_row.axis]
+    voxels_m = (settings.cell_m or VOXEL_M) * np.linspace(*VOXEL_RANGE, 601)
     # The outermost gripped point sits half a spacing beyond the face.
-    half = 0.5 * candidates / settings.points_per_voxel_edge
-    misses = np.zeros((2, len(candidates)))
+    beyond_m = 0.5 * voxels_m / settings.points_per_voxel_edge
+    squares = np.zeros(len(voxels_m))
+    # Planes of the grid lie at (n + 1/2) voxels.
     if "low" in soft_row.ends:
-        misses[0] = (np.ceil((low - half) / candidates - 0.5) + 0.5) * candidates - low
+        plane_m = (np.ceil((low_m - beyond_m) / voxels_m - 0.5) + 0.5) * voxels_m
+        squares += np.square(plane_m - low_m)
     if "high" in soft_row.ends:
-        misses[1] = high - (np.floor((high + half) / candidates - 0.5) + 0.5) * candidates
-    return float(candidates[np.argmin(np.square(misses).sum(axis=0))])
+        plane_m = (np.floor((high_m + beyond_m) / voxels_m - 0.5) + 0.5) * voxels_m
+        squares += np.square(high_m - plane_m)
+    return float(voxels_m[np.argmin(squares)])
 
 
 class SoftPartMPM(SoftRowPart):

@@ -22,9 +22,11 @@ import warp as wp
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.newton.kernels import carry, hold
 from gauge_envs.backends.newton.settings import CLOTH_CELL_M, SOFT_CELL_M, SettingsVBD
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
 from gauge_envs.backends.shared.soft_rows import (
     TOLERANCE_M,
@@ -32,11 +34,10 @@ from gauge_envs.backends.shared.soft_rows import (
     SoftRow,
     TetrahedralMesh,
     grid_lines_m,
-    grid_points_m,
     lame_constants,
 )
 from gauge_envs.scene import Box, Cloth, Motion
-from gauge_envs.scene.fabrics import Fabric, newton_edge_ke, newton_vbd
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.meshes import mass_properties
 
@@ -200,8 +201,8 @@ def add_cloth(
 ) -> ClothPartNewton:
     """Add a cloth to a model builder; `SurfaceContacts` determines its contacts.
 
-    The mapping `scene.fabrics.newton_vbd` gives its constants. Attached vertices have no mass and are placed on their
-    body. They are exact in single precision: 0.06 micrometres within 1 m of the origin.
+    `vbd_constants` gives its constants. Attached vertices have no mass and are placed on their body. They are exact in
+    single precision: 0.06 micrometres within 1 m of the origin.
 
     Args:
         builder: Model builder that contains the rigid bodies.
@@ -212,7 +213,7 @@ def add_cloth(
     """
     grid = ClothGrid(cloth, settings.cell_m or CLOTH_CELL_M)
     held = held_vertices(grid, cloth, attachments)
-    constants = newton_vbd(Fabric.of(cloth)).constants
+    constants = vbd_constants(Fabric.of(cloth)).constants
     start = len(builder.particle_q)
     builder.add_cloth_mesh(
         pos=wp.vec3(0.0, 0.0, 0.0),
@@ -225,10 +226,7 @@ def add_cloth(
         tri_ke=constants["tri_ke"],
         tri_ka=constants["tri_ka"],
         tri_kd=settings.stretch_damping_n_s_per_m,
-        edge_ke=newton_edge_ke(
-            bend_stiffness_n_m_per_rad=constants["edge_ke_times_mean_edge_length"],
-            mean_edge_length_m=grid.mean_edge_length_m(),
-        ),
+        edge_ke=constants["edge_ke_times_mean_edge_length"] / grid.mean_edge_length_m(),
         edge_kd=settings.bend_damping_n_s,
         particle_radius=0.5 * cloth.thickness_m,
         label=cloth.name,
@@ -260,7 +258,7 @@ class _Solid:
 
     def __init__(self, block: Block, body: int, cell_m: float) -> None:
         self.block, self.body = block, body
-        self.grid_m = grid_points_m(grid_lines_m([block], 0, cell_m))
+        self.grid_m = grid_points(*grid_lines_m([block], 0, cell_m))
 
     def moved(self, state: newton.State, points_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the positions in a state of points given at the start [m], both of shape [point_count, 3]."""

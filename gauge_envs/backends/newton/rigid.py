@@ -313,19 +313,16 @@ def keep_apart(
         index: Indices of its bodies and shapes.
         layers: Copies of shapes that collide alone, for pairs of bodies; the first shapes of these bodies do not.
     """
-    pairs = {frozenset(pair) for contact in scene.contacts for pair in scene.colliding_pairs(contact)}
-    copies = {name: {tuple(layer[name]) for layer in (layers or {}).values() if name in layer} for name in index.shapes}
-    every = {name: [*own, *(one for copy in copies[name] for one in copy)] for name, own in index.shapes.items()}
-    for shapes in every.values():
-        for one, other in combinations(shapes, 2):
-            builder.add_shape_collision_filter_pair(one, other)
-    for first, second in combinations(index.shapes, 2):
-        pair = frozenset((first, second))
-        layer = (layers or {}).get(pair, index.shapes)
-        meeting = set(product(layer[first], layer[second])) if pair in pairs else set()
-        for one, other in product(every[first], every[second]):
-            if (one, other) not in meeting:
-                builder.add_shape_collision_filter_pair(one, other)
+    layers = layers or {}
+    meeting: set[frozenset[int]] = set()
+    for contact in scene.contacts:
+        for first, second in scene.colliding_pairs(contact):
+            shapes = layers.get(frozenset((first, second)), index.shapes)
+            meeting |= {frozenset(pair) for pair in product(shapes.get(first, ()), shapes.get(second, ()))}
+    every = {shape for layer in (index.shapes, *layers.values()) for shapes in layer.values() for shape in shapes}
+    for pair in combinations(sorted(every), 2):
+        if frozenset(pair) not in meeting:
+            builder.add_shape_collision_filter_pair(*pair)
 
 
 # --- MuJoCo solver ----------------------------------------------------------------------------------------------------

@@ -12,13 +12,14 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from gauge_envs.backends.newton.fabrics import vbd_constants
 from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
 from gauge_envs.backends.shared.attachments import bonded_soft_bodies
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Rod, Rope, Scene, SoftBody
-from gauge_envs.scene.fabrics import Fabric, newton_vbd
+from gauge_envs.scene.fabrics import Fabric
 
 
 class SettingsNewton(SteppedSettings):
@@ -336,7 +337,7 @@ def longest_timestep_s(cloth: Cloth, *, cell_m: float, iterations: int) -> float
     On a square grid the squared gradients of the shape functions around a vertex, times area, add up to 4. Hinges are
     neglected; with cells of 25 mm they add 0.1 %.
     """
-    constants = newton_vbd(Fabric.of(cloth)).constants
+    constants = vbd_constants(Fabric.of(cloth)).constants
     modulus = constants["tri_ka"] + 2.0 * constants["tri_ke"]
     along_x, along_y = ClothGrid(cloth, cell_m).cell_m
     gradients = 2.0 * (along_x / along_y + along_y / along_x)

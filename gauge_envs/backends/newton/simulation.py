@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from gauge_envs.backends.base import Recording, Simulation, Worlds
 from gauge_envs.backends.newton.kernels import record
 from gauge_envs.backends.newton.model import WorldLayout, build_model
+from gauge_envs.backends.newton.recordings import WarpKernels
 from gauge_envs.backends.newton.settings import SettingsNewton
 from gauge_envs.backends.newton.stepper import HostState, Stepper
 from gauge_envs.backends.shared.rigid import PlacedWorld, placed_states
@@ -136,7 +137,9 @@ class Recorder:
         for sample in range(1, len(self._positions)):
             self._stepper.advance(interval_s)
             self._record(sample)
-        return Recording(device=str(self._device), positions_m=self._positions, states=self._states)
+        return Recording(
+            device=str(self._device), positions_m=self._positions, states=self._states, kernels=WarpKernels()
+        )
 
     def _record(self, sample: int) -> None:
         state = self._stepper.now

@@ -142,21 +142,29 @@ def _add_stiffness(
 
 
 def _add_hinges(total: NDArray[np.float64], model: newton.Model) -> None:
-    edges = model.edge_indices.numpy()
-    inner = (edges[:, :2] >= 0).all(axis=1)
-    points = model.particle_q.numpy().astype(np.float64)[edges[inner]]
-    along = points[:, 3] - points[:, 2]
-    lengths = np.linalg.norm(along, axis=1)
-    gradients = np.zeros((len(points), 4))
+    """Add the stiffness of hinges at their vertices: two opposite ones, then the two ends of the edge.
+
+    A move of a vertex off its triangle turns the triangle by the move over the height h of the triangle there. An end
+    of the edge does so by the share of the foot of the height on the edge.
+    """
+    every = model.edge_indices.numpy()
+    is_inner = (every[:, :2] >= 0).all(axis=1)
+    hinges = every[is_inner]
+    points_m = model.particle_q.numpy().astype(np.float64)[hinges]
+    first_m = points_m[:, 2]
+    edges_m = points_m[:, 3] - first_m
+    lengths_m = np.linalg.norm(edges_m, axis=1)
+    gradients = np.zeros((len(hinges), 4))
     for opposite in (0, 1):
-        arm = points[:, opposite] - points[:, 2]
-        foot = (arm * along).sum(axis=1) / lengths**2
-        slope = 1.0 / np.linalg.norm(arm - foot[:, None] * along, axis=1)
+        arms_m = points_m[:, opposite] - first_m
+        foot = (arms_m * edges_m).sum(axis=1) / lengths_m**2
+        heights_m = np.linalg.norm(arms_m - foot[:, None] * edges_m, axis=1)
+        slope = 1.0 / heights_m
         gradients[:, opposite] = slope
         gradients[:, 2] += (1.0 - foot) * slope
         gradients[:, 3] += foot * slope
-    stiffness = model.edge_bending_properties.numpy()[inner, 0] * lengths
-    np.add.at(total, edges[inner], stiffness[:, None] * np.square(gradients))
+    stiffness = model.edge_bending_properties.numpy()[is_inner, 0] * lengths_m
+    np.add.at(total, hinges, stiffness[:, None] * np.square(gradients))
 
 
 class StepperVBD(Stepper):

@@ -29,6 +29,9 @@ class BackendPhysX(BundledBackend):
     """
 
     name = "physx"
+    title = "PhysX"
+    color = "#009e73"
+    marker = "^"
     modules = ("sapien",)
     packages = ("sapien",)
     settings_for = staticmethod(settings_for)

@@ -120,16 +120,18 @@ class SimulationPhysX(PlacedWorld, Simulation):
     def moving_states(self, names: Sequence[str]) -> NDArray[np.float64]:
         """Return poses and velocities of dynamic and driven bodies in PhysX, shape [len(names), 13]."""
         states = np.empty((len(names), 13))
-        for row, name in zip(states, names, strict=True):
+        for state, name in zip(states, names, strict=True):
             part = self._open().parts[name]
             pose = part.component.entity_pose
-            row[:3], row[3:7] = pose.p, pose.q
-            row[3:7] /= np.linalg.norm(row[3:7])
-            row[7:10], row[10:] = part.component.linear_velocity, part.component.angular_velocity
+            state[:3] = pose.p
+            state[3:7] = pose.q
+            state[3:7] /= np.linalg.norm(state[3:7])
+            state[7:10] = part.component.linear_velocity
+            state[10:] = part.component.angular_velocity
             if part.centre_m.any():
                 # PhysX's linear velocity is that of the centre of mass.
-                arm = Rotation.from_quat(row[3:7], scalar_first=True).apply(part.centre_m)
-                row[7:10] -= np.cross(row[10:], arm)
+                arm_m = Rotation.from_quat(state[3:7], scalar_first=True).apply(part.centre_m)
+                state[7:10] -= np.cross(state[10:], arm_m)
         return states
 
     def close(self) -> None:

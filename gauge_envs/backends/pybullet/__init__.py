@@ -37,6 +37,9 @@ class BackendPyBullet(BundledBackend):
     """
 
     name = "pybullet"
+    title = "PyBullet"
+    color = "#000000"
+    marker = "X"
     modules = ("pybullet",)
     packages = ("pybullet",)
     settings_for = staticmethod(settings_for)

@@ -45,11 +45,14 @@ def surfaces(scene: Scene) -> dict[str, list[Surface]]:
         partners.setdefault(one, set()).add(other)
         partners.setdefault(other, set()).add(one)
     try:
-        values = products(friction, "friction"), products(restitution, "restitution")
+        frictions = products(friction, "friction")
+        restitutions = products(restitution, "restitution")
     except UnsupportedSceneError:
         unmoved = {body.name for body in scene.bodies if body.motion is not Motion.DYNAMIC}
         return _with_copies(friction, restitution, partners, unmoved)
-    return {name: [Surface(frozenset(others), values[0][name], values[1][name])] for name, others in partners.items()}
+    return {
+        name: [Surface(frozenset(others), frictions[name], restitutions[name])] for name, others in partners.items()
+    }
 
 
 def turning_shares(scene: Scene) -> dict[str, tuple[float, float]]:
@@ -84,20 +87,20 @@ def _with_copies(
         free = {(name, f"{name} alone"): 1.0 for name in partners if name not in unmoved}
         return products(movable | free, noun)
 
-    values = solved(friction, "friction"), solved(restitution, "restitution")
-    found = {
-        name: [Surface(frozenset(others), values[0][name], values[1][name])]
-        for name, others in partners.items()
-        if name not in unmoved
-    }
+    frictions = solved(friction, "friction")
+    restitutions = solved(restitution, "restitution")
+    found: dict[str, list[Surface]] = {}
+    for name, others in partners.items():
+        if name not in unmoved:
+            found[name] = [Surface(frozenset(others), frictions[name], restitutions[name])]
     for name in sorted(unmoved & set(partners)):
         groups: dict[tuple[float, float], set[str]] = {}
         for other in sorted(partners[name]):
             pair = (name, other) if (name, other) in friction else (other, name)
-            constants = friction[pair] / values[0][other], restitution[pair] / values[1][other]
             # Values of equal bodies differ in the last digits.
-            first, second = (float(f"{value:.12g}") for value in constants)
-            groups.setdefault((first, second), set()).add(other)
+            own_friction = float(f"{friction[pair] / frictions[other]:.12g}")
+            own_restitution = float(f"{restitution[pair] / restitutions[other]:.12g}")
+            groups.setdefault((own_friction, own_restitution), set()).add(other)
         found[name] = [Surface(frozenset(others), *constants) for constants, others in groups.items()]
     return found
 

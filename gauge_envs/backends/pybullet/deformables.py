@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends.pybullet.settings import SEGMENT_LIMIT, SOFT_CELL_M
 from gauge_envs.backends.pybullet.world import BulletWorld, Link, pybullet
 from gauge_envs.backends.shared.attachments import attached_ends, points_on_axis, rigid_attachments
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.backends.shared.soft_rows import lame_constants
 from gauge_envs.errors import ShapeError
 from gauge_envs.scene import Cylinder, Motion, Region, RigidBody, Rope, Scene, SoftBody
@@ -126,62 +127,85 @@ def add_rope(world: BulletWorld, rope: Rope, *, cell_m: float | None) -> RopePar
     ends = rope_ends(world.scene, rope)
     count = max(2, min(SEGMENT_LIMIT, round(rope.length_m / (cell_m or SEGMENT_M))))
     length_m = rope.length_m / count
+    mass_kg = rope.mass_kg / count
     nodes_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     start_m, end_m = (nodes_m[0], nodes_m[-1]) if ends.from_low else (nodes_m[-1], nodes_m[0])
     # All segments have the same rotation at the start; z points from the first to the last one.
     rotation = Rotation.align_vectors([(end_m - start_m) / rope.length_m], [[0.0, 0.0, 1.0]])[0]
-    length, mass_kg = world.scale * length_m, rope.mass_kg / count
-    across = mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[1][0, 0]
-    moments = [world.scale**2 * float(across)] * 3
-    root = ends.root if ends.root is not None and ends.root.motion is Motion.DYNAMIC else None
-    if root is not None:
-        frame = world.frame(root)
-        base, base_moments = world.base_arguments(root, frame), frame.moments
-        turn = root.pose.rotation * frame.axes
-        arm = turn.inv().apply(start_m - root.pose.to_world(frame.centre_m))
-        place = (world.scale * arm, turn.inv() * rotation)
-    elif ends.root is not None:
-        base, base_moments = _base(world, start_m, rotation), []
-        place = (np.zeros(3), Rotation.identity())
+    across_kg_m2 = float(mass_properties(Cylinder(radius_m=rope.radius_m, length_m=length_m), mass_kg)[1][0, 0])
+    moments = [world.scale**2 * across_kg_m2] * 3
+    # In units along z of a segment whose joint is at its start.
+    length = np.array([0.0, 0.0, world.scale * length_m])
+    centre = 0.5 * length
+
+    if ends.root is not None:
+        base, base_moments, place = _root_of_rope(world, ends.root, start_m, rotation)
+        segments = range(count)
     else:
-        base, base_moments = _base(world, start_m + 0.5 / count * (end_m - start_m), rotation), moments
-        base["baseMass"] = mass_kg
-        place = (np.array([0.0, 0.0, 0.5 * length]), Rotation.identity())
-    first = -1 if ends.root is None else 0
+        # The first segment is the base, link -1.
+        base = _massless_base(world, start_m + 0.5 / count * (end_m - start_m), rotation) | {"baseMass": mass_kg}
+        base_moments = moments
+        place = centre, Rotation.identity()
+        segments = range(-1, count - 1)
     links = []
-    for _ in range(count + first):
-        centre = np.array([0.0, 0.0, 0.5 * length])
-        spherical = pybullet.JOINT_SPHERICAL
-        links.append(Link(joint=spherical, place=place, mass_kg=mass_kg, moments=moments, centre=centre))
-        place = (np.array([0.0, 0.0, length]), Rotation.identity())
+    for _ in range(segments.stop):
+        links.append(Link(joint=pybullet.JOINT_SPHERICAL, place=place, mass_kg=mass_kg, moments=moments, centre=centre))
+        place = length, Rotation.identity()
     if ends.tip is not None:
-        frame = world.frame(ends.tip)
-        turn = ends.tip.pose.rotation * frame.axes
-        arm = turn.inv().apply(ends.tip.pose.to_world(frame.centre_m) - end_m)
-        links.append(
-            Link(
-                joint=pybullet.JOINT_SPHERICAL,
-                place=(place[0], rotation.inv() * turn),
-                mass_kg=ends.tip.mass_kg,
-                moments=frame.moments,
-                centre=world.scale * arm,
-                shape=world.shape(
-                    ends.tip.shape, turn.inv().apply(np.subtract(ends.tip.pose.position_m, end_m)), frame
-                ),
-            )
-        )
+        links.append(_tip_of_rope(world, ends.tip, place[0], rotation, end_m))
     body = world.add_multibody(base, base_moments, links)
-    if root is not None:
-        world.add_handle(root, body, -1)
+
+    if ends.root is not None and ends.root.motion is Motion.DYNAMIC:
+        world.add_handle(ends.root, body, -1)
     if ends.tip is not None:
         world.add_handle(ends.tip, body, len(links) - 1)
-    segments = tuple(range(first, first + count))
-    if ends.from_low:
-        return RopePart(rope.name, body, segments, 0.5 * length, nodes_m)
-    return RopePart(rope.name, body, segments[::-1], -0.5 * length, nodes_m)
+    from_low = tuple(segments) if ends.from_low else tuple(reversed(segments))
+    half = float(centre[2]) if ends.from_low else -float(centre[2])
+    return RopePart(rope.name, body, from_low, half, nodes_m)
 
 
-def _base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
+def _root_of_rope(
+    world: BulletWorld, root: RigidBody, start_m: NDArray[np.float64], rotation: Rotation
+) -> tuple[dict[str, Any], list[float], tuple[NDArray[np.float64], Rotation]]:
+    """Return the base on which a rope hangs: its arguments, its moments of inertia, and the rope's start in its frame.
+
+    A body that does not move under forces is a base without mass at the start of the rope.
+    """
+    if root.motion is not Motion.DYNAMIC:
+        return _massless_base(world, start_m, rotation), [], (np.zeros(3), Rotation.identity())
+    frame = world.frame(root)
+    to_base = (root.pose.rotation * frame.axes).inv()
+    arm_m = to_base.apply(start_m - root.pose.to_world(frame.centre_m))
+    return world.base_arguments(root, frame), frame.moments, (world.scale * arm_m, to_base * rotation)
+
+
+def _tip_of_rope(
+    world: BulletWorld, tip: RigidBody, place: NDArray[np.float64], rotation: Rotation, end_m: NDArray[np.float64]
+) -> Link:
+    """Return the body at the end of a rope as a link.
+
+    Args:
+        world: The world.
+        tip: The body.
+        place: End of the last segment in its frame [units], where the joint is.
+        rotation: Rotation of the segments.
+        end_m: End of the rope in the world [m].
+    """
+    frame = world.frame(tip)
+    turn = tip.pose.rotation * frame.axes
+    centre_m = turn.inv().apply(tip.pose.to_world(frame.centre_m) - end_m)
+    origin_m = turn.inv().apply(np.subtract(tip.pose.position_m, end_m))
+    return Link(
+        joint=pybullet.JOINT_SPHERICAL,
+        place=(place, rotation.inv() * turn),
+        mass_kg=tip.mass_kg,
+        moments=frame.moments,
+        centre=world.scale * centre_m,
+        shape=world.shape(tip.shape, origin_m, frame),
+    )
+
+
+def _massless_base(world: BulletWorld, place_m: NDArray[np.float64], rotation: Rotation) -> dict[str, Any]:
     """Return the arguments of a base without mass and shape."""
     position = (world.scale * place_m).tolist()
     return {"baseMass": 0.0, "basePosition": position, "baseOrientation": rotation.as_quat().tolist()}
@@ -247,14 +271,18 @@ def _write_mesh(
 ) -> NDArray[np.float64]:
     """Write a VTK file with the tetrahedra of a soft body and return its nodes in the body frame [m]."""
     axes = [_places_m(edge, axis, regions, cell_m) for edge, axis in zip(body.shape.size_m, "xyz", strict=True)]
-    nodes_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    cells = tetrahedra((len(axes[0]), len(axes[1]), len(axes[2])))
+    x, y, z = axes
+    nodes_m = grid_points(x, y, z)
+    cells = tetrahedra((len(x), len(y), len(z)))
     lines = ["# vtk DataFile Version 2.0", "soft body", "ASCII", "DATASET UNSTRUCTURED_GRID"]
     lines.append(f"POINTS {len(nodes_m)} double")
-    lines += [f"{x!r} {y!r} {z!r}" for x, y, z in (scale * nodes_m).tolist()]
+    for point in (scale * nodes_m).tolist():
+        lines.append(" ".join(map(repr, point)))
     lines.append(f"CELLS {len(cells)} {5 * len(cells)}")
-    lines += ["4 " + " ".join(map(str, cell)) for cell in cells.tolist()]
+    for corners in cells.tolist():
+        lines.append(" ".join(map(str, (4, *corners))))
     lines.append(f"CELL_TYPES {len(cells)}")
+    # 10 is VTK's number of a tetrahedron.
     lines += ["10"] * len(cells)
     file.write_text("\n".join(lines) + "\n")
     return nodes_m

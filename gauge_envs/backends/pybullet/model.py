@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.pybullet.contacts import Surface, impact_bodies, pushing_bodies, surfaces, turning_shares
@@ -145,50 +146,63 @@ class WorldPyBullet(BulletWorld):
         """
         name, hinge = next(iter(hinges.items()))
         root = self.scene.body(other_end(hinge, name)) if isinstance(hinge, BodyHinge) else None
-        members = [self.scene.body(name) for name in ([root.name] if root else []) + list(hinges)]
-        frames = {body.name: self.frame(body) for body in members}
-        turns = {body.name: body.pose.rotation * frames[body.name].axes for body in members}
-        origins = {name: np.asarray(hinge.anchor_m) for name, hinge in hinges.items()}
-        base: dict[str, Any] = {"baseMass": 0.0, "basePosition": (self.scale * origins[name]).tolist()}
+        # World position [m] and rotation of the frame of each member, and its number among the parents of links.
+        places: dict[str, tuple[NDArray[np.float64], Rotation, int]] = {}
+        base: dict[str, Any] = {"baseMass": 0.0, "basePosition": (self.scale * np.asarray(hinge.anchor_m)).tolist()}
         base_moments: list[float] = []
         if root is not None:
-            base, base_moments = self.base_arguments(root, frames[root.name]), frames[root.name].moments
-            origins[root.name] = root.pose.to_world(frames[root.name].centre_m)
-        links = []
+            frame = self.frame(root)
+            base = self.base_arguments(root, frame)
+            base_moments = frame.moments
+            places[root.name] = root.pose.to_world(frame.centre_m), root.pose.rotation * frame.axes, 0
+        links: list[Link] = []
         for name, hinge in hinges.items():
-            body, back, place, parent = self.scene.body(name), turns[name].inv(), (np.zeros(3), turns[name]), 0
+            body = self.scene.body(name)
+            frame = self.frame(body)
+            origin_m = np.asarray(hinge.anchor_m)
+            turn = body.pose.rotation * frame.axes
+            back = turn.inv()
+            place = np.zeros(3), turn
+            parent = 0
             if isinstance(hinge, BodyHinge):
-                other = other_end(hinge, name)
-                to_parent, parent = turns[other].inv(), list(frames).index(other) + (root is None)
-                place = (self.scale * to_parent.apply(origins[name] - origins[other]), to_parent * turns[name])
-            arm_m = back.apply(body.pose.to_world(frames[name].centre_m) - origins[name])
-            offset_m = back.apply(np.subtract(body.pose.position_m, origins[name]))
+                parent_origin_m, parent_turn, parent = places[other_end(hinge, name)]
+                to_parent = parent_turn.inv()
+                place = self.scale * to_parent.apply(origin_m - parent_origin_m), to_parent * turn
+            centre_m = back.apply(body.pose.to_world(frame.centre_m) - origin_m)
+            body_origin_m = back.apply(np.subtract(body.pose.position_m, origin_m))
             link = Link(
                 joint=pybullet.JOINT_REVOLUTE,
                 place=place,
                 parent=parent,
                 mass_kg=body.mass_kg,
-                moments=frames[name].moments,
-                centre=self.scale * arm_m,
-                shape=self.shape(body.shape, offset_m, frames[name]),
+                moments=frame.moments,
+                centre=self.scale * centre_m,
+                shape=self.shape(body.shape, body_origin_m, frame),
                 axis=back.apply(hinge.axis).tolist(),
             )
             links.append(link)
+            places[name] = origin_m, turn, len(links)
         number = self.add_multibody(base, base_moments, links)
-        for link_number, body in enumerate(members, start=0 if root is None else -1):
-            self.add_handle(body, number, link_number)
         if root is not None:
-            self._start_base(number, root, frames[root.name])
+            self.add_handle(root, number, -1)
+            self._start_base(number, root, self.frame(root))
         for link_number, (name, hinge) in enumerate(hinges.items()):
-            rate = joint_rate_rad_per_s(self.scene, name, hinge)
-            self.call("resetJointState", number, link_number, targetValue=0.0, targetVelocity=rate)
-            dry, damping = hinge.dynamics.dry_friction_n_m, hinge.dynamics.viscous_friction_n_m_s_per_rad
-            if dry:
-                # A motor that holds the rate at 0 with a largest torque.
-                brake = {"controlMode": pybullet.VELOCITY_CONTROL, "targetVelocity": 0.0, "force": self.scale**2 * dry}
-                self.call("setJointMotorControl2", number, link_number, **brake)
-            if damping:
-                self.call("changeDynamics", number, link_number, jointDamping=self.scale**2 * damping)
+            self.add_handle(self.scene.body(name), number, link_number)
+            self._set_joint(number, link_number, name, hinge)
+
+    def _set_joint(self, number: int, link: int, name: str, hinge: Hinge | BodyHinge) -> None:
+        """Write the start rate and the friction of the joint of a body on a hinge."""
+        rate = joint_rate_rad_per_s(self.scene, name, hinge)
+        self.call("resetJointState", number, link, targetValue=0.0, targetVelocity=rate)
+        # Torques are in kg units^2 / s^2.
+        dry = self.scale**2 * hinge.dynamics.dry_friction_n_m
+        damping = self.scale**2 * hinge.dynamics.viscous_friction_n_m_s_per_rad
+        if dry:
+            # A motor that holds the rate at 0 with a largest torque.
+            velocity = pybullet.VELOCITY_CONTROL
+            self.call("setJointMotorControl2", number, link, velocity, targetVelocity=0.0, force=dry)
+        if damping:
+            self.call("changeDynamics", number, link, jointDamping=damping)
 
     def _start_base(self, number: int, body: RigidBody, frame: Frame) -> None:
         """Write the start velocity of the base of a multibody."""

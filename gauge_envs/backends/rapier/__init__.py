@@ -22,6 +22,9 @@ class BackendRapier(BundledBackend):
     """
 
     name = "rapier"
+    title = "Rapier"
+    color = "#d55e00"
+    marker = "s"
     modules = ("rapier3d",)
     packages = ("rapier3d",)
     settings_for = staticmethod(settings_for)

@@ -101,14 +101,16 @@ class _SceneWorld(PlacedWorld):
 
     def _state(self, name: str) -> NDArray[np.float64]:
         body = self._bodies[name]
-        place, turned, speed, spin = body.translation, body.rotation, body.linvel, body.angvel
-        x, y, z, w = turned.quaternion
-        state = np.array([*place.to_tuple(), w, x, y, z, *speed.to_tuple(), *spin.to_tuple()])
+        position_m = body.translation.to_tuple()
+        velocity = body.linvel.to_tuple()
+        spin = body.angvel.to_tuple()
+        x, y, z, w = body.rotation.quaternion
+        state = np.array([*position_m, w, x, y, z, *velocity, *spin])
         _, centre_m = self._layout[name]
         if centre_m.any():
             # Rapier's velocity is that of the centre of mass.
-            arm = turned.transform_vector(tuple(centre_m)).to_tuple()
-            state[7:10] -= np.cross(state[10:], arm)
+            arm_m = body.rotation.transform_vector(tuple(centre_m)).to_tuple()
+            state[7:10] -= np.cross(state[10:], arm_m)
         return state
 
 
@@ -120,13 +122,14 @@ def _mean_velocities(motion: DrivenMotion, seconds: float, step_count: int) -> l
     Returns:
         Linear [m/s] and angular [rad/s] velocity, shape [step_count, 6].
     """
-    times = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
-    travel = motion.travel(times)
-    linear, angular = np.diff(travel[:, :3], axis=0), np.diff(travel[:, 3:], axis=0)
+    times_s = np.linspace(0.0, seconds, step_count + 1)[:, np.newaxis]
+    travel = motion.travel(times_s)
+    steps = np.diff(travel, axis=0)
+    # Rotation vectors subtract if the axis stays the same.
     if np.cross(motion.velocity[3:], motion.acceleration[3:]).any():
         turned = Rotation.from_rotvec(travel[:, 3:])
-        angular = (turned[1:] * turned[:-1].inv()).as_rotvec()
-    return (np.hstack([linear, angular]) * (step_count / seconds)).tolist()
+        steps[:, 3:] = (turned[1:] * turned[:-1].inv()).as_rotvec()
+    return (steps * (step_count / seconds)).tolist()
 
 
 def _restored(snapshot: bytes, threads: int) -> rapier.PhysicsWorld:

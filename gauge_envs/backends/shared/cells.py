@@ -1,9 +1,11 @@
-"""Cell size of deformable bodies, for every engine: its meaning, its bounds, and a check for a scene."""
+"""Cells of deformable bodies, for every engine: points of a grid, and the setting of the size with its checks."""
 
 from collections.abc import Mapping
 from math import prod
 from typing import Annotated
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from gauge_envs.errors import ParameterError
@@ -13,6 +15,15 @@ CellSize = Annotated[float, Field(ge=5e-4, le=1.0)] | None
 """Setting `cell_m`: edge of the cells of cloth and soft bodies, and length of the segments of ropes and rods [m]."""
 
 FEWEST_SEGMENTS: dict[type[Deformable], int] = {Rope: 2, Rod: 4}
+
+
+def grid_points(*lines: NDArray[np.floating]) -> NDArray[np.float64]:
+    """Return the points of a grid with the given places along each axis, the last axis fastest.
+
+    Returns:
+        Shape [point_count, axis_count].
+    """
+    return np.stack(np.meshgrid(*lines, indexing="ij"), axis=-1).reshape(-1, len(lines))
 
 
 def check_cells(engine: str, scene: Scene, cell_m: float, *, node_limit: int, soft_nodes_per_edge: int = 1) -> None:

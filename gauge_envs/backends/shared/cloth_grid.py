@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.backends.shared.attachments import RigidAttachment
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import UnsupportedSceneError
 from gauge_envs.scene import Cloth, Motion, Region
 
@@ -25,18 +26,23 @@ class ClothGrid:
     """
 
     def __init__(self, cloth: Cloth, cell_m: float) -> None:
-        self._size_m = cloth.size_m
+        size_x, size_y = self._size_m = cloth.size_m
         nx, ny = self._counts = tuple(max(1, round(size / cell_m)) for size in cloth.size_m)
-        self.cell_m = (cloth.size_m[0] / nx, cloth.size_m[1] / ny)
-        x, y = (np.linspace(-0.5 * size, 0.5 * size, n + 1) for size, n in zip(cloth.size_m, (nx, ny), strict=True))
-        self.plane_m = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1).reshape(-1, 2)
+        self.cell_m = (size_x / nx, size_y / ny)
+        x = np.linspace(-0.5 * size_x, 0.5 * size_x, nx + 1)
+        y = np.linspace(-0.5 * size_y, 0.5 * size_y, ny + 1)
+        self.plane_m = grid_points(x, y)
         self.rest_m = cloth.pose.to_world(np.column_stack([self.plane_m, np.zeros(len(self.plane_m))]))
-        i, j = (index.ravel() for index in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
-        a, b = i * (ny + 1) + j, (i + 1) * (ny + 1) + j
-        d, c = a + 1, b + 1
+        # Corners a, b, c, d of each cell, counter-clockwise from the lowest one.
+        vertices = np.arange(len(self.plane_m)).reshape(nx + 1, ny + 1)
+        a = vertices[:-1, :-1].ravel()
+        b = vertices[1:, :-1].ravel()
+        c = vertices[1:, 1:].ravel()
+        d = vertices[:-1, 1:].ravel()
         rising = np.stack([a, b, c, a, c, d], axis=-1)
         falling = np.stack([a, b, d, b, c, d], axis=-1)
-        self.triangles = np.where((j % 2 == 0)[:, None], rising, falling).reshape(-1, 3)
+        rises = np.tile(np.arange(ny) % 2 == 0, nx)
+        self.triangles = np.where(rises[:, None], rising, falling).reshape(-1, 3)
 
     def within(self, region: Region) -> NDArray[np.bool_]:
         """Return whether each vertex lies in a region, shape [vertex_count]."""

@@ -55,19 +55,28 @@ def body_values(pairs: Mapping[Pair, float], rule: Combination | str) -> dict[st
         limit = min if rule is Combination.MAX else max
         found = {name: limit(value for pair, value in pairs.items() if name in pair) for name in names}
     elif rule is Combination.MEAN:
-        found = _solved(names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0)
+        found = values_of_sums(names, {pair: 2.0 * value for pair, value in pairs.items()}, lowest=0.0)
     else:
+        # The logarithms of two values add up to that of their product.
         power = 2.0 if rule is Combination.GEOMETRIC else 1.0
-        positive = {pair: power * float(np.log(value)) for pair, value in pairs.items() if value > 0.0}
-        logs = _solved([name for name in names if any(name in pair for pair in positive)], positive, lowest=-np.inf)
+        sums = {pair: power * float(np.log(value)) for pair, value in pairs.items() if value > 0.0}
+        active = [name for name in names if any(name in pair for pair in sums)]
         # A body of which all pairs have the value 0 has the value 0.
-        found = {name: float(np.exp(logs[name])) if name in logs else 0.0 for name in names}
+        found = dict.fromkeys(names, 0.0)
+        for name, logarithm in values_of_sums(active, sums, lowest=-np.inf).items():
+            found[name] = float(np.exp(logarithm))
     _check(pairs, found, rule)
     return found
 
 
-def _solved(names: list[str], sums: Mapping[Pair, float], *, lowest: float) -> dict[str, float]:
-    """Return values of bodies whose sums come closest to those of the pairs."""
+def values_of_sums(names: list[str], sums: Mapping[Pair, float], *, lowest: float) -> dict[str, float]:
+    """Return values of bodies whose sums come closest to those of pairs, in the least-squares sense.
+
+    Args:
+        names: Names of the bodies.
+        sums: Sum of the two values of each pair.
+        lowest: Smallest value of a body.
+    """
     if not sums:
         return {}
     rows: NDArray[np.float64] = np.zeros((len(sums), len(names)))

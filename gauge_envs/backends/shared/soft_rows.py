@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from gauge_envs.backends.shared.attachments import RigidAttachment, attachments_by_body, bonded_soft_bodies
+from gauge_envs.backends.shared.cells import grid_points
 from gauge_envs.errors import ShapeError, UnsupportedSceneError
 from gauge_envs.scene import Motion, Scene, SoftBody
 
@@ -250,7 +251,7 @@ class TetrahedralMesh:
             members = list(group)
             lines = grid_lines_m([block for _, block in members], soft_row.axis, cell_m)
             corners = _tetrahedra([len(line) for line in lines])
-            points.append(grid_points_m(lines))
+            points.append(grid_points(*lines))
             tetrahedra.append(count + corners)
             count += len(points[-1])
             middles = points[-1][corners].mean(axis=1)
@@ -281,10 +282,12 @@ class TetrahedralMesh:
 
     def weights(self, points_m: NDArray[np.float64]) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
         """Return four nodes and their barycentric weights for each point [m], both of shape [point_count, 4]."""
-        corner = self.points_m[self.tetrahedra[:, 0]]
-        inverse = np.linalg.inv((self.points_m[self.tetrahedra[:, 1:]] - corner[:, None]).transpose(0, 2, 1))
-        later = np.einsum("tij,ptj->pti", inverse, points_m[:, None] - corner)
-        weights = np.concatenate([1.0 - later.sum(axis=-1, keepdims=True), later], axis=-1)
+        corners = self.points_m[self.tetrahedra]
+        first = corners[:, 0]
+        # A point is x0 + E w with the edges E from the first corner; w are the weights of the other corners.
+        edges = (corners[:, 1:] - first[:, None]).transpose(0, 2, 1)
+        others = np.einsum("tij,ptj->pti", np.linalg.inv(edges), points_m[:, None] - first)
+        weights = np.concatenate([1.0 - others.sum(axis=-1, keepdims=True), others], axis=-1)
         # On shared faces, and just outside the surface, take the tetrahedron that contains the point most deeply.
         best = np.argmax(weights.min(axis=-1), axis=1)
         return self.tetrahedra[best], weights[np.arange(len(points_m)), best]
@@ -296,11 +299,6 @@ def grid_lines_m(blocks: Sequence[Block], axis: int, cell_m: float) -> list[NDAr
     for block in blocks[1:]:
         lines[axis] = np.append(lines[axis], _line_m(block.low_m[axis], block.high_m[axis], cell_m)[1:])
     return lines
-
-
-def grid_points_m(lines_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return the points of a grid with the given lines along x, y and z [m], z fastest, shape [point_count, 3]."""
-    return np.stack(np.meshgrid(*lines_m, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
 def _line_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
@@ -330,8 +328,8 @@ def points_in_box_m(
     """
     counts = np.maximum(1, np.ceil((high_m - low_m) / spacing_m - 1e-6)).astype(int)
     cell_m = (high_m - low_m) / counts
-    steps = np.meshgrid(*(np.arange(count) + 0.5 for count in counts), indexing="ij")
-    return low_m + cell_m * np.stack(steps, axis=-1).reshape(-1, 3), cell_m
+    middles = grid_points(*(np.arange(count) + 0.5 for count in counts))
+    return low_m + cell_m * middles, cell_m
 
 
 def linear_weights(
@@ -342,12 +340,15 @@ def linear_weights(
     Returns:
         Indices of the sources and their weights, both of shape [point_count, NEIGHBOURS].
     """
-    distance, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
-    # The weight falls to 2 % at the farthest neighbour.
-    near = np.exp(-4.0 * np.square(distance / distance[:, -1:]))
-    offsets = sources_m[nearest] - points_m[:, None]
-    basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets / distance[:, -1:, None]], axis=-1)
-    moments = np.einsum("pk,pki,pkj->pij", near, basis, basis)
+    distances_m, nearest = cKDTree(sources_m).query(points_m, k=NEIGHBOURS)
+    reach_m = distances_m[:, -1:]
+    # The importance of a source falls to 2 % at the farthest neighbour.
+    importance = np.exp(-4.0 * np.square(distances_m / reach_m))
+    offsets = (sources_m[nearest] - points_m[:, None]) / reach_m[:, None]
+    # A linear function about the point has the basis 1, x, y, z.
+    basis = np.concatenate([np.ones_like(offsets[..., :1]), offsets], axis=-1)
+    moments = np.einsum("pk,pki,pkj->pij", importance, basis, basis)
     # The value at the point itself is the first coefficient.
-    first = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(points_m), 4, 1)))[..., 0]
-    return nearest, near * np.einsum("pki,pi->pk", basis, first)
+    selected = np.broadcast_to(np.eye(4)[:, :1], (len(points_m), 4, 1))
+    coefficients = np.linalg.solve(moments, selected)[..., 0]
+    return nearest, importance * np.einsum("pki,pi->pk", basis, coefficients)

@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from gauge_envs.backends.mujoco.mjcf_writer import NUMBER, expanded
 from gauge_envs.errors import ParameterError, ResultFileError
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.variants import variants
@@ -23,6 +22,7 @@ from gauge_envs.scene import Box, Compound, ConvexUnion, Cylinder, Plane, Rod, R
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.meshes import hull_faces
 from gauge_envs.tools.assets.export import mjcf_text, usd_layer_text
+from gauge_envs.tools.mjcf import NUMBER, expanded
 
 FOLDERS = ("mjcf", "obj", "usd")
 

@@ -6,15 +6,6 @@ from pathlib import Path
 from pxr import Usd
 
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.mjcf_reader import DRIVER_PREFIX, driver_rows
-from gauge_envs.backends.mujoco.mjcf_writer import (
-    add_grips,
-    add_stiffness_tables,
-    described_xml,
-    replay_note,
-    start_notes,
-    without_rest,
-)
 from gauge_envs.errors import ResultFileError, UnsupportedSceneError
 from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.task_files import task_sha256
@@ -22,7 +13,17 @@ from gauge_envs.experiments.variants import task_path
 from gauge_envs.files import os_errors
 from gauge_envs.scene.driver_path import DriverPath
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.usd.writer import scene_stage
+from gauge_envs.tools.mjcf import (
+    DRIVER_PREFIX,
+    add_grips,
+    add_stiffness_tables,
+    described_xml,
+    driver_rows,
+    replay_note,
+    start_notes,
+    without_rest,
+)
+from gauge_envs.tools.usd import scene_stage
 
 SOURCE = (
     "Calibrated constants and initial states: GAUGE paper (arXiv 2608.05948) and GAUGE dataset "

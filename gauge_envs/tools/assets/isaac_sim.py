@@ -22,8 +22,7 @@ from gauge_envs.observables.observer import material_points
 from gauge_envs.scene import Cloth, Deformable, JointDynamics, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets.export import experiment_stage
-from gauge_envs.tools.usd.layer import record_follower
-from gauge_envs.tools.usd.writer import export_stage
+from gauge_envs.tools.usd import export_stage, record_follower
 
 RIGID_AND_CLOTH_HZ = 180
 """Steps per second of rigid bodies and cloth (paper, section on physics engines)."""

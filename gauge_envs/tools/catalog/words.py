@@ -10,7 +10,6 @@ from gauge_envs.pages.document import Bullets, Document, Heading, Paragraph, Par
 from gauge_envs.pages.results import convergence_text
 from gauge_envs.pages.table import Column, Facts, Place, Table
 from gauge_envs.pages.text import (
-    ENGINE_TITLES,
     GRADE_NOTES,
     METRIC_TITLES,
     NORMALIZED_NOTE,
@@ -23,6 +22,7 @@ from gauge_envs.pages.text import (
 )
 from gauge_envs.references.bands import SigmaSource
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.tools.catalog.spaces import range_text, shape_text
 
 SIGMA_NOTES = {
@@ -300,7 +300,7 @@ def published_table(
             *columns,
             Column("metric", "metric", METRIC_TITLES.__getitem__),
             Column("", "real trials", trials, is_number=True),
-            *(Column(f"engines.{key}", engine, score_text, is_number=True) for key, engine in ENGINE_TITLES.items()),
+            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in PUBLISHED_ENGINES.items()),
         ),
         rows=lines,
         notes=(note,) if lines else (),

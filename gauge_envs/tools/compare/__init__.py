@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     )
     from gauge_envs.tools.compare.words import (
         comparison_document as comparison_document,
+        cost_text as cost_text,
         deciding_text as deciding_text,
         mean_rank_text as mean_rank_text,
         p_text as p_text,

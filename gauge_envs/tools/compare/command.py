@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,24 +76,24 @@ def draw_compare(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Pat
     return save_comparison(list(results.values()), out, metric=next(iter(names), None)), skipped
 
 
-def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterator[Path], int]:
+def draw_cost(sources: Sequence[str] | None, out: Path) -> tuple[Iterable[Path], int]:
     """Write error over cost as a picture, in Markdown and in JSON."""
+    from gauge_envs.pages.document import as_markdown, as_rows, save_file
+    from gauge_envs.pages.figures import save_png
+    from gauge_envs.tools.compare.cost import cost_curves, cost_document, draw_costs
+
     results, skipped = loaded_results(arguments.split_details(sources)[0], with_scene=True)
-
-    def written() -> Iterator[Path]:
-        from gauge_envs.pages.document import as_markdown, as_rows, save_file
-        from gauge_envs.pages.figures import save_png
-        from gauge_envs.tools.cost import draw_pareto, pareto_document, tradeoff
-
-        found = tradeoff(results.values())
-        for text in found.notes:
-            note(text)
-        document = pareto_document(found)
-        yield save_png(draw_pareto(found), out / "pareto.png")
-        yield save_file(out / "pareto.md", as_markdown(document))
-        yield save_file(out / "pareto.json", json.dumps(as_rows(document)[0], indent=1) + "\n")
-
-    return written(), skipped
+    notes: list[str] = []
+    curves = cost_curves(results.values(), notes)
+    for text in dict.fromkeys(notes):
+        note(text)
+    document = cost_document(curves)
+    files = (
+        save_png(draw_costs(curves), out / "pareto.png"),
+        save_file(out / "pareto.md", as_markdown(document)),
+        save_file(out / "pareto.json", json.dumps(as_rows(document), indent=1) + "\n"),
+    )
+    return files, skipped
 
 
 def _split_details(words: Sequence[str] | None) -> tuple[list[str], list[str], bool]:

@@ -86,8 +86,8 @@ class Cell:
 def _cost(cells: Iterable[Cell]) -> float | None:
     """Return the wall seconds per simulated second of all repeats with a known wall time."""
     results = [result for cell in cells for result in cell.results]
-    timed = [(result.wall_s, result.sim_s) for result in results if result.wall_s is not None]
-    wall_s, sim_s = sum(wall for wall, _ in timed), sum(simulated for _, simulated in timed)
+    wall_s = sum(result.wall_s for result in results if result.wall_s is not None)
+    sim_s = sum(result.sim_s for result in results if result.wall_s is not None)
     return wall_s / sim_s if sim_s > 0.0 and wall_s > 0.0 else None
 
 
@@ -250,18 +250,20 @@ class Comparison:
         return tuple(self._summary(index) for index in range(len(self.configurations)))
 
     def _summary(self, index: int) -> Summary:
-        cells, common = (
-            [cell for one in experiments if (cell := one.cells[index]) is not None]
-            for experiments in (self.experiments, self.run_by_all)
-        )
+        cells = _cells_of(self.experiments, index)
         return Summary(
             ran=sum(cell.ran for cell in cells),
             scored=sum(None not in cell.values("rmse", normalized=True) for cell in cells),
             diverged=sum(cell.count(Outcome.DIVERGED) > 0 for cell in cells),
             not_run=sum(not cell.ran for cell in cells),
             wall_s_per_sim_s=_cost(cells),
-            wall_s_per_sim_s_common=_cost(common),
+            wall_s_per_sim_s_common=_cost(_cells_of(self.run_by_all, index)),
         )
+
+
+def _cells_of(experiments: Iterable[ExperimentComparison], index: int) -> list[Cell]:
+    """Return the results of a configuration in experiments that it has."""
+    return [cell for one in experiments if (cell := one.cells[index]) is not None]
 
 
 def _has_one_reference(one: ExperimentComparison) -> bool:
@@ -285,31 +287,10 @@ def compare(results: Iterable[Result]) -> Comparison:
     groups = group_by_configuration(every)
     # In the order of `gauge list`; experiments of files follow by name.
     places = {variant.id: place for place, variant in enumerate(variants())}
-    names = sorted({result.id for result in every}, key=lambda name: (places.get(name, len(places)), name))
-    by_id = {
-        name: tuple(_cell(name, configuration, members, notes) for configuration, members in groups) for name in names
-    }
     experiments = []
-    for name, cells in by_id.items():
-        every_cell = [result for cell in cells if cell is not None for result in cell.results]
-        first = next((result for result in every_cell if result.error is None), every_cell[0])
-        baselines = published_baselines(short_id(name))
-        present = [(index, cell.results) for index, cell in enumerate(cells) if cell is not None]
-        distances = (
-            trajectory_distance((first, second), some, others, baselines.get("rmse"))
-            for (first, some), (second, others) in combinations(present, 2)
-        )
-        experiments.append(
-            ExperimentComparison(
-                id=name,
-                grade=first.score.grade,
-                withheld=first.score.withheld is not None,
-                unit=first.score.unit,
-                cells=cells,
-                baselines=baselines,
-                distances=tuple(distance for distance in distances if distance is not None),
-            )
-        )
+    for name in sorted(newest, key=lambda name: (places.get(name, len(places)), name)):
+        cells = [_cell(name, members, notes) for _, members in groups]
+        experiments.append(_experiment(name, cells))
     return Comparison(
         configurations=tuple(configuration for configuration, _ in groups),
         experiments=tuple(experiments),
@@ -317,7 +298,29 @@ def compare(results: Iterable[Result]) -> Comparison:
     )
 
 
-def _cell(name: str, configuration: RunConfiguration, members: Sequence[Result], notes: list[str]) -> Cell | None:
+def _experiment(name: str, cells: Sequence[Cell | None]) -> ExperimentComparison:
+    """Return an experiment in all configurations."""
+    present = [(index, cell.results) for index, cell in enumerate(cells) if cell is not None]
+    results = [result for _, members in present for result in members]
+    first = next((result for result in results if result.error is None), results[0])
+    baselines = published_baselines(short_id(name))
+    distances = []
+    for (index, some), (other_index, others) in combinations(present, 2):
+        distance = trajectory_distance((index, other_index), some, others, baselines.get("rmse"))
+        if distance is not None:
+            distances.append(distance)
+    return ExperimentComparison(
+        id=name,
+        grade=first.score.grade,
+        withheld=first.score.withheld is not None,
+        unit=first.score.unit,
+        cells=tuple(cells),
+        baselines=baselines,
+        distances=tuple(distances),
+    )
+
+
+def _cell(name: str, members: Sequence[Result], notes: list[str]) -> Cell | None:
     """Return the results of one experiment among those of a configuration, and add what was left out to the notes."""
     mine = [result for result in members if result.id == name]
     latest = {result.seed: result for result in sorted(mine, key=lambda result: result.created)}
@@ -345,8 +348,8 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
     except GaugeError as error:
         notes.append(f"{refused} result cannot be scored again: {error}")
         return None
-    stated = [result.score.rmse_normalized for result in results]
-    if draws is None or np.allclose(draws.raw, np.array(stated, dtype=np.float64), rtol=1e-6, atol=1e-9):
+    scores = [result.score.rmse_normalized for result in results]
+    if draws is None or np.allclose(draws.raw, np.array(scores, dtype=np.float64), rtol=1e-6, atol=1e-9):
         return draws
     notes.append(f"{refused} score was made against another reference; run it again")
     return None
@@ -355,7 +358,9 @@ def _cell_draws(results: Sequence[Result], notes: list[str]) -> ScoreDraws | Non
 def _mismatches(results: Sequence[Result]) -> list[str]:
     """Return a sentence for each way in which results do not belong together."""
     notes = []
-    by_id = {name: [one for one in results if one.id == name] for name in sorted({one.id for one in results})}
+    by_id: dict[str, list[Result]] = {}
+    for one in sorted(results, key=lambda one: one.id):
+        by_id.setdefault(one.id, []).append(one)
     stale = dict.fromkeys(
         short_id(one.id)
         for one in results

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gauge_envs.evaluation.metrics.trajectory import trajectory_rmse
+from gauge_envs.pages.text import quantity_text
 from gauge_envs.references.published import Baseline
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.scene.timing import FRAME_RATE_HZ
@@ -52,6 +53,15 @@ class Distance:
     frames: int
     diverged: bool
 
+    def text(self, length: float) -> str:
+        """Return a length with its unit."""
+        return f"{quantity_text(length)} {self.unit}"
+
+    @property
+    def apart_text(self) -> str:
+        """When the trajectories are first apart."""
+        return "never" if self.apart_at_s is None else f"{self.apart_at_s:.2f} s"
+
 
 def trajectory_distance(
     configurations: tuple[int, int], some: Sequence[Result], others: Sequence[Result], baseline: Baseline | None
@@ -65,18 +75,21 @@ def trajectory_distance(
         baseline: Published RMSE of real trials; None if there is none.
     """
     pairs = _paired(some, others)
-    common = [frames for pair in pairs if (frames := _common_frames(*pair)) is not None]
+    common = _all_common_frames(pairs)
     rms = ScoreSpread.of([trajectory_rmse(a, b) for _, a, b in common])
     if rms is None:
         return None
-    displacements = [np.vstack((a - a[0], b - b[0])) for _, a, b in common]
-    motion_rms = float(np.mean([trajectory_rmse(moved, np.zeros_like(moved)) for moved in displacements]))
+    motions = []
+    crossings_s = []
+    for _, a, b in common:
+        moved = np.vstack((a - a[0], b - b[0]))
+        motions.append(trajectory_rmse(moved, np.zeros_like(moved)))
+    motion_rms = float(np.mean(motions))
     threshold = MOTION_SHARE * motion_rms if baseline is None else baseline.mean
-    crossings = [
-        times_s[beyond.argmax()]
-        for times_s, distance in distances_over_time(some, others)
-        if (beyond := distance > threshold).any()
-    ]
+    for times_s, distance in _over_time(common):
+        beyond = distance > threshold
+        if beyond.any():
+            crossings_s.append(float(times_s[beyond.argmax()]))
     return Distance(
         first=configurations[0],
         second=configurations[1],
@@ -85,7 +98,7 @@ def trajectory_distance(
         motion_rms=motion_rms,
         threshold=threshold,
         threshold_is_scatter=baseline is not None,
-        apart_at_s=float(min(crossings)) if crossings else None,
+        apart_at_s=min(crossings_s, default=None),
         frames=min(len(frames) for frames, _, _ in common),
         diverged=any(result.diverged for pair in pairs for result in pair),
     )
@@ -99,8 +112,22 @@ def distances_over_time(
     Returns:
         For each pair of repeats the times [s] and the distances in the observable's unit, both of shape [frame_count].
     """
-    common = [frames for pair in _paired(some, others) if (frames := _common_frames(*pair)) is not None]
+    return _over_time(_all_common_frames(_paired(some, others)))
+
+
+CommonFrames = tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]
+"""Frame numbers that two results have, and g(t) of both there, [frame_count, coordinate_count] each."""
+
+
+def _over_time(common: Sequence[CommonFrames]) -> list[tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    """Return times [s] and distances of each pair of results."""
     return [(frames / FRAME_RATE_HZ, np.linalg.norm(a - b, axis=1)) for frames, a, b in common]
+
+
+def _all_common_frames(pairs: Sequence[tuple[Result, Result]]) -> list[CommonFrames]:
+    """Return the common frames of each pair that has some."""
+    found = [_common_frames(one, other) for one, other in pairs]
+    return [frames for frames in found if frames is not None]
 
 
 def _paired(some: Sequence[Result], others: Sequence[Result]) -> list[tuple[Result, Result]]:
@@ -110,10 +137,8 @@ def _paired(some: Sequence[Result], others: Sequence[Result]) -> list[tuple[Resu
     return same_seed or every
 
 
-def _common_frames(
-    one: Result, other: Result
-) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return the common frame numbers and g(t) of both there, [frame_count, coordinate_count] each, or None."""
+def _common_frames(one: Result, other: Result) -> CommonFrames | None:
+    """Return the common frames of two results; None without any."""
     if one.trajectory is None or other.trajectory is None:
         return None
     if one.trajectory.coordinates != other.trajectory.coordinates:

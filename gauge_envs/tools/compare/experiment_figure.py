@@ -17,10 +17,10 @@ from gauge_envs.experiments.experiment import Experiment
 from gauge_envs.pages.figures import ENGINES, OURS, REAL, legend_above, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import ALIGNED, SCORE_METRICS, configuration_labels
 from gauge_envs.pages.svg import runs
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, score_text, short_id, with_unit
+from gauge_envs.pages.text import GRADE_NOTES, interval_text, score_text, short_id, with_unit
 from gauge_envs.references.bands import Band
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.references.published import published_baselines
+from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.configuration import group_by_configuration
 from gauge_envs.runs.result import RecordedTrajectory, Result
 from gauge_envs.runs.result_file import recorded_experiment
@@ -33,15 +33,17 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+ONE_SIGMA = "#c4c4c4"
+TWO_SIGMA = "#e3e3e3"
 LINE_STYLES = ("-", "--", ":", "-.")
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
 BACKING: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "pad": 0.8}
 
-MOST_LEGEND_ENTRIES = 12
-LEAST_RANGE = 0.02
+MAX_LEGEND_ENTRIES = 12
+MIN_RANGE = 0.02
 """Smallest range of a panel without a band, relative to that of the widest panel of the experiment."""
-MOST_ALIGNED = 2
+MAX_ALIGNED = 2
 """Largest number of curves that are drawn a second time, aligned to the release."""
 
 
@@ -142,17 +144,18 @@ def _notes(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
 def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]:
     groups = group_by_configuration(among)
     labels = configuration_labels([configuration for configuration, _ in groups])
-    here = {id(result) for result in results}
-    present = [
-        (label, OURS[index % len(OURS)], mine)
-        for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True))
-        if (mine := tuple(result for result in members if id(result) in here))
-    ]
-    return [
+    shown = {id(result) for result in results}
+    present = []
+    for index, (_, members) in enumerate(groups):
+        drawn = tuple(result for result in members if id(result) in shown)
+        if drawn:
+            present.append((index, drawn))
+    series = []
+    for order, (index, drawn) in enumerate(present):
         # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
-        _Series(label, color, 0.8 if len(mine) > 1 else max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order), mine)
-        for order, (label, color, mine) in enumerate(present)
-    ]
+        width = max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order) if len(drawn) == 1 else 0.8
+        series.append(_Series(labels[index], OURS[index % len(OURS)], width, drawn))
+    return series
 
 
 # --- curves ----------------------------------------------------------------------------------------------------------
@@ -161,38 +164,44 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]
 def _draw_band(axis: Axes, band: Band, column: int) -> None:
     """Draw the mean with one and two sigma; extrapolated parts are hatched and dotted."""
     times = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    mean, sigma = band.mean[:, column], band.sigma[:, column]
+    mean = band.mean[:, column]
+    sigma = band.sigma[:, column]
     # Simulations lie on the line of a law or a model: wide and below them. A measured mean is dots, and above them.
     is_exact = not band.grade.is_real
-    width, order = (3.0, 2) if is_exact else (1.1, 5)
+    width = 3.0 if is_exact else 1.1
     # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
     segments = band.measured[:-1] & band.measured[1:]
-    for flags, measured in ((segments, True), (~segments, False)):
+    for flags, line, hatch in ((segments, "-", {}), (~segments, ":", HATCH)):
         for start, end in runs(flags):
             piece = slice(start, end + 1)
-            hatch = {} if measured else HATCH
-            for reach, shade in ((2.0, "#e3e3e3"), (1.0, "#c4c4c4")):
-                low, high = mean[piece] - reach * sigma[piece], mean[piece] + reach * sigma[piece]
+            for reach, shade in ((2.0, TWO_SIGMA), (1.0, ONE_SIGMA)):
+                low = mean[piece] - reach * sigma[piece]
+                high = mean[piece] + reach * sigma[piece]
                 axis.fill_between(times[piece], low, high, facecolor=shade, zorder=1, **hatch)
-            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls="-" if measured else ":", zorder=order)
+            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls=line, zorder=2 if is_exact else 5)
     if not is_exact:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
             axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
     if column == 0:
-        names = {
-            BandGrade.LAW: "law",
-            BandGrade.MODEL: "solved model, not real",
-            BandGrade.RECORDING: "real, one trial",
-        }
-        name = names.get(band.grade, "real, mean" + (f" ({band.trial_count} trials)" if band.trial_count else ""))
-        axis.plot([], [], "-" if is_exact else "o-", ms=3.0, color=REAL, lw=width, label=name)
-        whose = "real, published" if band.grade is BandGrade.MODEL else "law" if is_exact else "real"
-        axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
-        axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
-        if (~band.measured & np.isfinite(mean)).any():
-            axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
+        _name_band(axis, band, width)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
     tidy_axis(axis)
+
+
+def _name_band(axis: Axes, band: Band, width: float) -> None:
+    """Add the entries of a band to the legend."""
+    trials = f" ({band.trial_count} trials)" if band.trial_count else ""
+    names = {
+        BandGrade.LAW: ("law", "law"),
+        BandGrade.MODEL: ("solved model, not real", "real, published"),
+        BandGrade.RECORDING: ("real, one trial", "real"),
+    }
+    mean, spread = names.get(band.grade, (f"real, mean{trials}", "real"))
+    axis.plot([], [], "o-" if band.grade.is_real else "-", ms=3.0, color=REAL, lw=width, label=mean)
+    axis.fill_between([], [], facecolor=ONE_SIGMA, label=f"{spread}, 1 sigma")
+    axis.fill_between([], [], facecolor=TWO_SIGMA, label=f"{spread}, 2 sigma")
+    if (~band.measured & np.isfinite(band.mean[:, 0])).any():
+        axis.fill_between([], [], facecolor=ONE_SIGMA, label="extrapolated, not measured", **HATCH)
 
 
 def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:
@@ -206,7 +215,7 @@ def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int
             label = one.legend if column == 0 and number == 0 else None
             axis.plot(times, values, color=one.color, lw=one.width, alpha=one.alpha, label=label, zorder=4)
         offset = one.results[0].score.release_offset_s
-        if offset is not None and len(one.results) == 1 and len(series) <= MOST_ALIGNED:
+        if offset is not None and len(one.results) == 1 and len(series) <= MAX_ALIGNED:
             moved = np.interp(times - offset, times, values)
             title = f"{one.label}, {offset:+.3f} s to align the release" if column == 0 else None
             axis.plot(times, moved, color=one.color, lw=1.2, ls="--", label=title, zorder=3)
@@ -247,7 +256,7 @@ def _draw_coordinates(axes: Sequence[Axes], series: Sequence[_Series]) -> None:
 def _widen(axes: Sequence[Axes]) -> None:
     """Give each panel a share of the range of the widest one: rounding errors must not fill a panel."""
     limits = [axis.get_ylim() for axis in axes]
-    least = LEAST_RANGE * max(high - low for low, high in limits)
+    least = MIN_RANGE * max(high - low for low, high in limits)
     for axis, (low, high) in zip(axes, limits, strict=True):
         lacking = max(least - (high - low), 0.0)
         axis.set_ylim(low - 0.5 * lacking, high + 0.5 * lacking)
@@ -263,7 +272,7 @@ def _curves(result: Result, panels: int) -> Iterator[tuple[int, str, NDArray[np.
 
 
 def _draw_bodies(axes: Sequence[Axes], one: _Series, bodies: Sequence[str]) -> None:
-    many = len(bodies) > MOST_LEGEND_ENTRIES
+    many = len(bodies) > MAX_LEGEND_ENTRIES
     seen: set[str] = set()
     for result in one.results:
         for panel, body, times, values in _curves(result, len(axes)):
@@ -358,7 +367,7 @@ def _bar_groups(name: str, series: Sequence[_Series]) -> dict[str, list[_Bar]]:
             # Published scores are distances from real trials, and these are numerical errors.
             groups[f"{SCORE_METRICS[metric].title}, against the solved model"] = bars
             continue
-        for (engine, title), color in zip(ENGINE_TITLES.items(), ENGINES, strict=True):
+        for (engine, title), color in zip(PUBLISHED_ENGINES.items(), ENGINES, strict=True):
             value = line.engines[engine]
             text = "not published" if value is None else score_text(value)
             bars.append(_Bar(f"{title}, paper", color, text, value or 0.0, (value or 0.0, value or 0.0)))

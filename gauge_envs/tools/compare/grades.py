@@ -154,6 +154,11 @@ class PairComparison:
         return self.first if sum(np.sign(one.difference) for one in self.experiments) <= 0.0 else self.second
 
     @property
+    def further(self) -> int:
+        """The other configuration."""
+        return self.second if self.closer == self.first else self.first
+
+    @property
     def counts(self) -> tuple[int, int]:
         """Numbers of experiments in which the first, and in which the second is distinguishably closer."""
         signs = [one.difference < 0.0 for one in self.experiments if one.distinguishable]
@@ -178,11 +183,11 @@ class GradeComparison:
     grade: str
     withheld: bool
     constants: str
-    ids: tuple[str, ...]
-    scores: tuple[GradeScore, ...]
-    experiments: tuple[ExperimentRanks, ...]
+    ids: tuple[str, ...] = ()
+    scores: tuple[GradeScore, ...] = ()
+    experiments: tuple[ExperimentRanks, ...] = ()
     pairs: tuple[PairComparison, ...]
-    common_pairs: tuple[PairComparison, ...]
+    common_pairs: tuple[PairComparison, ...] = ()
 
     @property
     def ranked(self) -> list[GradeScore]:
@@ -238,27 +243,16 @@ def compare_grade(
     count = max((len(one.draws) for one in experiments), default=0)
     names = list(constants or [PUBLISHED] * count)
     present = [index for index in range(count) if any(one.draws[index] is not None for one in experiments)]
-    groups = {name: [index for index in present if names[index] == name] for name in sorted(set(names), key=_order)}
-    found = [
-        _compared(grade, withheld, name, [one.among(members) for one in experiments], members)
-        for name, members in groups.items()
-        if members
-    ]
+    compared = []
+    for name in sorted({names[index] for index in present}, key=_order):
+        members = [index for index in present if names[index] == name]
+        graded = [one.among(members) for one in experiments]
+        compared.append(_compared(grade, withheld, name, graded, members))
     across = [pair for pair in combinations(present, 2) if names[pair[0]] != names[pair[1]]]
-    if pairs := compare_pairs(experiments, across):
-        found.append(
-            GradeComparison(
-                grade=grade,
-                withheld=withheld,
-                constants=DIFFERENT,
-                ids=(),
-                scores=(),
-                experiments=(),
-                pairs=pairs,
-                common_pairs=(),
-            )
-        )
-    return tuple(found)
+    pairs = compare_pairs(experiments, across)
+    if pairs:
+        compared.append(GradeComparison(grade=grade, withheld=withheld, constants=DIFFERENT, pairs=pairs))
+    return tuple(compared)
 
 
 def _order(constants: str) -> tuple[bool, str]:
@@ -268,33 +262,37 @@ def _order(constants: str) -> tuple[bool, str]:
 def _compared(
     grade: str, withheld: bool, constants: str, experiments: Sequence[GradedExperiment], members: Sequence[int]
 ) -> GradeComparison:
+    """Return the comparison of configurations with the same constants."""
+    every_pair = list(combinations(members, 2))
     common = [one for one in experiments if all(one.draws[index] is not None for index in members)]
     ids = tuple(one.id for one in common)
-    pairs = compare_pairs(experiments, list(combinations(members, 2)))
+    pairs = compare_pairs(experiments, every_pair)
     # A rank over a grade needs the same experiments for all; a pair may have more in common.
     is_same = all(pair.ids == ids for pair in pairs)
-    common_pairs = pairs if is_same else compare_pairs(common, list(combinations(members, 2)))
-    ranks = [_experiment_ranks(one, pairs) for one in experiments if any(draws is not None for draws in one.draws)]
-    further = [pair.first + pair.second - pair.closer for pair in common_pairs if pair.distinguishable]
-    strict = ERROR_RATE / max(len(ids), 1)
-    over_common = [_experiment_ranks(one, common_pairs, strict).ranks for one in common]
+    common_pairs = pairs if is_same else compare_pairs(common, every_pair)
+    further = [pair.further for pair in common_pairs if pair.distinguishable]
+    # Over n experiments, the pairs of each count at 0.05 / n.
+    error_rate = ERROR_RATE / max(len(ids), 1)
+    ranks = [_experiment_ranks(one, common_pairs, error_rate).ranks for one in common]
+    scores = []
+    for index in members:
+        score = GradeScore(configuration=index)
+        if common:
+            score = GradeScore(
+                configuration=index,
+                rank=1 + further.count(index),
+                mean_rank=_mean_rank([one[index] for one in ranks]),
+                mean=_mean_score(common, index),
+            )
+        scores.append(score)
+    scored = [one for one in experiments if any(draws is not None for draws in one.draws)]
     return GradeComparison(
         grade=grade,
         withheld=withheld,
         constants=constants,
         ids=ids,
-        scores=tuple(
-            GradeScore(
-                configuration=index,
-                rank=1 + further.count(index),
-                mean_rank=_mean_rank([ranks[index] for ranks in over_common]),
-                mean=_mean_score(common, index),
-            )
-            if common
-            else GradeScore(configuration=index)
-            for index in members
-        ),
-        experiments=tuple(ranks),
+        scores=tuple(scores),
+        experiments=tuple(_experiment_ranks(one, pairs) for one in scored),
         pairs=pairs,
         common_pairs=common_pairs,
     )
@@ -307,23 +305,23 @@ def compare_pairs(
     experiments: Sequence[GradedExperiment], pairs: Sequence[tuple[int, int]]
 ) -> tuple[PairComparison, ...]:
     """Return the pairs with a common scored experiment; all pairs given are one family for the correction."""
-    known = [found for pair in pairs if (found := _compare_pair(experiments, pair)) is not None]
+    known = []
+    for pair in pairs:
+        compared = _compare_pair(experiments, pair)
+        if compared is not None:
+            known.append(compared)
     corrected: dict[tuple[int, str], float] = {}
-    for name in {one.id for one in experiments}:
-        of_experiment = [
-            (place, one.p) for place, pair in enumerate(known) for one in pair.experiments if one.id == name
-        ]
-        values = holm([p for _, p in of_experiment])
-        corrected |= {(place, name): p for (place, _), p in zip(of_experiment, values, strict=True)}
+    for experiment in experiments:
+        places = [place for place, one in enumerate(known) if experiment.id in one.ids]
+        p_values = [one.p for pair in known for one in pair.experiments if one.id == experiment.id]
+        for place, p_holm in zip(places, holm(p_values), strict=True):
+            corrected[place, experiment.id] = p_holm
     over_grade = holm([pair.p for pair in known])
-    return tuple(
-        replace(
-            pair,
-            p_holm=p_holm,
-            experiments=tuple(replace(one, p_holm=corrected[place, one.id]) for one in pair.experiments),
-        )
-        for place, (pair, p_holm) in enumerate(zip(known, over_grade, strict=True))
-    )
+    corrected_pairs = []
+    for place, one in enumerate(known):
+        differences = tuple(replace(each, p_holm=corrected[place, each.id]) for each in one.experiments)
+        corrected_pairs.append(replace(one, p_holm=over_grade[place], experiments=differences))
+    return tuple(corrected_pairs)
 
 
 def _compare_pair(experiments: Sequence[GradedExperiment], pair: tuple[int, int]) -> PairComparison | None:
@@ -380,15 +378,16 @@ def _experiment_ranks(
 ) -> ExperimentRanks:
     members = [index for index, draws in enumerate(experiment.draws) if draws is not None]
     known = [(pair, one) for pair in pairs for one in pair.experiments if one.id == experiment.id]
-    value, low = dict.fromkeys(members, 1.0), dict.fromkeys(members, 1)
+    value = dict.fromkeys(members, 1.0)
+    low = dict.fromkeys(members, 1)
     high = dict.fromkeys(members, len(members))
     for pair, one in known:
         value[pair.first] += 1.0 - one.probability_of_improvement
         value[pair.second] += one.probability_of_improvement
         if one.p_holm < error_rate:
-            closer, further = (pair.first, pair.second) if one.difference < 0.0 else (pair.second, pair.first)
-            low[further] += 1
-            high[closer] -= 1
+            is_first_closer = one.difference < 0.0
+            low[pair.second if is_first_closer else pair.first] += 1
+            high[pair.first if is_first_closer else pair.second] -= 1
     return ExperimentRanks(
         id=experiment.id,
         ranks={
@@ -410,8 +409,8 @@ def _mean_score(common: Sequence[GradedExperiment], index: int) -> Mean:
     # The scatter of few repeats may take a draw below zero, where no score is.
     draws = np.maximum([drawn for _, drawn in scores], 0.0).mean(axis=0)
     value = float(np.mean([score for score, _ in scores]))
-    own = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
-    return Mean(value=value, interval_95=own or _mean_interval(value, draws))
+    interval = common[0].intervals[index] if len(common) == 1 and common[0].intervals else None
+    return Mean(value=value, interval_95=interval or _mean_interval(value, draws))
 
 
 def _mean_interval(value: float, draws: FloatArray) -> Interval:

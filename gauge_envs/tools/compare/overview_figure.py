@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from gauge_envs.pages.figures import OURS, REAL, new_figure, save_png, tidy_axis
 from gauge_envs.pages.results import SCORE_METRICS
-from gauge_envs.pages.text import ENGINE_TITLES
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.tools.compare.comparison import Comparison, ExperimentComparison, compare
 from gauge_envs.tools.compare.draws import ScoreSpread
@@ -64,23 +64,25 @@ def draw_overview(comparison: Comparison, *, metric: str | None = None) -> Figur
     Returns:
         The picture; None if no experiment has such a score.
     """
-    names: list[str | None] = [metric] if metric is not None else [None, "rmse"]
-    rows = {name: [_Row.of(one, name) for one in comparison.experiments] for name in names}
-    kept = [
-        place
-        for place, one in enumerate(comparison.experiments)
-        if _diverged(one) or any(rows[name][place].has_score for name in names)
-    ]
-    if not any(rows[name][place].has_score for name in names for place in kept):
+    metrics = [None, "rmse"] if metric is None else [metric]
+    shown = []
+    panels: list[list[_Row]] = [[] for _ in metrics]
+    for one in comparison.experiments:
+        rows = [_Row.of(one, name) for name in metrics]
+        if _diverged(one) or any(row.has_score for row in rows):
+            shown.append(one)
+            for panel, row in zip(panels, rows, strict=True):
+                panel.append(row)
+    drawn = [row for panel in panels for row in panel]
+    if not any(row.has_score for row in drawn):
         return None
-    shown = [comparison.experiments[place] for place in kept]
     figure = new_figure(10.0, 0.3 * len(shown) + 2.2)
-    axes = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axis, name in zip(axes, names, strict=True):
-        _draw_panel(axis, [rows[name][place] for place in kept], name)
+    axes = figure.subplots(1, len(metrics), sharey=True, squeeze=False)[0]
+    for axis, panel, name in zip(axes, panels, metrics, strict=True):
+        _draw_panel(axis, panel, name)
     axes[0].set_yticks(range(len(shown)), [f"{one.name}  ({one.grade_name})" for one in shown], fontsize=8)
     axes[0].set_ylim(len(shown) - 0.5, -0.5)
-    has_published = any(rows[name][place].published for name in names for place in kept)
+    has_published = any(row.published for row in drawn)
     _overview_legend(figure, axes[-1], comparison.labels, shown, has_published=has_published)
     return figure
 
@@ -118,7 +120,7 @@ def _draw_panel(axis: Axes, rows: Sequence[_Row], metric: str | None) -> None:
     axis.axvline(1.0, color=REAL, lw=1.2, ls="--", zorder=1)
     places = [1.0]
     for place, row in enumerate(rows):
-        for engine, marker in zip(ENGINE_TITLES, ENGINE_MARKERS, strict=True):
+        for engine, marker in zip(PUBLISHED_ENGINES, ENGINE_MARKERS, strict=True):
             value = row.published.get(engine)
             # A score of 0 has no place on a logarithmic axis.
             if value:
@@ -168,7 +170,7 @@ def _overview_legend(
     for index, label in enumerate(labels):
         axis.plot([], [], "o", color=OURS[index % len(OURS)], ms=5.5, label=label)
     if has_published:
-        for title, marker in zip(ENGINE_TITLES.values(), ENGINE_MARKERS, strict=True):
+        for title, marker in zip(PUBLISHED_ENGINES.values(), ENGINE_MARKERS, strict=True):
             axis.plot([], [], marker, label=f"{title}, paper", **HOLLOW)
     axis.fill_between([], [], fc=UNSCORED, ec="#c4c4c4", label="no score: no reference, or not run")
     if any(map(_diverged, rows)):

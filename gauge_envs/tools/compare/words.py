@@ -12,7 +12,6 @@ from gauge_envs.pages.results import ALIGNED, PLAIN, SCORE_METRICS, configuratio
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
     COST_TITLE,
-    ENGINE_TITLES,
     GRADE_NOTES,
     NORMALIZED_NOTE,
     counted,
@@ -24,6 +23,7 @@ from gauge_envs.pages.text import (
     with_unit,
 )
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome
 from gauge_envs.tools.compare.comparison import Cell, Comparison
@@ -33,7 +33,7 @@ from gauge_envs.tools.compare.significance import NEGLIGIBLE
 
 ALL_METRICS = tuple(SCORE_METRICS)
 
-MOST_NAMED = 4
+MAX_NAMED = 4
 """Number of experiments up to which the rank in each is shown beside their mean."""
 
 PERCENTILE = "percentile"
@@ -207,7 +207,7 @@ def _score_table(comparison: Comparison, rows: Sequence[dict[str, Any]]) -> Tabl
     ]
     scores += [
         Column(f"published.{engine}", f"{title}, paper", score_text, is_number=True)
-        for engine, title in ENGINE_TITLES.items()
+        for engine, title in PUBLISHED_ENGINES.items()
     ]
     shown = []
     for row in rows:
@@ -383,7 +383,7 @@ def deciding_text(grade: GradeComparison, configuration: int) -> str:
     """Return the experiments in which a configuration ranks best and worst, all if there are at most four."""
     ranks = [(one.ranks[configuration].value, one) for one in grade.experiments if one.id in grade.ids]
     ordered = sorted(ranks, key=lambda entry: entry[0])
-    shown = ordered if len(ordered) <= MOST_NAMED else [ordered[0], ordered[-1]]
+    shown = ordered if len(ordered) <= MAX_NAMED else [ordered[0], ordered[-1]]
     return ", ".join(f"{short_id(one.id)}: {rank_text(one.ranks[configuration])}" for _, one in shown)
 
 
@@ -469,11 +469,10 @@ def _distance_table(comparison: Comparison) -> Table:
         return f"{quantity_text(far.rms.mean)}{scatter} {far.unit}"
 
     def threshold(far: Distance) -> str:
-        return f"{quantity_text(far.threshold)} {far.unit}{'' if far.threshold_is_scatter else ' *'}"
+        return far.text(far.threshold) + ("" if far.threshold_is_scatter else " *")
 
     def exceeded(far: Distance) -> str:
-        ending = ", diverged" if far.diverged else ""
-        return ("never" if far.apart_at_s is None else f"{far.apart_at_s:.2f} s") + ending
+        return far.apart_text + (", diverged" if far.diverged else "")
 
     is_published = all(row["far"].threshold_is_scatter for row in rows)
     share = "" if is_published else f" * not published: {MOTION_SHARE:.0%} of the motion."
@@ -483,7 +482,7 @@ def _distance_table(comparison: Comparison) -> Table:
             EXPERIMENT,
             Column("between", "between"),
             Column("far", "distance", distance, is_number=True),
-            Column("far", "motion", lambda far: f"{quantity_text(far.motion_rms)} {far.unit}", is_number=True),
+            Column("far", "motion", lambda far: far.text(far.motion_rms), is_number=True),
             Column("far", "threshold", threshold, is_number=True),
             Column("far", "first exceeded", exceeded, is_number=True),
         ),
@@ -496,13 +495,14 @@ def _distance_table(comparison: Comparison) -> Table:
     )
 
 
-def _cost_text(value: float) -> str:
+def cost_text(value: float) -> str:
+    """Return the wall seconds of a simulated second."""
     return f"{value:.2g}" if value < 10.0 else f"{value:.0f}"
 
 
 def _cost_table(comparison: Comparison) -> Table:
     columns = (
-        Column(f"costs.{index}", label, _cost_text, is_number=True) for index, label in enumerate(comparison.labels)
+        Column(f"costs.{index}", label, cost_text, is_number=True) for index, label in enumerate(comparison.labels)
     )
     return Table(
         title=f"Cost, {COST_TITLE}",
@@ -523,8 +523,8 @@ def _summary_table(comparison: Comparison) -> Table:
         columns=(
             Column("label", "configuration"),
             *(Column(key, title, is_number=True) for key, title in counts.items()),
-            Column("wall_s_per_sim_s", COST_TITLE, _cost_text, is_number=True),
-            Column("wall_s_per_sim_s_common", "in common", _cost_text, is_number=True),
+            Column("wall_s_per_sim_s", COST_TITLE, cost_text, is_number=True),
+            Column("wall_s_per_sim_s_common", "in common", cost_text, is_number=True),
         ),
         rows=[{"label": label} | vars(one) for label, one in summaries],
         notes=(

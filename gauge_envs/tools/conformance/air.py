@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Air, Pose, Region, Scene
 from gauge_envs.tools.conformance.lab import FRAME, Lab, clamped, fabric, sheet
@@ -51,7 +52,7 @@ def _air_terminal(lab: Lab) -> Measurement:
     rollout = _free_sheet(lab, Pose(position_m=(0.0, 0.0, 2.0)), air, FALL_S, G)
     window = rollout.between(SETTLED_S, FALL_S)
     heights = rollout.nodes_m["cloth"][window][:, :, 2].mean(axis=1)
-    speed = -float(np.polyfit(rollout.times_s[window], heights, 1)[0])
+    speed = -steady_speed_m_per_s(rollout.times_s[window], heights)
     expected = math.sqrt(G / RATE_PER_M)
     if speed > 0.9 * G * SETTLED_S:
         return Measurement(measured=speed, expected=expected, hint="it falls freely: the air has no effect")

@@ -17,19 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, hann_mean
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Cloth, Pose, Region, Scene
 from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.bench.parts import contact, fixed_box
 from gauge_envs.tools.conformance.lab import (
     LIGHT_FABRIC,
     STRETCH_OVER_SHEAR,
     STRIP_ON_ROD,
     Lab,
     clamped,
-    contact,
     fabric,
-    fixed_box,
     sheet,
     strip_on_rod,
 )
@@ -38,12 +38,10 @@ from gauge_envs.tools.conformance.laws import (
     NODES,
     PLACE_TOLERANCE_M,
     SLIDE_SLOPE_DEG,
-    acceleration_m_per_s2,
     attachment_error,
     bounds_error,
     cantilever_load_over_stiffness,
     coefficient,
-    hann_mean,
     passive_energy_gain,
     slide_acceleration,
     stiffness,
@@ -154,8 +152,8 @@ _cantilever = rollout_of(
 @_cantilever.check("cloth-clamp")
 def _cloth_clamp(rollout: Rollout) -> Measurement:
     local, cloth = local_nodes(rollout), strip_of(rollout)
-    held = np.linalg.norm(local - local[0], axis=2).max(axis=0) < HELD_M
-    deepest_m = float((local[0, held, 0] + 0.5 * cloth.size_m[0]).max(initial=0.0))
+    still = np.linalg.norm(local - local[0], axis=2).max(axis=0) < HELD_M
+    deepest_m = float((local[0, still, 0] + 0.5 * cloth.size_m[0]).max(initial=0.0))
     return Measurement(measured=1e3 * max(0.0, deepest_m - CLAMP_SHARE * BENT_FREE_M))
 
 

@@ -1,19 +1,22 @@
 """Contacts: friction, rebound, and energy that must not grow."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Contact, Pose, Scene
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, drop_scene, fall_s
+from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
+from gauge_envs.tools.bench.slope import acceleration_downhill_m_per_s2, moved_m
+from gauge_envs.tools.bench.turning import SPIN, turning_arm_m, turning_scene
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import (
     SLIDE_SLOPE_DEG,
-    acceleration_m_per_s2,
-    friction_of_slide,
     inertia_kg_m2,
     largest_mm,
     slide_acceleration,
@@ -39,12 +42,6 @@ def _on_slope(slope_deg: float, frictions: dict[str, float], seconds: float) -> 
     return Scene(bodies=(*cubes, board), contacts=contacts, duration_s=seconds)
 
 
-def _along_slope(rollout: Rollout, name: str) -> NDArray[np.float64]:
-    """Return displacements from the start in the board's frame [m], shape [sample_count, 3]."""
-    board = rollout.scene.body("board").pose.rotation
-    return np.asarray(board.apply(rollout.displacement(name), inverse=True))
-
-
 _slide = rollout_of(
     "two cubes with friction 0.1 and 0.3 on a fixed board that leans by 30 degrees",
     _on_slope(SLIDE_SLOPE_DEG, {"smooth": 0.1, "rough": 0.3}, 0.5),
@@ -62,9 +59,8 @@ def _fixed_body_stays(rollout: Rollout) -> Measurement:
 def _slide_check(id: str, name: str, friction: float) -> None:
     @_slide.check(id)
     def measure(rollout: Rollout) -> Measurement:
-        along = _along_slope(rollout, name)
-        found = slide_acceleration(acceleration_m_per_s2(rollout.times_s, along[:, 0]), friction)
-        if along[-1, 2] < -0.1:
+        found = slide_acceleration(acceleration_downhill_m_per_s2(rollout, name, "board"), friction)
+        if moved_m(rollout, name, "board")[-1, 2] < -0.1:
             return replace(found, hint="it falls through the board: the pair has no contact")
         return found
 
@@ -75,7 +71,7 @@ _slide_check("slide-of-pair", "smooth", 0.1)
 
 @_slide.check("slide-straight")
 def _slide_straight(rollout: Rollout) -> Measurement:
-    return Measurement(measured=1e3 * float(np.abs(_along_slope(rollout, "rough")[:, 1:]).max()))
+    return Measurement(measured=1e3 * float(np.abs(moved_m(rollout, "rough", "board")[:, 1:]).max()))
 
 
 FRICTION_TOLERANCE = Tolerance(
@@ -96,37 +92,26 @@ def _slide_between(lab: Lab) -> Measurement:
     bodies = (replace(cube, pose=poses["cube"]), body("slab", Box(size_m=size), poses["slab"], mass_kg=1.0), board)
     contacts = (contact("cube", "slab", friction=0.1), contact("slab", "board", friction=0.3))
     rollout = lab.rollout(replace(scene, bodies=bodies, contacts=contacts))
-    measured = acceleration_m_per_s2(rollout.times_s, _along_slope(rollout, "cube")[:, 0])
-    return Measurement(measured=friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG)), expected=0.1)
+    measured = acceleration_downhill_m_per_s2(rollout, "cube", "board")
+    friction = slide_friction(measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=G)
+    return Measurement(measured=friction, expected=0.1)
 
 
 @Check("spin-on-point")
 def _spin_on_point(lab: Lab) -> Measurement:
     top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
-    held = contact("top", "ground", friction=0.5)
-    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(held,), duration_s=0.5))
+    touch = contact("top", "ground", friction=0.5)
+    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(touch,), duration_s=0.5))
     return Measurement(measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0)
 
 
 TORSION_M, ROLLING_M, ROLLS_M_PER_S = 2e-4, 1e-3, 0.3
 
 
-def turning_scene(seconds: float, velocity: float, spin: tuple[float, ...], **turning: Any) -> Scene:
-    """Return a ball with torsional or rolling friction on a plane."""
-    turns = replace(
-        ball("ball", (0.0, 0.0, RADIUS_M)),
-        linear_velocity_m_per_s=(velocity, 0.0, 0.0),
-        angular_velocity_rad_per_s=vector(spin),
-    )
-    touch = replace(contact("ball", "ground", friction=0.5), **turning)
-    return Scene(bodies=(turns, ground()), contacts=(touch,), duration_s=seconds)
-
-
 @Check("torsion")
 def _torsion(lab: Lab) -> Measurement:
     rollout = lab.rollout(turning_scene(0.5, 0.0, (0.0, 0.0, 20.0), torsion_m=TORSION_M))
-    rate = float(np.polyfit(rollout.times_s, rollout.angular_velocity("ball")[:, 2], 1)[0])
-    return Measurement(measured=-400.0 * RADIUS_M**2 * rate / G, expected=1e3 * TORSION_M)
+    return Measurement(measured=1e3 * turning_arm_m(rollout, SPIN), expected=1e3 * TORSION_M)
 
 
 @Check("rolling")
@@ -139,7 +124,7 @@ def _rolling(lab: Lab) -> Measurement:
 
 @_hold.check("hold")
 def _hold_check(rollout: Rollout) -> Measurement:
-    return Measurement(measured=largest_mm(_along_slope(rollout, "cube")))
+    return Measurement(measured=largest_mm(rollout.displacement("cube")))
 
 
 @Check("hold-steep")
@@ -150,77 +135,51 @@ def _hold_steep(lab: Lab) -> Measurement:
     place = board.pose.to_world(np.array([-0.4, 0.0, 0.5 * (0.02 + BOARD_THICKNESS_M)]))
     slab = replace(slab, shape=Box(size_m=(0.08, 0.08, 0.02)), pose=replace(slab.pose, position_m=vector(place)))
     rollout = lab.rollout(replace(scene, bodies=(slab, board)))
-    return Measurement(measured=largest_mm(_along_slope(rollout, "slab")))
+    return Measurement(measured=largest_mm(rollout.displacement("slab")))
 
 
 # --- rebound ---------------------------------------------------------------------------------------------------------
 
-DROP_M, LOW_DROP_M, RADIUS_M = 0.4, 0.05, 0.03
+DROP_M, LOW_DROP_M = 0.4, 0.05
 REBOUND_FALLS = 2.1
 """Recorded time over the time of the fall."""
+
+LEAST_HOP = 0.01
+"""Height of a hop over that of the drop below which a contact settles and does not rebound."""
 
 
 def _dropped(restitutions: dict[str, float], *, drop_m: float = DROP_M, gravity: float = G) -> Scene:
     """Return balls side by side that drop on a plane, each with its own restitution."""
-    seconds = REBOUND_FALLS * float(np.sqrt(2.0 * drop_m / gravity))
-    balls = (ball(name, (0.3 * index, 0.0, RADIUS_M + drop_m)) for index, name in enumerate(restitutions))
+    balls = balls_above_ground(dict.fromkeys(restitutions, drop_m), spacing_m=0.3)
     contacts = tuple(contact(name, "ground", friction=0.5, restitution=value) for name, value in restitutions.items())
-    return Scene(bodies=(*balls, ground()), contacts=contacts, duration_s=seconds, gravity_m_per_s2=gravity)
+    return drop_scene(balls, contacts, seconds=REBOUND_FALLS * fall_s(drop_m, gravity), gravity=gravity)
 
 
-def _ratio_of_speeds(
-    rollout: Rollout, restitution: float, *, name: str = "ball", drop_m: float = DROP_M
-) -> Measurement:
-    """Measure the outgoing over the incoming speed of a ball or box that was dropped on a plane at height 0.
-
-    Energy gives the outgoing speed at the height of contact, as samples are 5.6 ms apart.
-    """
-    gravity = rollout.scene.gravity_m_per_s2
-    incoming = float(np.sqrt(2.0 * gravity * drop_m))
-    height, speed = rollout.position(name)[:, 2] - RADIUS_M, rollout.velocity(name)[:, 2]
-    falling = np.flatnonzero(speed < -0.36 * incoming)
-    if not len(falling):
-        return Measurement(measured=float("nan"), expected=restitution, hint="it does not fall")
-    rising = np.flatnonzero((speed > 0.018 * incoming) & (height > 2.5e-3 * drop_m))
-    rising = rising[rising > falling[0]]
-    if not len(rising):
-        return Measurement(measured=0.0, expected=restitution, hint="it does not leave the ground again")
-    outgoing = speed[rising[0]] ** 2 + 2.0 * gravity * height[rising[0]]
-    return Measurement(measured=float(np.sqrt(outgoing) / incoming), expected=restitution)
-
-
-def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball", drop_m: float = DROP_M) -> None:
+def _rebound_check(id: str, dropped: Scene, restitution: float, *, name: str = "ball") -> None:
     @Check(id)
     def measure(lab: Lab) -> Measurement:
-        return _ratio_of_speeds(lab.rollout(dropped), restitution, name=name, drop_m=drop_m)
+        found = bounce_of(lab.rollout(dropped), name)
+        if found is None:
+            return Measurement(measured=math.nan, expected=restitution, hint="it does not fall")
+        if found.restitution**2 < LEAST_HOP:
+            return Measurement(measured=0.0, expected=restitution, hint="it does not leave the ground again")
+        return Measurement(measured=found.restitution, expected=restitution)
 
 
 for _restitution in (0.2, 0.5, 0.75, 0.95):
     _rebound_check(f"rebound-{_restitution:g}", _dropped({"ball": _restitution}), _restitution)
 _rebound_check("rebound-of-pair", _dropped({"lively": 0.75, "dull": 0.2}), 0.2, name="dull")
-_rebound_check(
-    "rebound-flat",
-    Scene(
-        bodies=(box("box", (0.0, 0.0, RADIUS_M + DROP_M), (0.1, 0.08, 2.0 * RADIUS_M)), ground()),
-        contacts=(contact("box", "ground", friction=0.5, restitution=0.5),),
-        duration_s=0.6,
-    ),
-    0.5,
-    name="box",
-)
-_rebound_check(
-    "rebound-sustained",
-    Scene(
-        bodies=(ball("ball", (0.0, 0.0, RADIUS_M + LOW_DROP_M)), ground()),
-        contacts=(Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.8),),
-        duration_s=0.3,
-    ),
-    0.0,
-    drop_m=LOW_DROP_M,
-)
-_rebound_check("rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5, drop_m=LOW_DROP_M)
-FAST_DROP_M = 3.26
-_rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=FAST_DROP_M), 0.5, drop_m=FAST_DROP_M)
+
+_flat = box("box", (0.0, 0.0, RADIUS_M + DROP_M), (0.1, 0.08, 2.0 * RADIUS_M))
+_flat_contact = contact("box", "ground", friction=0.5, restitution=0.5)
+_rebound_check("rebound-flat", drop_scene([_flat], (_flat_contact,), seconds=0.6, gravity=G), 0.5, name="box")
+
+_low = balls_above_ground({"ball": LOW_DROP_M}, spacing_m=0.0)
+_sustained = Contact(first=("ball",), second=("ground",), friction=0.5, restitution=0.8)
+_rebound_check("rebound-sustained", drop_scene(_low, (_sustained,), seconds=0.3, gravity=G), 0.0)
+
+_rebound_check("rebound-slow", _dropped({"ball": 0.5}, drop_m=LOW_DROP_M, gravity=0.1), 0.5)
+_rebound_check("rebound-fast", _dropped({"ball": 0.5}, drop_m=3.26), 0.5)
 
 
 # --- energy ----------------------------------------------------------------------------------------------------------

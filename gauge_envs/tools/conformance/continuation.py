@@ -13,19 +13,9 @@ from gauge_envs.backends import Simulation
 from gauge_envs.envs.driver_paths import DriverPaths
 from gauge_envs.runs.rollout import states_now
 from gauge_envs.scene import Box, Cylinder, Hinge, Pose, Scene
+from gauge_envs.tools.bench.parts import ball, body, box, contact, fixed_box, ground
 from gauge_envs.tools.conformance.contract import BOUNCES, bounces
-from gauge_envs.tools.conformance.lab import (
-    STRIP_ON_ROD,
-    Lab,
-    ball,
-    body,
-    box,
-    contact,
-    fixed_box,
-    ground,
-    push,
-    strip_on_rod,
-)
+from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, push, strip_on_rod
 from gauge_envs.tools.conformance.model import EXACT, Check, Measurement
 
 CONTINUATION = Check(

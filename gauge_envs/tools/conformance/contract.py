@@ -9,20 +9,8 @@ from numpy.typing import NDArray
 from gauge_envs.runs.rollout import DeclinedError, NotFiniteError, Rollout, record, states_now
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Hinge, Pose, Region, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import (
-    STRIP_ON_ROD,
-    Lab,
-    ball,
-    box,
-    clamped,
-    contact,
-    driven_box,
-    driver,
-    fixed_box,
-    ground,
-    ramp,
-    strip_on_rod,
-)
+from gauge_envs.tools.bench.parts import ball, box, contact, driven_box, driver, fixed_box, ground, ramp
+from gauge_envs.tools.conformance.lab import STRIP_ON_ROD, Lab, clamped, strip_on_rod
 from gauge_envs.tools.conformance.laws import largest_mm
 from gauge_envs.tools.conformance.model import COUNT, EXACT, Check, Measurement, recorded
 

@@ -6,12 +6,18 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Box, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.profiles import TrapezoidProfile
-from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driven_box, driver, ramp
-from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, driver_error, driver_poses, largest_mm
+from gauge_envs.tools.bench.parts import ball, box, contact, driven_box, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import (
+    driver_error,
+    driver_poses,
+    largest_mm,
+)
 from gauge_envs.tools.conformance.model import Check, Measurement, rollout_of
 
 PLATE_M = (0.6, 0.4, 0.02)

@@ -21,13 +21,15 @@ from scipy.integrate import solve_ivp
 from scipy.signal import argrelmax
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2, mean_period_s
+from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Hinge, JointDynamics, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.motors import Motor, Servo, TorqueMotor
 from gauge_envs.scene.timing import DRIVE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, body, ramp
-from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, box_inertia_kg_m2, mean_period_s, pendulum_period_s
+from gauge_envs.tools.bench.parts import body, box_inertia_kg_m2, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, rollout_of
 
 Array = NDArray[np.float64]

@@ -8,40 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
-from scipy.special import ellipk
 
+from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.runs.rollout import Rollout
-from gauge_envs.scene import GRAVITY_M_PER_S2, GRAVITY_M_PER_S2 as G, Box, Pose, RigidBody
+from gauge_envs.scene import GRAVITY_M_PER_S2, Pose
+from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.model import Measurement, Tolerance
 
 PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
-
-
-def box_inertia_kg_m2(body: RigidBody) -> NDArray[np.float64]:
-    """Return the moments of inertia of a solid box about its own axes [kg m^2], shape [3]."""
-    assert isinstance(body.shape, Box), "the body is a box"
-    x, y, z = np.square(body.shape.size_m)
-    return body.mass_kg / 12.0 * np.array([y + z, x + z, x + y])
-
-
-def world_inertia_kg_m2(moments: NDArray[np.float64], rotation: Rotation) -> NDArray[np.float64]:
-    """Return the inertia tensor in the world frame [kg m^2], shape [..., 3, 3], of principal moments."""
-    matrix = rotation.as_matrix()
-    return np.asarray(np.einsum("...ij,j,...kj->...ik", matrix, moments, matrix))
-
-
-def pendulum_period_s(*, length_m: float, gyration_m: float, amplitude_rad: float, gravity_m_per_s2: float) -> float:
-    """Return the exact period [s] of a physical pendulum at a finite amplitude, by the complete elliptic integral.
-
-    Args:
-        length_m: Distance of the centre of mass from the axis [m].
-        gyration_m: Radius of gyration about the centre of mass [m].
-        amplitude_rad: Largest angle from the vertical [rad].
-        gravity_m_per_s2: Gravity [m/s^2].
-    """
-    small = np.sqrt((length_m**2 + gyration_m**2) / (gravity_m_per_s2 * length_m))
-    return float(4.0 * small * ellipk(np.sin(0.5 * amplitude_rad) ** 2))
 
 
 def torque_free_orientation(
@@ -64,18 +39,6 @@ def torque_free_orientation(
     first = np.concatenate([start.as_quat(scalar_first=True), start.apply(spin_rad_per_s, inverse=True)])
     last = solve_ivp(rate, (0.0, seconds), first, rtol=1e-10, atol=1e-12, method="DOP853").y[:, -1]
     return Rotation.from_quat(last[:4], scalar_first=True)
-
-
-def friction_of_slide(acceleration_m_per_s2: float, slope_rad: float, lift_m_per_s2: float = 0.0) -> float:
-    """Return the coefficient with which Coulomb's law gives an acceleration down a slope: (g sin - a) / (g cos + b).
-
-    Args:
-        acceleration_m_per_s2: Acceleration a down the slope.
-        slope_rad: Slope [rad].
-        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
-            both have the same weights: a body that hops gets its friction from its impacts.
-    """
-    return (G * math.sin(slope_rad) - acceleration_m_per_s2) / (G * math.cos(slope_rad) + lift_m_per_s2)
 
 
 def spin_from_orientations(rotations: Rotation, interval_s: float) -> NDArray[np.float64]:
@@ -110,16 +73,6 @@ def coefficient(values: NDArray[np.float64], *columns: NDArray[np.float64]) -> f
     return float(np.linalg.lstsq(np.column_stack(columns), values, rcond=None)[0][0])
 
 
-def hann_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the mean over the first axis under a Hann window: the centre of an oscillation, damped or not.
-
-    An oscillation with two or more whole periods in the window averages to zero. With any number of periods from four
-    on, less than 1 % is left. A plain mean would leave several per cent.
-    """
-    weights = np.hanning(len(values) + 2)[1:-1]
-    return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
-
-
 # --- measurements ----------------------------------------------------------------------------------------------------
 
 SLIDE_SLOPE_DEG = 30.0
@@ -142,11 +95,6 @@ ATTACHED: dict[str, Any] = {
 """Texts of the checks of attachments (`attachment_error`)."""
 
 
-def acceleration_m_per_s2(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> float:
-    """Return an acceleration by a quadratic fit, which a semi-implicit step does not bias."""
-    return float(2.0 * np.polyfit(times_s, positions_m, 2)[0])
-
-
 def largest_mm(vectors_m: NDArray[np.float64]) -> float:
     """Return the largest length of vectors [m], shape [..., 3], in millimetres."""
     return 1e3 * float(np.linalg.norm(vectors_m, axis=-1).max())
@@ -154,21 +102,15 @@ def largest_mm(vectors_m: NDArray[np.float64]) -> float:
 
 def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
     """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
-    return world_inertia_kg_m2(box_inertia_kg_m2(rollout.scene.body(name)), rollout.rotation(name))
-
-
-def mean_period_s(times_s: NDArray[np.float64], angle: NDArray[np.float64]) -> float:
-    """Return the mean period [s] from the upward zero crossings; NaN for fewer than two."""
-    before = np.flatnonzero((angle[:-1] < 0.0) & (angle[1:] >= 0.0))
-    share = angle[before] / (angle[before] - angle[before + 1])
-    crossings = times_s[before] + share * np.diff(times_s)[before]
-    return float(np.diff(crossings).mean()) if len(crossings) > 1 else float("nan")
+    axes = rollout.rotation(name).as_matrix()
+    moments = box_inertia_kg_m2(rollout.scene.body(name))
+    return np.asarray(np.einsum("tij,j,tkj->tik", axes, moments, axes))
 
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:
     """Return the measurement of a slide on `SLIDE_SLOPE_DEG`; Coulomb's law gives the expected acceleration [m/s^2]."""
     sine, cosine = np.sin(np.radians(SLIDE_SLOPE_DEG)), np.cos(np.radians(SLIDE_SLOPE_DEG))
-    effective = friction_of_slide(measured, np.radians(SLIDE_SLOPE_DEG))
+    effective = slide_friction(measured, math.radians(SLIDE_SLOPE_DEG), gravity_m_per_s2=GRAVITY_M_PER_S2)
     rules = {"its square: the engine multiplies the values of two bodies": friction**2, "its half": 0.5 * friction}
     rule = next((f", {text}" for text, value in rules.items() if abs(effective / value - 1.0) < 0.02), "")
     return Measurement(

@@ -18,12 +18,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import hinge_angle_rad, hinge_frames
-from gauge_envs.tools.conformance.lab import Lab, body, box
-from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, inertia_kg_m2, largest_mm, torque_free_orientation
+from gauge_envs.tools.bench.parts import body, box, box_inertia_kg_m2
+from gauge_envs.tools.conformance.lab import Lab
+from gauge_envs.tools.conformance.laws import inertia_kg_m2, largest_mm, torque_free_orientation
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance, recorded
 from gauge_envs.tools.conformance.spin import BRICK, SOLID_ORIGIN_M, if_it_spins, spinning_brick, spinning_solid
 
@@ -128,7 +130,7 @@ def _hinged_closed(rollout: Rollout) -> Measurement:
     tolerance=Tolerance("a fall has no model error, as for a single body (free-fall)", absolute=1e-3 * G),
 )
 def _hinged_fall(rollout: Rollout) -> Measurement:
-    acceleration = 2.0 * np.polyfit(rollout.times_s, _centre(rollout)[:, :3], 2)[0]
+    acceleration = [acceleration_m_per_s2(rollout.times_s, path_m) for path_m in _centre(rollout)[:, :3].T]
     return Measurement(measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G]))))
 
 

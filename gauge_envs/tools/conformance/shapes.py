@@ -1,11 +1,12 @@
 """Shapes in contact: heights at rest of every shape on every other one; rolling and sliding on a leaning plane."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
     Box,
@@ -22,8 +23,9 @@ from gauge_envs.scene import (
     Vector,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance.lab import Lab, body, contact, driver, ground, ramp
-from gauge_envs.tools.conformance.laws import acceleration_m_per_s2, friction_of_slide
+from gauge_envs.tools.bench.parts import body, contact, driver, ground, ramp
+from gauge_envs.tools.bench.slope import Slope, acceleration_downhill_m_per_s2
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.model import Check, Measurement, Tolerance
 
 # --- heights at rest -------------------------------------------------------------------------------------------------
@@ -205,34 +207,24 @@ SLIDE_FRICTION = 0.2
 ROLL_S = 0.6
 
 
-def _sine(pose: Pose) -> float:
+def _sine(plane: Pose) -> float:
     """Return the sine of the angle by which a plane leans."""
-    return float(np.linalg.norm(pose.rotation.apply([0.0, 0.0, 1.0])[:2]))
-
-
-def _downhill(pose: Pose) -> NDArray[np.float64]:
-    """Return the unit vector along which a plane falls most steeply, in the world."""
-    normal = pose.rotation.apply([0.0, 0.0, 1.0])
-    along = np.array([0.0, 0.0, -1.0]) + normal[2] * normal
-    return np.asarray(along / np.linalg.norm(along))
+    return math.sin(Slope.of(plane).angle_rad)
 
 
 def _down_acceleration(lab: Lab, shape: Shape, height_m: float, plane: Pose, friction: float) -> float:
     """Return the acceleration downhill of a body on a leaning plane [m/s^2]; a cylinder lies across the slope."""
-    down = _downhill(plane)
-    normal = plane.rotation.apply([0.0, 0.0, 1.0])
-    axes = np.column_stack([down, normal, np.cross(down, normal)])
+    downhill, across, normal = Slope.of(plane).axes
     start = np.asarray(plane.position_m) + height_m * normal
-    pose = Pose.from_rotation(vector(start), Rotation.from_matrix(axes))
+    frame = Rotation.from_matrix(np.column_stack([downhill, normal, -across]))
+    pose = Pose.from_rotation(vector(start), frame)
     scene = Scene(
         bodies=(body("roller", shape, pose), replace(ground(), name="plane", pose=plane)),
         contacts=(contact("roller", "plane", friction=friction),),
         duration_s=ROLL_S,
     )
     rollout = lab.rollout(scene)
-    window = rollout.between(0.1, ROLL_S)
-    along = rollout.displacement("roller") @ down
-    return acceleration_m_per_s2(rollout.times_s[window], along[window])
+    return acceleration_downhill_m_per_s2(rollout, "roller", "plane", start_s=0.1)
 
 
 def _roll_check(id: str, shape: Shape, radius_m: float, share: float) -> None:
@@ -271,7 +263,7 @@ def _slide_plane(lab: Lab) -> Measurement:
 def _slide_hint(measured: float, sine: float) -> str:
     if abs(measured) < 0.02 * G * sine:
         return "it does not slide: the leaning plane is level in the engine, or friction holds the brick"
-    friction = friction_of_slide(measured, float(np.arcsin(sine)))
+    friction = slide_friction(measured, math.asin(sine), gravity_m_per_s2=G)
     if friction < -0.02:
         return "it slides faster than without friction: the plane leans otherwise in the engine"
     return f"it slides as if the friction were {friction:.3g} instead of {SLIDE_FRICTION:.3g}"

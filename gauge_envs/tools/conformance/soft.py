@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import j0, jn_zeros
 
+from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Attachment, Box, Pose, Region, Rod, Rope, Scene, SoftBody
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, clamped, driven_box, driver, ramp
+from gauge_envs.tools.bench.parts import driven_box, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab, clamped
 from gauge_envs.tools.conformance.laws import (
     ATTACHED,
     NODES,
@@ -22,7 +24,6 @@ from gauge_envs.tools.conformance.laws import (
     bounds_error,
     cantilever_load_over_stiffness,
     coefficient,
-    hann_mean,
     largest_mm,
     passive_energy_gain,
     stiffness,

@@ -12,7 +12,8 @@ from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, RigidBody, Scene, Vector
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.timing import SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance.lab import Lab, ball, box, contact, driver, ramp
+from gauge_envs.tools.bench.parts import ball, box, contact, driver, ramp
+from gauge_envs.tools.conformance.lab import Lab
 from gauge_envs.tools.conformance.laws import spin_from_orientations
 from gauge_envs.tools.conformance.model import Measurement, Tolerance, recorded
 

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, ConvexUnion, Motion, Pose, RigidBody, Scene, Shape, Sphere
 from gauge_envs.scene.geometry import vector
+from gauge_envs.tools.bench.parts import box_inertia_kg_m2
 from gauge_envs.tools.conformance.lab import Lab
-from gauge_envs.tools.conformance.laws import box_inertia_kg_m2, largest_mm, torque_free_orientation
+from gauge_envs.tools.conformance.laws import largest_mm, torque_free_orientation
 from gauge_envs.tools.conformance.model import Check, Measurement, recorded, rollout_of
 
 FLIGHT_S = 0.5

@@ -1,14 +1,8 @@
 """List of the control tasks: their ids and entry points."""
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
-
-from gymnasium.envs import registration
 
 from gauge_envs.errors import UnknownNameError
-
-if TYPE_CHECKING:
-    from gauge_envs.pages.document import Document
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,38 +52,3 @@ def find_control_task(name: str) -> ControlTask:
         return by_name[name.removeprefix("GAUGE/")]
     except KeyError:
         raise UnknownNameError("control task", name, by_name) from None
-
-
-# --- what the registry asks for --------------------------------------------------------------------------------------
-
-
-def register() -> None:
-    """Register every control task with Gymnasium; `import gauge_envs` calls this."""
-    for task in control_tasks():
-        if task.id not in registration.registry:
-            registration.register(
-                id=task.id,
-                entry_point="gauge_envs.tools.control.wrapper:control_env",
-                vector_entry_point="gauge_envs.tools.control.vector:ControlVectorEnv",
-                kwargs={"task": task.name},
-            )
-
-
-def names() -> tuple[str, ...]:
-    """Return the names of all control tasks, as `Turntable-Limit-wood`."""
-    return tuple(task.name for task in control_tasks())
-
-
-def summary() -> str:
-    """Return the control tasks in a line."""
-    from gauge_envs.pages.text import shortened
-
-    ids = [task.id for task in control_tasks()]
-    return f"extra, {len(ids)} control tasks whose optimum a law gives: {shortened(ids)}; gauge show explains one"
-
-
-def document(name: str) -> "Document":
-    """Return the page of a control task."""
-    from gauge_envs.tools.control.page import control_description, control_document
-
-    return control_document(control_description(find_control_task(name)))

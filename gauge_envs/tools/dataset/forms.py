@@ -12,14 +12,17 @@ has none, the caller states them (`Stated`). Columns of other names are not read
 """
 
 import csv
+import json
 import re
-from collections.abc import Iterable, Mapping
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import npz_arrays, npz_names
+from gauge_envs.files import check_json_size, npz_arrays, npz_names
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
 
@@ -38,9 +41,9 @@ HEADS = {spelling: key for key, spellings in SPELLINGS.items() for spelling in s
 WRAPPERS = {"bodies", "rigidbodies", "assets", "objects", "data", "trajectory", "trajectories", "trial"}
 """Names of objects that hold assets."""
 
-ROWS = {"position": "xyz", "positions": "xyz", "pos": "xyz", "translation": "xyz"}
-ROWS |= {f"{name}xyzw": "xyzw" for name in ("quat", "quaternion", "quaternions", "")}
-ROWS |= {f"{name}wxyz": "wxyz" for name in ("quat", "quaternion", "quaternions", "")}
+ROWS: dict[str, tuple[str, ...]] = dict.fromkeys(("position", "positions", "pos", "translation"), ("x", "y", "z"))
+ROWS |= dict.fromkeys(("quatxyzw", "quaternionxyzw", "quaternionsxyzw", "xyzw"), ("qx", "qy", "qz", "qw"))
+ROWS |= dict.fromkeys(("quatwxyz", "quaternionwxyz", "quaternionswxyz", "wxyz"), ("qw", "qx", "qy", "qz"))
 """Columns of rows of numbers, by the name of the list or array."""
 
 COLUMN = re.compile(
@@ -54,12 +57,17 @@ ARRAY = re.compile(
     re.IGNORECASE,
 )
 MARKER = re.compile(r"(.+)[./:](\d+)")
+SECONDS = re.compile(r"[\[(]s[\])]|_s$")
 COMMENT = re.compile(r"#\s*([\w ]+?)\s*[:=]\s*(\S+)")
+NUMBER = re.compile(r"\s*[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*", re.IGNORECASE)
 
 MOST_ARRAY_BYTES = 64 * 1024**2
 
 TIME_TOLERANCE_S = 1e-3
 """Largest distance of a time from an even spacing; files print three digits or more."""
+
+Path = tuple[str, ...]
+"""Names of the asset, and of the marker, that a list belongs to; empty where its name states them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,55 +83,124 @@ class Stated:
     rate_hz: float | None = None
 
 
+def published_form(content: bytes, suffix: str, stated: Stated) -> dict[str, Any]:
+    """Return the content of a trial file as the object of a published file.
+
+    Args:
+        content: The file's bytes.
+        suffix: Suffix of the file, in lower case: one of `FORMS`.
+        stated: Unit and rate of files that do not state them.
+    """
+    entries = {".json": _json_entries, ".csv": _csv_entries, ".npz": _npz_entries}[suffix](content)
+    form = _Form()
+    for path, name, values in entries:
+        form.add(path, name, values)
+    return form.published(stated)
+
+
 @dataclass
 class _Form:
-    """A file on its way into the published form."""
+    """A file on its way into the published form.
+
+    Attributes:
+        heads: Rate, unit, times and frame numbers, by their published names.
+        assets: Lists by published name, of each asset or of each of its markers.
+        units: Name of the first column with each unit.
+        unknown: Names that are not read.
+    """
 
     heads: dict[str, Any] = field(default_factory=dict)
     assets: dict[str, dict[str, Any]] = field(default_factory=dict)
     units: dict[str, str] = field(default_factory=dict)
+    unknown: list[str] = field(default_factory=list)
 
-    def add(self, path: str, name: str, values: Any) -> bool:
-        """Add one column by its name; return whether the name is that of a column."""
-        found = COLUMN.fullmatch(name)
-        if found is None:
-            return False
-        axis = found["axis"].lower()[-1]
-        turns = axis == "w" or (found["kind"] or "").lower().startswith("quat") or found["axis"].lower().startswith("q")
-        self._put(path or found["asset"] or "", f"q{axis}" if turns else axis, values, name)
-        if found["unit"]:
-            self.units[found["unit"].lower()] = name
-        return True
+    def add(self, path: Path, name: str, values: Any) -> None:
+        """Add a list of numbers, an array, or a scalar, by its name."""
+        head = HEADS.get(_plain(SECONDS.sub("", name)))
+        if not path and head is not None:
+            self._add_head(head, values)
+        elif isinstance(values, np.ndarray) and values.ndim > 1:
+            self._add_array(name, values)
+        elif path and _plain(name) in ROWS and isinstance(values, list):
+            self._add_rows(path, ROWS[_plain(name)], values, ".".join((*path, name)))
+        elif found := COLUMN.fullmatch(name):
+            axis = found["axis"].lower()
+            is_quaternion = axis[0] in "qw" or (found["kind"] or "").lower().startswith("quat")
+            key = f"q{axis[-1]}" if is_quaternion else axis[-1]
+            listed = values.reshape(-1).tolist() if isinstance(values, np.ndarray) else values
+            self._put(path or _path(found["asset"] or ""), key, listed, name)
+            self._note_unit(found["unit"], name)
+        elif len(path) == 1:
+            # Another entry of an asset, which is a fault among the markers of a marker set.
+            self.assets.setdefault(path[0], {})[name] = values
+        else:
+            self.unknown.append(name)
 
-    def add_rows(self, path: str, columns: str, rows: Any, place: str) -> None:
-        """Add the columns of rows of numbers, shape [T, len(columns)]."""
-        if isinstance(rows, list) and not all(isinstance(row, list) and len(row) == len(columns) for row in rows):
-            raise TrialError(place, "its rows differ in length", f"rows of {', '.join(columns)} are expected")
-        for axis, values in zip(columns, zip(*rows, strict=True), strict=True):
-            self._put(path, f"q{axis}" if len(columns) == 4 else axis, list(values), place)
+    def _add_head(self, head: str, values: Any) -> None:
+        if isinstance(values, np.ndarray):
+            values = values.reshape(-1).tolist()
+        if head in (RATE, UNIT):
+            self.heads[head] = values[0] if isinstance(values, list) and values else values
+        elif isinstance(values, list):
+            self.heads[head] = values
 
-    def _put(self, path: str, key: str, values: Any, place: str) -> None:
-        marker = MARKER.fullmatch(path)
-        name = marker[1] if marker else path
-        # Columns of one body may spell it in several ways.
-        name = next((known for known in self.assets if _plain(known) == _plain(name)), name)
-        asset = self.assets.setdefault(name, {})
-        asset = asset.setdefault(marker[2], {}) if marker else asset
-        if key in asset:
+    def _add_array(self, name: str, array: FloatArray) -> None:
+        """Add an array of rows: those of a body, or of each of several markers."""
+        found = ARRAY.fullmatch(name)
+        assert found is not None
+        columns = ROWS.get(_plain(found["rows"]), ("x", "y", "z"))
+        asset = found["asset"]
+        if array.ndim == 2 and array.shape[1] == len(columns):
+            self._add_rows(_path(asset), columns, array.tolist(), name)
+        elif array.ndim == 3 and array.shape[2] == len(columns) == 3:
+            for marker in range(array.shape[1]):
+                self._add_rows((asset, str(marker)), columns, array[:, marker].tolist(), name)
+        else:
             raise TrialError(
-                place, f"the key occurs twice, as {key} of {path or 'the file'}", "unique names are expected"
+                name,
+                f"its shape is {list(array.shape)}",
+                "[T, 3], [T, M, 3], or [T, 4] with xyzw or wxyz in its name, is expected",
             )
-        asset[key] = values
+        self._note_unit(found["unit"], name)
+
+    def _add_rows(self, path: Path, columns: tuple[str, ...], rows: list[Any], place: str) -> None:
+        if not all(isinstance(row, list) and len(row) == len(columns) for row in rows):
+            raise TrialError(place, "its rows differ in length", f"rows of {', '.join(columns)} are expected")
+        for index, key in enumerate(columns):
+            self._put(path, key, [row[index] for row in rows], place)
+
+    def _put(self, path: Path, key: str, values: Any, place: str) -> None:
+        # Columns of one body may spell it in several ways.
+        name = next((known for known in self.assets if _plain(known) == _plain(path[0])), path[0])
+        lists = self.assets.setdefault(name, {})
+        for marker in path[1:]:
+            lists = lists.setdefault(marker, {})
+        if key in lists:
+            of = ".".join(path) or "the file"
+            raise TrialError(place, f"the key occurs twice, as {key} of {of}", "unique names are expected")
+        lists[key] = values
+
+    def _note_unit(self, unit: str | None, name: str) -> None:
+        if unit:
+            self.units.setdefault(unit.lower(), name)
 
     def published(self, stated: Stated) -> dict[str, Any]:
         """Return the object of a published file."""
-        if len(self.units) > 1:
+        if not self.assets:
+            unknown = f"; no name of a column is known: {', '.join(self.unknown[:6])}" if self.unknown else ""
             raise TrialError(
-                next(iter(self.units.values())), f"columns are in {', '.join(self.units)}", "one unit is expected"
+                "(file)",
+                f"it holds no asset{unknown}",
+                "an object such as 'cube', or names as cube.x, foam.17.x, are expected",
             )
-        rate, unit = self.heads.get(RATE), self.heads.get(UNIT, next(iter(self.units), None))
-        if self.units and unit not in self.units:
-            raise TrialError(UNIT, f"it is {unit}, and columns are in {next(iter(self.units))}", "one unit is expected")
+        if len(self.units) > 1:
+            first = next(iter(self.units.values()))
+            raise TrialError(first, f"columns are in {', '.join(self.units)}", "one unit is expected")
+        column_unit = next(iter(self.units), None)
+        unit = self.heads.get(UNIT, column_unit)
+        if self.units and unit != column_unit:
+            raise TrialError(UNIT, f"it is {unit}, and columns are in {column_unit}", "one unit is expected")
+        rate = self.heads.get(RATE)
         if TIME in self.heads:
             timed = _rate_hz(self.heads[TIME])
             rate = timed if rate is None else rate
@@ -140,11 +217,17 @@ class _Form:
         }
 
 
+def _path(name: str) -> Path:
+    """Return the path that a name states: `foam.17` is marker 17 of the foam."""
+    marker = MARKER.fullmatch(name)
+    return (name,) if marker is None else (marker[1], marker[2])
+
+
 def _plain(name: str) -> str:
     return re.sub(r"[^a-z0-9]", "", name.lower())
 
 
-def _numbers(key: str, values: Any) -> Any:
+def _numbers(key: str, values: Any) -> FloatArray:
     try:
         return np.array(values, dtype=np.float64).reshape(-1)
     except (TypeError, ValueError, OverflowError):
@@ -153,135 +236,98 @@ def _numbers(key: str, values: Any) -> Any:
 
 def _rate_hz(values: Any) -> float:
     times = _numbers(TIME, values)
-    span = times[-1] - times[0] if len(times) > 1 else 0.0
-    if not span > 0.0 or np.abs(times - np.linspace(times[0], times[-1], len(times))).max() > TIME_TOLERANCE_S:
+    span = float(times[-1] - times[0]) if len(times) > 1 else 0.0
+    even = np.linspace(times[0], times[-1], len(times)) if span > 0.0 else times
+    if not span > 0.0 or np.abs(times - even).max() > TIME_TOLERANCE_S:
         raise TrialError(TIME, "its times [s] are not evenly spaced", f"{FRAME_RATE_HZ:g} frames a second are expected")
-    rate = (len(times) - 1) / float(span)
-    return FRAME_RATE_HZ if abs(rate / FRAME_RATE_HZ - 1.0) < TIME_TOLERANCE_S / float(span) + 1e-6 else rate
+    rate = (len(times) - 1) / span
+    return FRAME_RATE_HZ if abs(rate / FRAME_RATE_HZ - 1.0) < TIME_TOLERANCE_S / span + 1e-6 else rate
 
 
-def from_json(values: Mapping[str, Any], stated: Stated) -> dict[str, Any]:
-    """Return the published form of a JSON object."""
-    form = _Form()
-    _add_object(form, values)
-    return form.published(stated)
+# --- the three kinds of files ---
+
+Entry = tuple[Path, str, Any]
+"""Path, name and values of a list, an array or a scalar of a file."""
 
 
-def _add_object(form: _Form, values: Mapping[str, Any]) -> None:
+def _json_entries(content: bytes) -> Iterator[Entry]:
+    if not content.strip():
+        raise TrialError("(file)", "it is empty", "a JSON object is expected")
+    try:
+        check_json_size(content)
+        values = json.loads(content, object_pairs_hook=_unique)
+    except RecursionError:
+        raise TrialError("(file)", "its objects are nested too deeply", "assets hold lists of numbers") from None
+    except UnicodeDecodeError as error:
+        raise TrialError("(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected") from None
+    except ValueError as error:
+        raise TrialError("(file)", f"it is not JSON: {error}", "a complete JSON object is expected") from None
+    if not isinstance(values, dict):
+        raise TrialError("(file)", f"it is a JSON {type(values).__name__}", "a JSON object is expected")
+    yield from _object_entries(values, ())
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
+        raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
+    return values
+
+
+def _object_entries(values: Mapping[str, Any], path: Path) -> Iterator[Entry]:
     for key, value in values.items():
-        head = HEADS.get(_plain(key))
-        if head is not None and isinstance(value, list) == (head in (TIME, FRAME)) and not isinstance(value, dict):
-            form.heads[head] = value
-        elif isinstance(value, dict) and _plain(key) in WRAPPERS:
-            _add_object(form, value)
-        elif isinstance(value, dict):
-            form.assets[key] = _asset(form, key, value)
-        elif isinstance(value, list):
-            form.add("", key, value)
+        if not isinstance(value, dict):
+            yield path, key, value
+        elif not path and _plain(key) in WRAPPERS:
+            yield from _object_entries(value, path)
+        elif len(path) < 2:
+            yield from _object_entries(value, (*path, key))
 
 
-def _asset(form: _Form, path: str, asset: Mapping[str, Any]) -> dict[str, Any]:
-    """Return an asset, or a marker, with the published names of its lists."""
-    own = _Form(units=form.units)
-    for key, value in asset.items():
-        if isinstance(value, dict):
-            own.assets.setdefault(path, {})[key] = _asset(form, f"{path}.{key}", value)
-        elif _plain(key) in ROWS and isinstance(value, list):
-            own.add_rows("", ROWS[_plain(key)], value, f"{path}.{key}")
-        elif not (COLUMN.fullmatch(key) and "." not in key and own.add(" ", key, value)):
-            own.assets.setdefault(path, {})[key] = value
-    return {**own.assets.get(" ", {}), **own.assets.get("", {}), **own.assets.get(path, {})}
-
-
-def from_csv(content: bytes, stated: Stated) -> dict[str, Any]:
-    """Return the published form of a CSV file."""
+def _csv_entries(content: bytes) -> Iterator[Entry]:
     try:
         lines = content.decode("utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
         raise TrialError("(file)", f"it is not text: {error.reason}", "CSV in UTF-8 is expected") from None
-    form = _Form()
     for line in lines:
-        if (found := COMMENT.match(line)) and (head := HEADS.get(_plain(found[1]))):
-            form.heads[head] = float(found[2]) if head == RATE and _is_number(found[2]) else found[2]
+        comment = COMMENT.match(line)
+        if comment is not None and _plain(comment[1]) in HEADS:
+            yield (), comment[1], _value(comment[2])
     rows = [line for line in lines if line.strip() and not line.startswith("#")]
     header = rows[0] if rows else ""
     try:
         table = list(csv.reader(rows, delimiter=max(",;\t", key=header.count)))
     except csv.Error as error:
         raise TrialError("(file)", f"it is not CSV: {error}", "a header and rows of numbers are expected") from None
-    if len(table) < 2 or any(_is_number(name) for name in table[0]):
+    if len(table) < 2 or any(NUMBER.fullmatch(name) for name in table[0]):
         raise TrialError(
             "(file)", "it has no header, or no row", "names as cube.x, and a row for each frame, are expected"
         )
+    width = len(table[0])
     for number, row in enumerate(table[1:], start=1):
-        if len(row) != len(table[0]):
-            raise TrialError(
-                f"row {number}", f"it has {len(row)} columns", f"{len(table[0])} are expected, as in the header"
-            )
-    _add_columns(form, ((name.strip(), [_value(name, text) for text in of]) for name, *of in zip(*table, strict=True)))
-    return form.published(stated)
+        if len(row) != width:
+            expected = f"{width} are expected, as in the header"
+            raise TrialError(f"row {number}", f"it has {len(row)} columns", expected)
+    for name, *texts in zip(*table, strict=True):
+        yield (), name.strip(), [_value(text) for text in texts]
 
 
-def _is_number(text: str) -> bool:
-    return re.fullmatch(r"\s*[-+]?(\d+\.?\d*|\.\d+)(e[-+]?\d+)?\s*", text, re.IGNORECASE) is not None
-
-
-def _value(name: str, text: str) -> float | str:
+def _value(text: str) -> float | str:
     """Return a number, NaN for an empty field; other text as it is, which is a fault where the column is needed."""
-    plain = text.strip()
-    return float(plain) if _is_number(plain) else float("nan") if plain.lower() in ("", "nan", "null") else plain
+    if NUMBER.fullmatch(text):
+        return float(text)
+    return float("nan") if text.strip().lower() in ("", "nan", "null") else text.strip()
 
 
-def _add_columns(form: _Form, columns: Iterable[tuple[str, list[Any]]]) -> None:
-    left: list[str] = []
-    for name, values in columns:
-        head = HEADS.get(_plain(re.sub(r"[\[(]s[\])]|_s$", "", name)))
-        if head is not None:
-            form.heads[head] = values[0] if head in (RATE, UNIT) else values
-        elif not form.add("", name, values):
-            left.append(name)
-    if not form.assets:
-        raise TrialError(
-            "(file)", f"no name of a column is known: {', '.join(left[:6])}", "names as cube.x, foam.17.x are expected"
-        )
-
-
-def from_npz(content: bytes, stated: Stated) -> dict[str, Any]:
-    """Return the published form of an NPZ file."""
-    form = _Form()
-    columns: list[tuple[str, list[Any]]] = []
+def _npz_entries(content: bytes) -> Iterator[Entry]:
     left = MOST_ARRAY_BYTES
     try:
         for name in npz_names(content):
             array = npz_arrays(content, [name], left)[name]
             left -= array.nbytes
-            if array.ndim < 2:
-                columns.append((name, array.reshape(-1).tolist()))
-            else:
-                _add_array(form, name, array)
+            yield (), name, array
     except ValueError as error:
         raise TrialError(
             "(file)", f"it is not an NPZ file of numbers: {error}", "arrays of numbers are expected"
         ) from None
-    if columns or not form.assets:
-        _add_columns(form, columns)
-    return form.published(stated)
-
-
-def _add_array(form: _Form, name: str, array: Any) -> None:
-    found = ARRAY.fullmatch(name)
-    assert found is not None
-    columns = ROWS.get(_plain(found["rows"]), "xyz")
-    if array.ndim == 2 and array.shape[1] == len(columns):
-        form.add_rows(found["asset"], columns, array.tolist(), name)
-    elif array.ndim == 3 and array.shape[2] == 3 and columns == "xyz":
-        for marker in range(array.shape[1]):
-            form.add_rows(f"{found['asset']}.{marker}", columns, array[:, marker].tolist(), name)
-    else:
-        raise TrialError(
-            name,
-            f"its shape is {list(array.shape)}",
-            "[T, 3], [T, M, 3], or [T, 4] with xyzw or wxyz in its name, is expected",
-        )
-    if found["unit"]:
-        form.units[found["unit"].lower()] = name

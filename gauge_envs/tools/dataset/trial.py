@@ -6,19 +6,17 @@ an object with `x`, `y`, `z` per marker id. Each list has one sample per frame; 
 captured.
 """
 
-import json
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gauge_envs.files import MEGABYTE, check_json_size
+from gauge_envs.files import MEGABYTE
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.dataset.findings import TrialError
-from gauge_envs.tools.dataset.forms import RATE, UNIT, Stated, from_csv, from_json, from_npz
+from gauge_envs.tools.dataset.forms import RATE, UNIT, Stated, published_form
 
 Lengths = dict[str, int]
 """Number of samples of each list of an asset, by its place; all have as many as the first."""
@@ -74,9 +72,7 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
         suffix: Suffix of the file, in lower case: one of `FORMS`.
         stated: Unit and rate of files that do not state them.
     """
-    stated = stated or Stated()
-    readers = {".csv": from_csv, ".npz": from_npz}
-    values = readers[suffix](content, stated) if suffix in readers else from_json(_json_object(content), stated)
+    values = published_form(content, suffix, stated or Stated())
     rate, unit = values.pop(RATE), values.pop(UNIT)
     if isinstance(rate, bool) or not isinstance(rate, int | float) or rate != FRAME_RATE_HZ:
         says = "; rate=30 says that of files without one" if rate is None else ""
@@ -89,8 +85,6 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
     markers: dict[str, dict[str, FloatArray]] = {}
     faults: dict[str, TrialError] = {}
     for name, asset in values.items():
-        if not isinstance(asset, dict):
-            continue
         lengths: Lengths = {}
         try:
             if any(isinstance(entry, dict) for entry in asset.values()):
@@ -101,34 +95,7 @@ def parse_trial(content: bytes, suffix: str = ".json", stated: Stated | None = N
                 poses[name] = _pose(name, asset, lengths, scale)
         except TrialError as error:
             faults[name] = error
-    if not (poses or markers or faults):
-        raise TrialError("(file)", "it holds no asset", "an object such as 'cube' with x, y, z is expected")
     return Trial(poses=poses, markers=markers, faults=faults)
-
-
-def _json_object(content: bytes) -> dict[str, Any]:
-    if not content.strip():
-        raise TrialError("(file)", "it is empty", "a JSON object is expected")
-    try:
-        check_json_size(content)
-        values = json.loads(content, object_pairs_hook=_unique)
-    except RecursionError:
-        raise TrialError("(file)", "its objects are nested too deeply", "assets hold lists of numbers") from None
-    except UnicodeDecodeError as error:
-        raise TrialError("(file)", f"it is not text: {error.reason}", "JSON in UTF-8 is expected") from None
-    except ValueError as error:
-        raise TrialError("(file)", f"it is not JSON: {error}", "a complete JSON object is expected") from None
-    if not isinstance(values, dict):
-        raise TrialError("(file)", f"it is a JSON {type(values).__name__}", "a JSON object is expected")
-    return values
-
-
-def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    values = dict(pairs)
-    if len(values) < len(pairs):
-        twice = next(key for key, count in Counter(key for key, _ in pairs).items() if count > 1)
-        raise TrialError(twice, "the key occurs twice", "unique names of assets, markers and lists are expected")
-    return values
 
 
 def _positions(name: str, asset: Mapping[str, Any], lengths: Lengths, scale: float) -> FloatArray:

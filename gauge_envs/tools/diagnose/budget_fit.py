@@ -214,15 +214,25 @@ class NestedFits:
         The grid only gives starts for the refinement, so it takes the coordinates with the largest error and, for long
         episodes, a part of the frames.
         """
-        weight = np.nansum(np.square(self._reference - self._simulated[0]), axis=0)
-        columns = np.sort(np.argsort(weight)[::-1][:GRID_COORDINATES])
-        stride = max(1, math.ceil(len(shifts) * len(rates) * len(self._reference) * len(columns) / GRID_NUMBERS))
-        reference, motion = self._reference[::stride, columns], self.motion.select(columns)
-        points = np.stack(np.meshgrid(shifts, rates, indexing="ij"), axis=-1).reshape(-1, 2)
-        chunks = np.array_split(points, math.ceil(reference.size * len(points) / CHUNK_NUMBERS))
-        played = (motion.at(self._frames_s[::stride], chunk[:, 0], chunk[:, 1]) for chunk in chunks)
-        errors = [self._linear(stages, reference, *one)[0].sum(axis=1) for one in played]
-        return np.concatenate(errors).reshape(len(shifts), len(rates))
+        squares = np.nansum(np.square(self._reference - self._simulated[0]), axis=0)
+        largest_first = np.argsort(squares)[::-1]
+        columns = np.sort(largest_first[:GRID_COORDINATES])
+        motion = self.motion.select(columns)
+
+        number_count = len(shifts) * len(rates) * len(self._reference) * len(columns)
+        stride = max(1, math.ceil(number_count / GRID_NUMBERS))
+        reference = self._reference[::stride, columns]
+        frames_s = self._frames_s[::stride]
+
+        shift_of_point, rate_of_point = (one.ravel() for one in np.meshgrid(shifts, rates, indexing="ij"))
+        point_count = len(shift_of_point)
+        errors = np.zeros(point_count)
+        chunk_count = math.ceil(reference.size * point_count / CHUNK_NUMBERS)
+        for chunk in np.array_split(np.arange(point_count), chunk_count):
+            played, basis = motion.at(frames_s, shift_of_point[chunk], rate_of_point[chunk])
+            left, _, _ = self._linear(stages, reference, played, basis)
+            errors[chunk] = left.sum(axis=1)
+        return errors.reshape(len(shifts), len(rates))
 
     def _solved(self, stages: frozenset[BudgetStage], shift_s: float, rate: float) -> StageFit:
         played = self.motion.at(self._frames_s, np.array([shift_s]), np.array([rate]))

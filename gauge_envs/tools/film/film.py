@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from gauge_envs.backends.registry import backend_title
 from gauge_envs.errors import GaugeError, ParameterError, ResultFileError
 from gauge_envs.evaluation.reference_path import reference_text
 from gauge_envs.pages.results import PLAIN, configuration_labels, configuration_parts, versions_text
-from gauge_envs.pages.text import BACKEND_TITLES, short_id
+from gauge_envs.pages.text import short_id
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.replay import VIEWS_PER_FRAME, ReplayError
 from gauge_envs.runs.result import Result
@@ -102,11 +103,11 @@ class FilmOptions:
     recording: Recording | None = None
 
     def __post_init__(self) -> None:
-        for name, (least, most, unit) in LIMITS.items():
+        for name, (smallest, largest, unit) in LIMITS.items():
             value = getattr(self, name)
             # A comparison with NaN is false.
-            if value is not None and not least <= value <= most:
-                raise ParameterError(f"{name} is {value:g}, expected {least:g} to {most:g}{unit}")
+            if value is not None and not smallest <= value <= largest:
+                raise ParameterError(f"{name} is {value:g}, expected {smallest:g} to {largest:g}{unit}")
         if not 0.0 <= self.from_s < math.inf:
             raise ParameterError(f"from_s is {self.from_s:g}, expected 0 or more")
         if self.to_s is not None and not self.from_s <= self.to_s < math.inf:
@@ -166,12 +167,12 @@ def save_film(
         times_s = film_times(options, max(panel.last_s for panel in panels))
         size = {"width": options.width, "height": options.height}
         layout = FilmLayout([panel.text for panel in panels], _caption(takes, options), columns=options.columns, **size)
-        held = round(options.hold_s * options.fps)
+        last_frames = round(options.hold_s * options.fps)
         writer = stack.enter_context(film_writer(out, size=layout.size, fps=options.fps))
         for number, time_s in enumerate(times_s):
             pictures = [panel.picture(float(time_s)) for panel in panels]
             frame = layout.frame(pictures, f"t = {time_s:.3f} s")
-            writer.add(frame, times=1 + held if number == len(times_s) - 1 else 1)
+            writer.add(frame, times=1 + last_frames if number == len(times_s) - 1 else 1)
             progress(number + 1, len(times_s))
     return left_out
 
@@ -252,7 +253,7 @@ def _titles(configurations: Sequence[RunConfiguration]) -> list[str]:
         parts = configuration_parts(configurations[0])
         labels = [", ".join(text for kind, text in parts if (kind, text) != PLAIN and kind != "jitter")]
     split = [label.partition(", ") for label in labels]
-    return [f"{BACKEND_TITLES.get(engine, engine)}{comma}{rest}" for engine, comma, rest in split]
+    return [f"{backend_title(engine)}{comma}{rest}" for engine, comma, rest in split]
 
 
 def _caption(takes: Sequence[Take], options: FilmOptions) -> Caption:

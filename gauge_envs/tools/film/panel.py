@@ -14,11 +14,10 @@ from gauge_envs.errors import VideoError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.evaluation.reference_path import ReferencePath, reference_path
 from gauge_envs.experiments.experiment import Experiment
-from gauge_envs.observables.kinds import Observable
 from gauge_envs.pages.results import SCORE_METRICS, normalized_score, raw_score, score_interval
 from gauge_envs.pages.text import interval_text, score_text, with_unit
 from gauge_envs.references.bands import Band
-from gauge_envs.rendering.overlay import MOST_PATHS, RECORDED_COLOR, Overlay, OverlayPath, reference_ghosts
+from gauge_envs.rendering.overlay import Overlay, between, tracked_overlay
 from gauge_envs.runs.replay import Replay, default_views_per_frame, load_or_replay, replayed_experiment
 from gauge_envs.runs.result import Outcome, Result
 from gauge_envs.scene.geometry import FloatArray
@@ -29,7 +28,7 @@ from gauge_envs.tools.video import FileFrames
 PATH_STEP = 3
 """Samples between the points of a path, which are 60 a second."""
 
-PATH_POINTS = 240
+PATH_POINTS = 239
 """Points of a path; it shows the last four seconds."""
 
 SHOWN_SCORES = 2
@@ -118,7 +117,6 @@ class SimulatedPanel:
         self.text = PanelText(title=title, detail=detail, note=score_line(take.result, take.band))
         self.last_s = take.last_s
         self._take = take
-        self._is_place = take.experiment.score.observable in (Observable.POSITION, Observable.MARKER_POSITION)
         self._rest_nodes_m = {name: points[0].astype(np.float64) for name, points in take.replay.nodes_m.items()}
         self._canvas = Pictures("rgb_array", width=width, height=height)
 
@@ -127,7 +125,7 @@ class SimulatedPanel:
         replay = self._take.replay
         at = min(time_s, self.last_s) * replay.rate_hz
         poses = dict(zip(replay.bodies, _poses_at(replay.poses, at), strict=True))
-        nodes_m = {name: _between(points, at) for name, points in replay.nodes_m.items()}
+        nodes_m = {name: between(points, at) for name, points in replay.nodes_m.items()}
         return self._canvas.draw(
             self._take.experiment,
             self._rest_nodes_m,
@@ -144,39 +142,25 @@ class SimulatedPanel:
             time_s: The time [s].
             poses: Poses of the moving bodies at that time, shape [7] each.
         """
-        markers_m, paths = self._simulated(min(time_s, self.last_s))
-        recorded_m, ghosts = np.zeros((0, 3)), {}
-        reference = self._take.reference
-        if reference is not None:
-            if len(reference.names) <= MOST_PATHS:
-                paths += [OverlayPath(points_m=line, color=RECORDED_COLOR) for line in _lines(reference.places_m)]
-            at = time_s * FRAME_RATE_HZ
-            if at <= len(reference.places_m) - 1:
-                recorded_m = _between(reference.places_m, at)
-                ghosts = reference_ghosts(self._take.experiment, reference, recorded_m, time_s=time_s, poses=poses)
-                recorded_m = np.array([pose[:3] for pose in ghosts.values()]) if ghosts else recorded_m
-        return Overlay(markers_m=markers_m, recorded_m=recorded_m, paths=tuple(paths), ghosts=ghosts)
+        replay = self._take.replay
+        assert self._take.result.trajectory is not None
+        times_s, samples = self._take.result.trajectory.arrays()
+        shown_s = min(time_s, self.last_s)
+        now = np.array([np.interp(shown_s, times_s, values) for values in samples.T])
+        # Steps from the start, and not from the present, keep the points of a path where they are.
+        past = samples[: np.searchsorted(times_s, shown_s)][::PATH_STEP][-PATH_POINTS:]
+        return tracked_overlay(
+            self._take.experiment,
+            self._take.reference,
+            time_s=time_s,
+            samples=np.vstack([past, now]),
+            markers_m=between(replay.markers_m, shown_s * FRAME_RATE_HZ),
+            poses=poses,
+        )
 
     def close(self) -> None:
         """Free the OpenGL context."""
         self._canvas.close()
-
-    def _simulated(self, time_s: float) -> tuple[FloatArray, list[OverlayPath]]:
-        """Return the tracked points at a time [m], shape [n, 3], and their paths so far."""
-        if not self._is_place:
-            # Curvatures and areas are no places; their markers are known at the frames.
-            markers_m = self._take.replay.markers_m.astype(np.float64)
-            return _between(markers_m, min(time_s * FRAME_RATE_HZ, len(markers_m) - 1)), []
-        assert self._take.result.trajectory is not None
-        times_s, samples = self._take.result.trajectory.arrays()
-        places_m = 1e-3 * samples.reshape(len(samples), -1, 3)
-        now = np.stack([np.interp(time_s, times_s, line) for line in places_m.reshape(len(places_m), -1).T])
-        markers_m = now.reshape(-1, 3)
-        if len(markers_m) > MOST_PATHS:
-            return markers_m, []
-        # Steps from the start, and not from the present, keep the points of a path where they are.
-        past = places_m[: np.searchsorted(times_s, time_s)][::PATH_STEP][-PATH_POINTS:]
-        return markers_m, [OverlayPath(points_m=line) for line in _lines(np.concatenate([past, markers_m[None]]))]
 
 
 def score_line(result: Result, band: Band | None) -> str:
@@ -257,17 +241,6 @@ class RecordedPanel:
 # --- between views ---
 
 
-def _between(points: NDArray[np.floating], at: float) -> FloatArray:
-    """Return points between two views, which are rows, by linear interpolation."""
-    first = min(int(at), len(points) - 1)
-    later = min(first + 1, len(points) - 1)
-    share = at - first if later > first else 0.0
-    here = points[first].astype(np.float64)
-    if share == 0.0:
-        return here
-    return (1.0 - share) * here + share * points[later]
-
-
 def _poses_at(poses: NDArray[np.floating], at: float) -> FloatArray:
     """Return poses between two views, shape [body_count, 7]."""
     first = min(int(at), len(poses) - 1)
@@ -275,11 +248,6 @@ def _poses_at(poses: NDArray[np.floating], at: float) -> FloatArray:
     # A quaternion and its negative are the same orientation.
     opposite = (pair[0, :, 3:] * pair[-1, :, 3:]).sum(axis=1) < 0.0
     pair[-1, opposite, 3:] *= -1.0
-    mixed = _between(pair, at - first)
+    mixed = between(pair, at - first)
     mixed[:, 3:] /= np.linalg.norm(mixed[:, 3:], axis=1, keepdims=True)
     return mixed
-
-
-def _lines(places_m: FloatArray) -> list[FloatArray]:
-    """Return the path of each point, shape [view_count, 3], of places of shape [view_count, point_count, 3]."""
-    return [places_m[:, index] for index in range(places_m.shape[1])]

@@ -20,10 +20,7 @@ from gauge_envs.rendering.skin import Skin
 from gauge_envs.runs.replay import Replay, replay, replayed_experiment
 from gauge_envs.runs.result import Result
 from gauge_envs.scene import (
-    Box,
     Cloth,
-    ConvexUnion,
-    Cylinder,
     Deformable,
     Motion,
     Plane,
@@ -32,10 +29,8 @@ from gauge_envs.scene import (
     Rope,
     Shape,
     SoftBody,
-    Sphere,
 )
-from gauge_envs.scene.geometry import Capsule, Compound, Ellipsoid, FloatArray
-from gauge_envs.scene.meshes import hull_triangles
+from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLES_PER_FRAME
 
 TIMELINE = "time"
@@ -47,7 +42,6 @@ COLORS = {
 PLANE_COLOR = (205, 208, 212, 255)
 GHOST_COLOR = (60, 150, 90, 110)
 MARKER_COLOR = (25, 25, 25, 255)
-PLANE_SIZE_M = (2.0, 2.0, 0.002)
 MARKER_RADIUS_M = 0.003
 PATH_RADIUS_M = 0.001
 MOST_PLOTTED = 24
@@ -237,39 +231,7 @@ class _Recording:
         )
 
     def _shape(self, path: str, shape: Shape, color: tuple[int, ...]) -> None:
-        """Log a shape in its own frame, each part of it on a path of its own."""
-        for number, (solid, pose) in enumerate(_solids(shape)):
-            place = f"{path}/shape-{number}"
-            self._stream.log(place, self._transform(pose), static=True)
-            self._stream.log(place, self._solid(solid, color), static=True)
-
-    def _solid(self, shape: Any, color: tuple[int, ...]) -> Any:
-        solid = self._rerun.components.FillMode.Solid
-        look = {"colors": [color], "fill_mode": solid}
-        if isinstance(shape, Box):
-            return self._rerun.Boxes3D(half_sizes=[0.5 * np.asarray(shape.size_m)], **look)
-        if isinstance(shape, Sphere):
-            return self._rerun.Ellipsoids3D(radii=[shape.radius_m], **look)
-        if isinstance(shape, Ellipsoid):
-            return self._rerun.Ellipsoids3D(half_sizes=[shape.radii_m], **look)
-        if isinstance(shape, Cylinder):
-            return self._rerun.Cylinders3D(lengths=[shape.length_m], radii=[shape.radius_m], **look)
-        if isinstance(shape, Capsule):
-            # The viewer's capsule stands on the origin.
-            low = [(0.0, 0.0, -0.5 * shape.length_m)]
-            return self._rerun.Capsules3D(lengths=[shape.length_m], radii=[shape.radius_m], translations=low, **look)
-        corners = hull_triangles(np.asarray(shape)).reshape(-1, 3)
-        faces = np.arange(len(corners)).reshape(-1, 3)
-        return self._rerun.Mesh3D(vertex_positions=corners, triangle_indices=faces, albedo_factor=color)
-
-
-def _solids(shape: Any) -> list[tuple[Any, Pose]]:
-    """Return the solids of a shape with their poses in the body frame; a convex piece is its array of vertices."""
-    origin = Pose(position_m=(0.0, 0.0, 0.0))
-    if isinstance(shape, Plane):
-        return [(Box(size_m=PLANE_SIZE_M), Pose(position_m=(0.0, 0.0, -0.5 * PLANE_SIZE_M[2])))]
-    if isinstance(shape, ConvexUnion):
-        return [(piece, origin) for piece in shape.pieces_m]
-    if isinstance(shape, Compound):
-        return [(solid, part.pose) for part in shape.parts for solid, _ in _solids(part.shape)]
-    return [(shape, origin)]
+        """Log a shape in the frame of its body."""
+        mesh = shape.mesh()
+        drawn = self._rerun.Mesh3D(vertex_positions=mesh.vertices, triangle_indices=mesh.faces, albedo_factor=color)
+        self._stream.log(f"{path}/shape", drawn, static=True)

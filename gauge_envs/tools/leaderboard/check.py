@@ -14,7 +14,7 @@ from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import versions
 from gauge_envs.observables.observer import MarkerProxy
-from gauge_envs.pages.text import counted
+from gauge_envs.pages.text import counted, short_id
 from gauge_envs.references.user_data import BUNDLED_DATA
 from gauge_envs.runs.configuration import RunConfiguration
 from gauge_envs.runs.result import Outcome, Result
@@ -35,6 +35,15 @@ from gauge_envs.tools.leaderboard.submission import (
 from gauge_envs.tools.leaderboard.trajectory import differing_scores, rescored, trajectory_faults
 
 Found = Iterator[tuple[str, str]]
+
+HINTS = {
+    "backend": f", the engine of {STATEMENT_FILE}",
+    "parameters": f", as {STATEMENT_FILE} states",
+    "settings_given": f", as {STATEMENT_FILE} states; settings are the same for all experiments",
+    "revision": ", that of the installed task file: run it again with this version of gauge-envs",
+    "seed": ": the calibrated start is run once",
+}
+"""What is right for a field of a result."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,12 +133,12 @@ def _without_doubles(checks: Sequence[SubmissionCheck]) -> Iterator[SubmissionCh
     earlier: list[tuple[RunConfiguration, str]] = []
     for one in checks:
         if one.results:
-            own = RunConfiguration.of(one.results[0])
-            first = next((folder for configuration, folder in earlier if configuration == own), None)
+            configuration = RunConfiguration.of(one.results[0])
+            first = next((folder for known, folder in earlier if known == configuration), None)
             if first is not None:
                 reason = f"has the engine, versions, parameters and settings of {first}; a configuration counts once"
                 one = replace(one, faults=(*one.faults, Fault(file=one.folder, reason=reason)))
-            earlier.append((own, one.folder))
+            earlier.append((configuration, one.folder))
         yield one
 
 
@@ -142,61 +151,59 @@ def _check_submission(
     if files.statement is None:
         return SubmissionCheck(folder=name, faults=tuple(faults))
     where = relative_name(files.statement, root)
-    stated = read_statement(files.statement, where)
-    if isinstance(stated, Fault):
-        return SubmissionCheck(folder=name, faults=(*faults, stated))
-    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, stated)]
+    statement = read_statement(files.statement, where)
+    if isinstance(statement, Fault):
+        return SubmissionCheck(folder=name, faults=(*faults, statement))
+    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _path_faults(folder, statement)]
     names = board_experiments(root)
-    results, seen, found = _checked_results(files, stated, root, names, advance)
+    results, seen, found = _checked_results(files, statement, root, names, advance)
     faults += found
-    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(stated, seen, names)]
+    faults += [Fault(file=where, key=key, reason=reason) for key, reason in _coverage_faults(statement, seen, names)]
     content = files.sha256(folder)
     reruns: list[Rerun] = []
     by_id = {result.id: file for file, result in results.items()}
     if rerun_count:
         for result in rerun_sample(list(results.values()), rerun_count, content_sha256=content, salt=salt):
             advance(f"run {result.id}")
-            compared, own = rerun(result)
+            compared, again = rerun(result)
             reruns.append(compared)
-            if own is not None:
-                results[by_id[result.id]] = rescored(own, load_experiment(result.id, stated.parameters))
+            if again is not None:
+                results[by_id[result.id]] = rescored(again, load_experiment(result.id, statement.parameters))
     faults += [
         Fault(file=by_id[one.id], key="trajectory", reason=f"run again: {one}") for one in reruns if one.is_fault
     ]
     return SubmissionCheck(
         folder=name,
-        statement=stated,
-        results=tuple(sorted(results.values(), key=lambda result: names.index(result.id.removeprefix("GAUGE/")))),
+        statement=statement,
+        results=tuple(sorted(results.values(), key=lambda result: names.index(short_id(result.id)))),
         faults=tuple(faults),
-        notes=(*_notes(results.values()), *_package_notes(stated)),
+        notes=(*_notes(results.values()), *_package_notes(statement)),
         reruns=tuple(reruns),
         content_sha256=content,
         asked=len(names),
-        unverified=tuple(
-            _unverified(stated, set(names) - {result.id.removeprefix("GAUGE/") for result in results.values()})
-        ),
+        unverified=tuple(_unverified(statement, set(names) - {short_id(result.id) for result in results.values()})),
     )
 
 
-def _unverified(stated: Statement, absent: Collection[str]) -> Iterator[str]:
+def _unverified(statement: Statement, absent: Collection[str]) -> Iterator[str]:
     """Yield the ids of those without a result that the engine does not decline here."""
     engine = None
     with suppress(GaugeError):
-        engine = backend(stated.engine)
+        engine = backend(statement.engine)
     for name in sorted(absent):
         if engine is None or engine.supports(load_experiment(name).scene):
             yield f"GAUGE/{name}"
 
 
-def _path_faults(folder: Path, stated: Statement) -> Found:
+def _path_faults(folder: Path, statement: Statement) -> Found:
     parts = folder.resolve().parts[-3:]
     for key, part in zip(("engine", "version", "configuration"), parts, strict=False):
-        if getattr(stated, key) != part:
-            yield key, f"is {getattr(stated, key)!r}, but the folder is {part!r}"
+        if getattr(statement, key) != part:
+            yield key, f"is {getattr(statement, key)!r}, but the folder is {part!r}"
 
 
 def _checked_results(
-    files: SubmissionFiles, stated: Statement, root: Path, names: Collection[str], advance: Callable[[str], None]
+    files: SubmissionFiles, statement: Statement, root: Path, names: Collection[str], advance: Callable[[str], None]
 ) -> tuple[dict[str, Result], set[str], list[Fault]]:
     """Return the rescored results without faults by file, the ids of all that can be read, and the faults."""
     results: dict[str, Result] = {}
@@ -211,7 +218,7 @@ def _checked_results(
         except ResultFileError as error:
             faults.append(Fault(file=name, reason=str(error).removeprefix(f"{file}: ")))
             continue
-        found = list(_result_faults(file, result, stated, names))
+        found = list(_result_faults(file, result, statement, names))
         first = earlier.setdefault(result.id, name)
         if first != name:
             found.append(("id", f"is {result.id}, which {first} has too; one result for each experiment is expected"))
@@ -220,7 +227,7 @@ def _checked_results(
         if common != engine_versions:
             found.append(("versions", f"are {_listed(common)}, but {_listed(engine_versions)} in the first file"))
         if not found:
-            experiment = load_experiment(result.id, stated.parameters)
+            experiment = load_experiment(result.id, statement.parameters)
             found = list(trajectory_faults(result, experiment))
             if not found:
                 computed = rescored(result, experiment)
@@ -230,15 +237,15 @@ def _checked_results(
     return results, set(earlier), faults
 
 
-def _result_faults(file: Path, result: Result, stated: Statement, names: Collection[str]) -> Found:
+def _result_faults(file: Path, result: Result, statement: Statement, names: Collection[str]) -> Found:
     """Yield what a result states that the submission or the rules of the leaderboard do not allow."""
-    if result.id.removeprefix("GAUGE/") not in names:
+    if short_id(result.id) not in names:
         yield "id", f"is {result.id!r}, which is not one of the {len(names)} experiments of the leaderboard"
         return
     expected = {
-        "backend": stated.engine,
-        "parameters": stated.parameters,
-        "settings_given": stated.settings,
+        "backend": statement.engine,
+        "parameters": statement.parameters,
+        "settings_given": statement.settings,
         "revision": task_spec(find_variant(result.id).family).revision,
         "seed": 0,
         "jitter": {},
@@ -248,38 +255,32 @@ def _result_faults(file: Path, result: Result, stated: Statement, names: Collect
     }
     for key, value in expected.items():
         if getattr(result, key) != value:
-            yield key, f"is {getattr(result, key)!r}, expected {value!r}{_hints(stated).get(key, '')}"
+            yield key, f"is {getattr(result, key)!r}, expected {value!r}{HINTS.get(key, '')}"
     if result.outcome not in (Outcome.FINISHED, Outcome.DIVERGED):
         yield "outcome", f"is {result.outcome.value!r}: leave the file out, and give the reason in left_out"
     if result.score.withheld is not None:
         yield "score.withheld", "the reference is withheld: run without --use withheld"
-    if stated.package in versions():
-        own = ", ".join(sorted(set(result.versions) - set(versions())))
-        yield f"versions.{stated.package}", f"is no package of the engine, whose packages are {own}"
-    version = result.versions.get(stated.package)
-    if version != stated.version:
-        yield f"versions.{stated.package}", f"is {version!r}, expected {stated.version!r}, as {STATEMENT_FILE} states"
+    if statement.package in versions():
+        packages = ", ".join(sorted(set(result.versions) - set(versions())))
+        yield f"versions.{statement.package}", f"is no package of the engine, whose packages are {packages}"
+    version = result.versions.get(statement.package)
+    if version != statement.version:
+        yield (
+            f"versions.{statement.package}",
+            f"is {version!r}, expected {statement.version!r}, as {STATEMENT_FILE} states",
+        )
     if "gauge-envs" not in result.versions:
         yield "versions.gauge-envs", "is missing"
     if file.name != result_file_name(result):
         yield "", f"is named otherwise than gauge run names it: {result_file_name(result)}"
 
 
-def _hints(stated: Statement) -> dict[str, str]:
-    return {
-        "backend": f", the engine of {STATEMENT_FILE}",
-        "parameters": f", as {STATEMENT_FILE} states",
-        "settings_given": f", as {STATEMENT_FILE} states; settings are the same for all experiments",
-        "revision": ", that of the installed task file: run it again with this version of gauge-envs",
-        "seed": ": the calibrated start is run once",
-    }
-
-
-def _coverage_faults(stated: Statement, seen: set[str], names: Sequence[str]) -> Found:
+def _coverage_faults(statement: Statement, seen: set[str], names: Sequence[str]) -> Found:
     """Yield each experiment of the leaderboard that has neither a result nor a reason, and each reason for none."""
-    present, left_out = {identifier.removeprefix("GAUGE/") for identifier in seen}, set[str]()
-    for pattern in stated.left_out:
-        stem = pattern.removeprefix("GAUGE/")
+    present = {short_id(name) for name in seen}
+    left_out: set[str] = set()
+    for pattern in statement.left_out:
+        stem = short_id(pattern)
         matched = [name for name in names if fnmatchcase(name, stem)]
         if not matched:
             yield f"left_out.{pattern!r}", "matches no experiment of the leaderboard"
@@ -295,7 +296,7 @@ def _coverage_faults(stated: Statement, seen: set[str], names: Sequence[str]) ->
 def _notes(results: Collection[Result]) -> Iterator[str]:
     made_with = {result.versions["gauge-envs"] for result in results}
     families = {find_variant(result.id).family: result.task_sha256 for result in results}
-    if other := [family for family, stated in families.items() if stated != task_sha256(family)]:
+    if other := [family for family, sha256 in families.items() if sha256 != task_sha256(family)]:
         yield f"task files of the same revision, but with another text than those installed: {', '.join(other)}"
     installed = versions()["gauge-envs"]
     for version in sorted(made_with - {installed}):
@@ -305,19 +306,19 @@ def _notes(results: Collection[Result]) -> Iterator[str]:
         )
 
 
-def _package_notes(stated: Statement) -> Iterator[str]:
+def _package_notes(statement: Statement) -> Iterator[str]:
     """Yield what is known of the files of the engine's package: those of the submission, and those installed here."""
-    name, here = f"{stated.package} {stated.version}", f"{stated.package} as installed here"
-    installed, changed = installed_package(stated.package)
+    name, here = f"{statement.package} {statement.version}", f"{statement.package} as installed here"
+    installed, changed = installed_package(statement.package)
     if changed:
         yield f"{here} differs from its release in {counted(len(changed), 'file')}, as {changed[0]}: install it again"
     if not installed:
         yield f"{here} has no list of its files, as an editable installation: its files were not compared"
-    elif installed_version(stated.package) != stated.version:
+    elif installed_version(statement.package) != statement.version:
         yield f"{name} is not installed here: its files were not compared"
-    elif not stated.package_sha256:
+    elif not statement.package_sha256:
         yield f'the files of {name} are not stated; add package_sha256 = "{installed}" if they are those installed here'
-    elif stated.package_sha256 != installed:
+    elif statement.package_sha256 != installed:
         yield f"the files of {name} are not those installed here, {installed}: another system or build, or changed ones"
 
 

@@ -116,34 +116,45 @@ def rerun(result: Result) -> tuple[Rerun, Result | None]:
         return replace(blank, cause=str(error)), None
     if again.error is not None or again.trajectory is None or result.trajectory is None:
         return replace(blank, cause=again.error or "no trajectory"), None
-    cause, different = _cause(result, again), replace(blank, status=RerunStatus.DIFFERENT)
-    (_, stored), (_, repeated) = result.trajectory.arrays(later=True), again.trajectory.arrays(later=True)
+    return _compared(result, again, request), again
+
+
+def _compared(result: Result, again: Result, request: RunRequest) -> Rerun:
+    """Return how a result compares with another run of its episode."""
+    assert result.trajectory is not None and again.trajectory is not None
+    unit = result.score.unit
+    cause = _cause(result, again)
+    different = Rerun(id=result.id, status=RerunStatus.DIFFERENT, unit=unit)
+    stored = result.trajectory.arrays(later=True)[1]
+    repeated = again.trajectory.arrays(later=True)[1]
     if again.outcome is not result.outcome or stored.shape != repeated.shape:
-        lengths = (
-            f"{result.outcome.value} with {len(stored)} samples in the file, "
-            f"{again.outcome.value} with {len(repeated)} here"
-        )
-        return replace(different, cause=f"{lengths}; {cause}"), again
+        in_file = f"{result.outcome.value} with {len(stored)} samples in the file"
+        here = f"{again.outcome.value} with {len(repeated)} here"
+        return replace(different, cause=f"{in_file}, {here}; {cause}")
     missing = object()
-    names = {**result.settings, **again.settings}
+    names = sorted({**result.settings, **again.settings})
     changed = [name for name in names if result.settings.get(name, missing) != again.settings.get(name, missing)]
     if changed and result.versions == again.versions:
-        return replace(different, cause=f"settings in force differ: {', '.join(sorted(changed))}"), again
+        return replace(different, cause=f"settings in force differ: {', '.join(changed)}")
     largest, rmse = _distance(stored, repeated)
     allowed = _allowed(result, np.nan_to_num(stored)[::SAMPLES_PER_FRAME])
     if rmse > allowed:
-        others = (one.trajectory for one in run_many([request] * (REPEATS - 1), isolate=None))
-        runs = [repeated, *(one.arrays(later=True)[1] for one in others if one is not None)]
-        alike = [one for one in runs if one.shape == stored.shape]
+        # The engine may not repeat its bits: further runs show how far apart they are.
+        alike = [repeated]
+        for one in run_many([request] * (REPEATS - 1), isolate=None):
+            if one.trajectory is not None:
+                samples = one.trajectory.arrays(later=True)[1]
+                alike += [samples] if samples.shape == stored.shape else []
         spread = max((_distance(one, other)[1] for one, other in combinations(alike, 2)), default=0.0)
         if 0.0 < spread < np.inf:
             largest, rmse = min((_distance(stored, one) for one in alike), key=itemgetter(1))
             allowed = max(allowed, REPEAT_FACTOR * spread)
-            cause = f"runs of this engine differ by up to {spread:.3g} {blank.unit} RMS here; {cause}"
+            cause = f"runs of this engine differ by up to {spread:.3g} {unit} RMS here; {cause}"
     status = RerunStatus.CLOSE if rmse <= allowed else RerunStatus.DIFFERENT
     if largest == 0.0:
-        status, cause = RerunStatus.EQUAL, ""
-    return replace(blank, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause), again
+        status = RerunStatus.EQUAL
+        cause = ""
+    return replace(different, status=status, largest_difference=largest, rmse=rmse, allowed=allowed, cause=cause)
 
 
 def _distance(one: NDArray[np.float64], other: NDArray[np.float64]) -> tuple[float, float]:

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from gauge_envs.errors import GaugeError, ResultFileError, first_fault
 from gauge_envs.experiments.variants import matching_variants
 from gauge_envs.files import MEGABYTE, MOST_TOML_BYTES, printable, read_regular, toml_document
-from gauge_envs.runs.result_file import MOST_RESULT_BYTES
+from gauge_envs.runs.result_file import MAX_RESULT_BYTES
 
 STATEMENT_FILE = "submission.toml"
 
@@ -35,10 +35,10 @@ GENERATED = ("leaderboard.json", "leaderboard.md")
 BOARD_FILE = "board.toml"
 """File at the top whose `experiments` lists the ids or patterns that each submission needs; all 75 without it."""
 
-MOST_ENTRIES = 10_000
+MAX_ENTRIES = 10_000
 """Largest number of files and folders in one folder."""
 
-MOST_TOTAL_BYTES = 256 * MEGABYTE
+MAX_TOTAL_BYTES = 256 * MEGABYTE
 """Largest size of all files of a submission; all 75 results of an engine have less than a third of it."""
 
 LEVELS = ("engine", "version", "configuration")
@@ -127,20 +127,28 @@ def installed_package(package: str, *, has_parts: bool = True) -> tuple[str, tup
         found = distribution(package)
     except (PackageNotFoundError, ValueError):
         return "", ()
-    files = [(file, file.hash.value) for file in found.files or () if file.hash is not None and ".." not in file.parts]
-    if any("editable" in file.name and file.suffix == ".pth" for file, _ in files):
+    listed = [file for file in found.files or () if file.hash is not None and ".." not in file.parts]
+    if any("editable" in file.name and file.suffix == ".pth" for file in listed):
         return "", ()
-    needed = filter(None, (re.fullmatch(r"([\w.-]+)==[\w.]+", text) for text in found.requires or () if has_parts))
-    parts = [(one[1], *installed_package(one[1], has_parts=False)) for one in needed]
-    lines = [f"{name} {content}\n" for name, content, _ in parts]
-    changed = [file for _, _, differing in parts for file in differing]
-    for file, released in files:
-        if not file.parts[0].endswith(".dist-info"):
-            digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
-            lines.append(f"{file.as_posix()} {digest.hex()}\n")
-            if released != urlsafe_b64encode(digest).rstrip(b"=").decode():
-                changed.append(file.as_posix())
-    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest() if lines else "", tuple(changed)
+    lines: list[str] = []
+    changed: list[str] = []
+    for requirement in (found.requires or ()) if has_parts else ():
+        pinned = re.fullmatch(r"([\w.-]+)==[\w.]+", requirement)
+        if pinned is not None:
+            part_sha256, part_changed = installed_package(pinned[1], has_parts=False)
+            lines.append(f"{pinned[1]} {part_sha256}\n")
+            changed += part_changed
+    for file in listed:
+        if file.parts[0].endswith(".dist-info"):
+            continue
+        digest = hashlib.sha256(file.read_binary()).digest() if Path(file.locate()).exists() else b""
+        lines.append(f"{file.as_posix()} {digest.hex()}\n")
+        assert file.hash is not None
+        if file.hash.value != urlsafe_b64encode(digest).rstrip(b"=").decode():
+            changed.append(file.as_posix())
+    if not lines:
+        return "", tuple(changed)
+    return hashlib.sha256("".join(sorted(lines)).encode()).hexdigest(), tuple(changed)
 
 
 @dataclass
@@ -162,7 +170,7 @@ class SubmissionFiles:
         digest = hashlib.sha256()
         for file in filter(None, (self.statement, *self.results)):
             try:
-                content = hashlib.sha256(read_regular(file, MOST_RESULT_BYTES)).hexdigest()
+                content = hashlib.sha256(read_regular(file, MAX_RESULT_BYTES)).hexdigest()
             except OSError:
                 return ""
             digest.update(f"{file.relative_to(folder).as_posix()} {content}\n".encode())
@@ -176,8 +184,8 @@ def _entries(folder: Path) -> Iterator[tuple[Path, os.stat_result]]:
         with os.scandir(folder) as found:
             for entry in found:
                 names.append(entry.name)
-                if len(names) > MOST_ENTRIES:
-                    raise ResultFileError(f"{folder}: more than {MOST_ENTRIES} entries")
+                if len(names) > MAX_ENTRIES:
+                    raise ResultFileError(f"{folder}: more than {MAX_ENTRIES} entries")
         for name in sorted(names):
             yield folder / name, (folder / name).lstat()
     except OSError as error:
@@ -254,8 +262,8 @@ def submission_files(folder: Path, root: Path) -> SubmissionFiles:
     where = relative_name(folder, root)
     if files.statement is None and not any(fault.file.endswith(STATEMENT_FILE) for fault in files.faults):
         files.faults.append(Fault(file=where, reason=f"has no {STATEMENT_FILE}"))
-    if total > MOST_TOTAL_BYTES:
-        reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MOST_TOTAL_BYTES / MEGABYTE:.0f} MB"
+    if total > MAX_TOTAL_BYTES:
+        reason = f"its results have {total / MEGABYTE:.0f} MB, the limit is {MAX_TOTAL_BYTES / MEGABYTE:.0f} MB"
         files.faults.append(Fault(file=where, reason=reason))
         files.results = []
     return files
@@ -274,7 +282,7 @@ def _file_fault(
         expected = ", ".join(names) or f"result files *{suffix}"
         expected += "; gauge report kept poses in it: delete it" if file.name.endswith(".replay.npz") else ""
         return Fault(file=name, reason=f"is unexpected here; expected: {expected}")
-    if status.st_size > MOST_RESULT_BYTES:
-        size, limit = status.st_size / MEGABYTE, MOST_RESULT_BYTES / MEGABYTE
+    if status.st_size > MAX_RESULT_BYTES:
+        size, limit = status.st_size / MEGABYTE, MAX_RESULT_BYTES / MEGABYTE
         return Fault(file=name, reason=f"has {size:.0f} MB, the limit is {limit:.0f} MB")
     return None

@@ -59,15 +59,15 @@ def check_document(check: LeaderboardCheck) -> Document:
 
 
 def _submission_row(one: SubmissionCheck) -> dict[str, Any]:
-    said = one.statement
-    stated = ("engine", "version", "package_sha256", "configuration", "submitter", "url")
+    statement = one.statement
+    keys = ("engine", "version", "package_sha256", "configuration", "submitter", "url")
     return {
         "folder": one.folder,
-        **{key: getattr(said, key, None) for key in stated},
+        **{key: getattr(statement, key, None) for key in keys},
         "results": len(one.results),
         "of": one.asked,
         "diverged": sum(result.outcome is Outcome.DIVERGED for result in one.results),
-        "left_out": dict(said.left_out) if said else {},
+        "left_out": dict(statement.left_out) if statement else {},
         "ok": one.ok,
         "unverified": list(one.unverified),
         "faults": len(one.faults),

@@ -23,6 +23,10 @@ BEHAVIOUR = (*HELD, "friction", "restitution", "penetration_m", "stiffness_n_per
 NUMBERS = (*BEHAVIOUR, "mass_kg", "timestep_s")
 
 
+FABRICS_FAMILY = "TextileFlinging"
+"""Family whose task file has the six calibrated fabrics of the benchmark; other families repeat its constants."""
+
+
 def recipe(
     words: Annotated[
         list[str] | None,
@@ -129,7 +133,7 @@ def _print_fabric(name: str, engine: str, timestep_s: float | None, form: Format
 def _fabrics() -> Mapping[str, Fabric]:
     from gauge_envs.experiments.task_files import fabrics
 
-    return fabrics()
+    return fabrics(FABRICS_FAMILY)
 
 
 def recipe_fabrics(form: arguments.Form = Format.TEXT) -> None:

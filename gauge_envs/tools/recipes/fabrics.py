@@ -6,20 +6,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from gauge_envs.backends.registry import backend
+from gauge_envs.backends.fabric_constants import FabricConstants
+from gauge_envs.backends.registry import backend, backend_class, backend_names
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import json_ready
 from gauge_envs.runs.rollout import DivergedError
 from gauge_envs.scene import GRAVITY_M_PER_S2
-from gauge_envs.scene.fabrics import (
-    MAPPINGS,
-    EngineConstants,
-    Fabric,
-    bending_length_m,
-    plate_bending_stiffness,
-    shear_stiffness,
-    uniaxial_stiffness,
-)
+from gauge_envs.scene.fabrics import Fabric, bending_length_m, plate_bending_stiffness
 from gauge_envs.tools.conformance import (
     BENT_FREE_M,
     Lab,
@@ -29,19 +22,10 @@ from gauge_envs.tools.conformance import (
     hanging_strip,
     stretch_stiffness,
 )
-
-FABRIC_ENGINES = tuple(MAPPINGS)
-"""Engines whose constants are known, simulated or not."""
+from gauge_envs.tools.usd import surface_constants
 
 NOT_SIMULATED = {"isaac": "Isaac Sim is not run by this package, so that nothing is simulated"}
 """Engines that are not simulated, with the reason."""
-
-SETTINGS: Mapping[str, Mapping[str, Any]] = {"genesis": {"preset": "out_of_box"}}
-"""Settings with which an engine is simulated, in place of the default of its backend.
-
-Genesis's constants state nominal springs, and its defaults determine what comes of them. The default of this package's
-backend has springs of its own, which no constant of `PBD.Cloth` expresses.
-"""
 
 NOTHING_LOST = "Stretch and bending stiffness are reached in simulation, and shear by the law of the engine."
 
@@ -71,7 +55,7 @@ class FabricRecipe:
     engine: str
     versions: Mapping[str, str] = field(default_factory=dict)
     name: str
-    mapped: EngineConstants
+    mapped: FabricConstants
     stretch_n_per_m: float | None = None
     bend_n_m: float | None = None
     timestep_s: float | None = None
@@ -103,7 +87,10 @@ class FabricRecipe:
     @property
     def mapping_gives(self) -> dict[str, float]:
         """Stiffness of the engine's law at small strain, without a simulation."""
-        return {"stretch_n_per_m": uniaxial_stiffness(self.mapped), "shear_n_per_m": shear_stiffness(self.mapped)}
+        return {
+            "stretch_n_per_m": self.mapped.stretch_stiffness_n_per_m,
+            "shear_n_per_m": self.mapped.shear_stiffness_n_per_m,
+        }
 
     @property
     def error(self) -> dict[str, float | None]:
@@ -155,12 +142,14 @@ class FabricRecipe:
         )
 
 
-def fabric_engine(name: str) -> str:
-    """Return the key of an engine in `gauge_envs.scene.fabrics.MAPPINGS`."""
-    key = "isaac" if name == "isaac_sim" else name
-    if key not in MAPPINGS:
-        raise ParameterError(f"engine {name!r} has no mapping of fabrics: choose one of {', '.join(MAPPINGS)}")
-    return key
+def fabric_constants(fabric: Fabric) -> dict[str, FabricConstants]:
+    """Return a fabric in the constants of each engine that has a mapping, simulated or not, by name of the engine."""
+    found = {"isaac": surface_constants(fabric)}
+    for name in backend_names():
+        mapped = backend_class(name).fabric_constants(fabric)
+        if mapped is not None:
+            found[name] = mapped
+    return found
 
 
 def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | None = None) -> FabricRecipe:
@@ -172,12 +161,15 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
         engine: Name of the engine.
         timestep_s: Time step [s]; None for the default of the engine's backend, which depends on the fabric.
     """
-    key = fabric_engine(engine)
-    mapped = MAPPINGS[key](fabric)
+    key = "isaac" if engine == "isaac_sim" else engine
+    known = fabric_constants(fabric)
+    if key not in known:
+        raise ParameterError(f"engine {engine!r} has no mapping of fabrics: choose one of {', '.join(known)}")
+    mapped = known[key]
     if key in NOT_SIMULATED:
         return FabricRecipe(engine=key, name=name, mapped=mapped, faults=(NOT_SIMULATED[key],))
     simulated = backend(key)
-    given = dict(SETTINGS.get(key, {})) | ({} if timestep_s is None else {"timestep_s": timestep_s})
+    given = dict(mapped.settings) | ({} if timestep_s is None else {"timestep_s": timestep_s})
     start = time.perf_counter()
     free_m = BENT_SHARE * BENT_FREE_M
     hung, bent = hanging_strip(fabric), cantilever_strip(fabric, free_m, height_m=0.0)
@@ -211,30 +203,7 @@ def fabric_recipe(name: str, fabric: Fabric, engine: str, timestep_s: float | No
     )
 
 
-SNIPPETS = {
-    "newton": """\
-builder.add_cloth_mesh(
-    ...,
-    density={density},
-    tri_ke={tri_ke},
-    tri_ka={tri_ka},
-    edge_ke={edge_ke_times_mean_edge_length} / mean_edge_length,  # mean length of the edges of your mesh [m]
-)
-""",
-    "mujoco": """\
-<elasticity young="{young}" poisson="{poisson}" thickness="{thickness}" elastic2d="both"/>
-<!-- MJCF states no shear stiffness: this flex has half of the stretch stiffness. -->
-""",
-    "genesis": "material = gs.materials.PBD.Cloth(rho={density}, {constants})\n",
-}
-"""Constants in the engine's own language."""
-
-
-def fabric_snippet(mapped: EngineConstants) -> str:
+def fabric_snippet(mapped: FabricConstants) -> str:
     """Return the constants of a fabric in the engine's own language."""
-    given = {name: f"{value:.6g}" for name, value in mapped.constants.items()}
-    if mapped.engine not in SNIPPETS:
-        return "".join(f"{name} = {value}  # {mapped.units[name]}\n" for name, value in given.items())
-    constants = ", ".join(f"{name}={value}" for name, value in given.items())
-    density = f"{mapped.fabric.areal_density_kg_per_m2:.6g}"
-    return SNIPPETS[mapped.engine].format(density=density, constants=constants, **given)
+    lines = (f"{name} = {value:.6g}  # {mapped.units[name]}\n" for name, value in mapped.constants.items())
+    return mapped.snippet or "".join(lines)

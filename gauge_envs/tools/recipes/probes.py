@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from gauge_envs.backends.base import Backend, scene_support
 from gauge_envs.errors import UnsupportedSceneError
+from gauge_envs.evaluation.estimators import rest_depth
 from gauge_envs.runs.rollout import Rollout, record
 from gauge_envs.scene import (
     GRAVITY_M_PER_S2 as G,
@@ -28,19 +29,17 @@ from gauge_envs.scene import (
     Pose,
     RigidBody,
     Scene,
-    Sphere,
 )
 from gauge_envs.scene.geometry import vector
-from gauge_envs.tools.conformance import friction_of_slide
+from gauge_envs.tools.bench.drop import RADIUS_M, balls_above_ground, bounce_of, fall_s
+from gauge_envs.tools.bench.slope import creep_m_per_s, friction_of_slide, moved_m
+from gauge_envs.tools.bench.turning import INERTIA_SHARES, ROLL, SPIN, turning_arm_m
 
 PLATE_M = (0.12, 0.12, 0.03)
 """Edges of the plate [m]. It tips only where friction exceeds 4."""
 
 PLATE_CONTACTS = 4
 """Corners on which the plate rests."""
-
-BALL_RADIUS_M = 0.03
-"""Radius of the balls [m]."""
 
 DROP_M = 0.2
 """Height of the drop [m], which gives 2 m/s."""
@@ -81,9 +80,6 @@ SLIDE_FROM_S, CREEP_FROM_S, REST_FROM_S = 0.1, 0.5, 1.8
 
 SAMPLE_S = 1e-3
 """Desired time between samples [s]; a step that is longer is the time between samples."""
-
-NO_RISE_M = 1e-7
-"""Rise of a ball that is rounding [m]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,12 +143,6 @@ def _lean(slope_rad: float, turn_deg: float = 0.0) -> Rotation:
     return Rotation.from_euler("zy", [math.radians(turn_deg), slope_rad])
 
 
-def _downhill(rollout: Rollout, name: str, lean: Rotation) -> NDArray[np.float64]:
-    """Return the displacement of a body down the slope and off it [m], shape [2, sample_count]."""
-    sine, _, cosine = lean.as_matrix()[:, 2]
-    return np.array([[cosine, 0.0, -sine], [sine, 0.0, cosine]]) @ rollout.displacement(name).T
-
-
 @dataclass(frozen=True, kw_only=True)
 class Probe:
     """Measures contacts on one engine.
@@ -192,68 +182,53 @@ class Probe:
         lean = _lean(creep_slope_rad(friction), TURN_DEG)
         plate = self._plate(lean)
         rollout = self._rollout([plate], lean, build, CREEP_S)
-        times_s, (path_m, _) = rollout.times_s, _downhill(rollout, plate.name, lean)
-        seen = times_s >= CREEP_FROM_S
-        return float(np.polyfit(times_s[seen], path_m[seen], 1)[0])
+        return creep_m_per_s(rollout, plate.name, "ground", start_s=CREEP_FROM_S)
 
     def rest(self, build: Build) -> Rest:
         """Return depth and approach of a plate that is let go just where it touches level ground."""
         plate = self._plate(LEVEL)
         rollout = self._rollout([plate], LEVEL, build, REST_S)
         depth_m = 0.5 * PLATE_M[2] - rollout.position(plate.name)[:, 2]
-        seen = rollout.times_s >= REST_FROM_S
-        drift = float(np.polyfit(rollout.times_s[seen], depth_m[seen], 1)[0])
+        settled = rest_depth(rollout.times_s, depth_m, settled_s=REST_FROM_S)
         return Rest(
-            penetration_m=float(depth_m[seen].mean()),
-            drift_m_s=drift,
+            penetration_m=settled.depth_m,
+            drift_m_s=settled.drift_m_per_s,
             time_constant_s=_time_constant_s(depth_m, rollout.interval_s),
         )
 
     def drop(self, build: Build) -> Spread:
-        """Return the restitution of balls that drop, from the height of their first rebound: e^2 = h' / h."""
-        speed = math.sqrt(2.0 * G * DROP_M)
-        later_m = (speed * self.timestep_s * index / BALL_COUNT for index in range(BALL_COUNT))
-        places = ((index - 0.5 * BALL_COUNT) * BALL_DISTANCE_M for index in range(BALL_COUNT))
-        balls = [self._ball(place, DROP_M + later) for place, later in zip(places, later_m, strict=True)]
-        rollout = self._rollout(balls, LEVEL, build, 2.6 * speed / G)
-        heights_m = (rollout.position(ball.name)[:, 2] - BALL_RADIUS_M for ball in balls)
-        found = [first_rebound(height_m, rollout.interval_s) for height_m in heights_m]
-        return Spread.of(found)
+        """Return the restitution of balls that drop."""
+        falls_s = fall_s(DROP_M, G)
+        # Each ball falls on for another part of a step.
+        step_m = G * falls_s * self.timestep_s
+        drops_m = {f"ball{index}": DROP_M + step_m * index / BALL_COUNT for index in range(BALL_COUNT)}
+        balls = balls_above_ground(drops_m, spacing_m=BALL_DISTANCE_M, mass_kg=self.mass_kg)
+        rollout = self._rollout(balls, LEVEL, build, 2.6 * falls_s)
+        bounces = [bounce_of(rollout, ball.name) for ball in balls]
+        return Spread.of([math.nan if bounce is None else bounce.restitution for bounce in bounces])
 
     def turning(self, build: Build, name: str) -> float:
         """Return `torsion_m` or `rolling_m` from the spin that a ball loses, which the law stops after 0.5 s [m]."""
-        axis, inertia = (np.array([0.0, 0.0, 1.0]), 0.4) if name == "torsion_m" else (np.array([0.0, 1.0, 0.0]), 1.4)
+        axis = SPIN if name == "torsion_m" else ROLL
         # Torque over the normal force, for a loss of spin of 1 rad/s^2.
-        arm_m = inertia * BALL_RADIUS_M**2 / G
-        spin = SLIDE_S * build.turning[name] / arm_m * axis
+        arm_m = INERTIA_SHARES[axis] * RADIUS_M**2 / G
+        spin_rad_per_s = SLIDE_S * build.turning[name] / arm_m * np.array(axis)
         ball = replace(
-            self._ball(0.0, 0.0),
-            linear_velocity_m_per_s=(BALL_RADIUS_M * float(spin[1]), 0.0, 0.0),
-            angular_velocity_rad_per_s=vector(spin),
+            balls_above_ground({"ball": 0.0}, spacing_m=0.0, mass_kg=self.mass_kg)[0],
+            linear_velocity_m_per_s=(RADIUS_M * float(spin_rad_per_s[1]), 0.0, 0.0),
+            angular_velocity_rad_per_s=vector(spin_rad_per_s),
         )
-        rollout = self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S)
-        seen = rollout.times_s >= SLIDE_FROM_S
-        return -arm_m * float(np.polyfit(rollout.times_s[seen], rollout.angular_velocity(ball.name)[seen] @ axis, 1)[0])
+        return turning_arm_m(self._rollout([ball], LEVEL, build, 0.8 * SLIDE_S), axis, start_s=SLIDE_FROM_S)
 
     def _frictions(self, build: Build, plates: Sequence[RigidBody], lean: Rotation) -> list[tuple[float, float]]:
         """Return the friction of each plate that slides down a plane, and how far its centre leaves the plane [m]."""
         rollout = self._rollout(plates, lean, build, SLIDE_S)
-        seen = rollout.times_s >= SLIDE_FROM_S
-        slope = math.acos(lean.as_matrix()[2, 2])
         found = []
         for plate in plates:
-            path_m, lift_m = _downhill(rollout, plate.name, lean)
-            # One fit for both, so that both accelerations are means with the same weights.
-            fit = np.polyfit(rollout.times_s[seen], np.column_stack([path_m[seen], lift_m[seen]]), 2)
-            friction = friction_of_slide(2.0 * float(fit[0, 0]), slope, 2.0 * float(fit[0, 1]))
+            lift_m = moved_m(rollout, plate.name, "ground")[:, 2]
+            friction = friction_of_slide(rollout, plate.name, "ground", start_s=SLIDE_FROM_S)
             found.append((friction, float(lift_m.max())))
         return found
-
-    def _ball(self, place_m: float, height_m: float) -> RigidBody:
-        """Return a ball at a height above level ground."""
-        pose, shape = Pose(position_m=(place_m, 0.0, BALL_RADIUS_M + height_m)), Sphere(radius_m=BALL_RADIUS_M)
-        name = f"ball{place_m:+.1f}"
-        return RigidBody(name=name, shape=shape, motion=Motion.DYNAMIC, pose=pose, mass_kg=self.mass_kg)
 
     def _plate(self, lean: Rotation, *, turn: Rotation = LEVEL, place: int = 0, gyration_m: float = 0.0) -> RigidBody:
         """Return a turned plate that touches a leaning plane, of uniform density unless a gyration [m] is given."""
@@ -288,36 +263,6 @@ class Probe:
             simulation.reset(0)
             limit = scene.speed_limit_m_per_s + G * seconds
             return record(simulation, scene, seconds, interval_s=interval_s, speed_limit_m_per_s=limit)
-
-
-def first_rebound(height_m: NDArray[np.float64], interval_s: float) -> float:
-    """Return the restitution of a ball's first rebound, the square root of the heights' ratio.
-
-    Positions under constant acceleration lie on a parabola in any scheme with constant steps. Its vertex is the height,
-    also between two samples, and of a ball that still rises at the end.
-
-    Args:
-        height_m: Height of the ball's lowest point above the ground [m], shape [sample_count], from its release on.
-        interval_s: Time between samples [s].
-    """
-    rises = np.diff(height_m)
-    fallen = np.flatnonzero((rises < 0.0) & (height_m[1:] < 0.5 * height_m[0]))
-    if not len(fallen):
-        return float("nan")
-    up = fallen[0] + np.flatnonzero(rises[fallen[0] :] > NO_RISE_M)
-    if not len(up):
-        return 0.0
-    down = up[0] + np.flatnonzero(rises[up[0] :] <= 0.0)
-    top = int(down[0]) if len(down) else len(height_m) - 1
-    highest = float(height_m[top])
-    middle = min(top, len(height_m) - 2)
-    if middle > 0:
-        before, at, after = height_m[middle - 1 : middle + 2]
-        bend = before - 2.0 * at + after
-        # Samples in contact do not lie on the parabola of the flight.
-        if abs(bend / (-G * interval_s**2) - 1.0) < 0.05:
-            highest = float(at - (after - before) ** 2 / (8.0 * bend))
-    return math.sqrt(max(highest, 0.0) / float(height_m[0]))
 
 
 MOST_NOISE = 0.01

@@ -8,10 +8,10 @@ from typing import Any
 
 from gauge_envs.pages.document import Document, Heading, Paragraph, Part
 from gauge_envs.pages.table import Column, Place, Table
-from gauge_envs.scene.fabrics import MAPPINGS, Fabric, bending_length_m, shear_stiffness, uniaxial_stiffness
+from gauge_envs.scene.fabrics import Fabric, bending_length_m
 from gauge_envs.tools.recipes import Recipe
 from gauge_envs.tools.recipes.explain import Meaning
-from gauge_envs.tools.recipes.fabrics import FabricRecipe
+from gauge_envs.tools.recipes.fabrics import FabricRecipe, fabric_constants
 from gauge_envs.tools.recipes.materials import MaterialPair
 
 TITLES = {
@@ -188,13 +188,15 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         add("measured", title, (getattr(fabric, attribute) for fabric in fabrics.values()))
     add("measured", "bending length [m]", map(bending_length_m, fabrics.values()))
     notes: list[Part] = []
-    for engine, mapping in MAPPINGS.items():
-        mapped = [mapping(fabric) for fabric in fabrics.values()]
+    constants = {name: fabric_constants(fabric) for name, fabric in fabrics.items()}
+    for engine in next(iter(constants.values())):
+        mapped = [of_fabric[engine] for of_fabric in constants.values()]
         for constant, unit in mapped[0].units.items():
             marks = ("*" if constant in one.replaced else " " for one in mapped)
             add(engine, f"{constant} [{unit}]", (one.constants[constant] for one in mapped), marks)
-        add(engine, "gives K_s [N/m]", map(uniaxial_stiffness, mapped))
-        add(engine, "gives K_sh [N/m]", map(shear_stiffness, mapped), ("!" if one.lost else " " for one in mapped))
+        add(engine, "gives K_s [N/m]", (one.stretch_stiffness_n_per_m for one in mapped))
+        marks = ("!" if one.lost else " " for one in mapped)
+        add(engine, "gives K_sh [N/m]", (one.shear_stiffness_n_per_m for one in mapped), marks)
         losses = {name: "; ".join((*one.fallbacks, *one.lost)) for name, one in zip(fabrics, mapped, strict=True)}
         if any(losses.values()):
             notes += [Heading(engine), *(Paragraph(f"{name}: {text}") for name, text in losses.items() if text)]
@@ -209,11 +211,8 @@ def constants_document(fabrics: Mapping[str, Fabric]) -> Document:
         rows=rows,
         notes=("", "* set by a fall-back   ! not the measured shear stiffness"),
     )
-    constants = {
-        name: {engine: mapping(fabric).constants for engine, mapping in MAPPINGS.items()}
-        for name, fabric in fabrics.items()
-    }
-    return Document(parts=(table, *notes), rows=[constants])
+    row = {name: {engine: one.constants for engine, one in known.items()} for name, known in constants.items()}
+    return Document(parts=(table, *notes), rows=[row])
 
 
 def _constant_text(marked: tuple[float, str], *, digits: int) -> str:

@@ -19,7 +19,6 @@ from gauge_envs.pages.results import (
 )
 from gauge_envs.pages.table import Column, Place, Table
 from gauge_envs.pages.text import (
-    ENGINE_TITLES,
     GRADE_NOTES,
     NORMALIZED_NOTE,
     interval_text,
@@ -28,9 +27,10 @@ from gauge_envs.pages.text import (
     shortened,
     with_unit,
 )
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
-from gauge_envs.references.published import published_baselines
+from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
 from gauge_envs.runs.result import Outcome, Result
 
 DEFORMATION_NOTE = (
@@ -74,7 +74,7 @@ def _score_table(results: Sequence[Result]) -> Table:
             Column("percentile", "real trials closer", is_number=True),
             Column("score", "score", is_number=True, style=lambda text: "red" if text == Outcome.DIVERGED else ""),
             Column("normalized", "over real trials", is_number=True),
-            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in ENGINE_TITLES.items()),
+            *(Column(f"engines.{key}", title, score_text, is_number=True) for key, title in PUBLISHED_ENGINES.items()),
             Column("extrapolated", "extrapolated", lambda x: f"{100.0 * x:.0f} %", is_number=True, wide_only=True),
             Column("z", "|z|", score_text, is_number=True, wide_only=True),
             Column("convergence", "discretization", place=Place.BELOW),
@@ -120,7 +120,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         }
         if key == "rmse":
             row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
-            row["convergence"] = discretization_text(result)
+            row["convergence"] = discretization_text(result, convergence_rows(result.backend, result.id))
         elif metric is ALIGNED:
             row["shift"] = score.release_offset_s
         rows.append(row)

@@ -1,4 +1,4 @@
-"""`gauge sanity`, and the commands that carry its scenes and settings to other machines."""
+"""`gauge sanity`, and the command that carries settings from other machines."""
 
 from __future__ import annotations
 
@@ -61,10 +61,9 @@ def sanity(
     target: Annotated[
         str | None,
         typer.Argument(
-            help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a task of "
-            "dm_control's suite (dm_control:walker/walk), of MuJoCo Playground (playground:WalkerWalk), of mjlab or of "
-            "ManiSkill (maniskill:PickCube-v1), the params/env.yaml of Isaac Lab, a model file (robot.xml), a settings "
-            "file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
+            help="Training configuration: a Gymnasium id with a MuJoCo model (HalfCheetah-v5), a model file "
+            "(robot.xml), the params/env.yaml of Isaac Lab, a file that gauge sanity probe's program writes in any "
+            "other environment, a settings file (.toml, .json), or a backend and a preset (mujoco:out_of_box)."
         ),
     ] = None,
     pair: Annotated[
@@ -188,13 +187,13 @@ def _compare(
     form: ReportFormat,
 ) -> int:
     """Print what changes between two targets, and return the exit code."""
-    from gauge_envs.tools.sanity.against import Change, compare
-    from gauge_envs.tools.sanity.words import against_document
+    from gauge_envs.tools.sanity.comparison import Change, compare
+    from gauge_envs.tools.sanity.words import comparison_document
 
     comparison = compare(trained, deployed, **options)
     if form.value not in {one.value for one in Format}:
         raise ParameterError(f"--format {form.value} is of a check; --against has {', '.join(Format)}")
-    print_document(against_document(comparison), Format(form.value), files=files)
+    print_document(comparison_document(comparison), Format(form.value), files=files)
     bad = {FailOn.WRONG: (Change.LARGE,), FailOn.VISIBLE: (Change.LARGE, Change.VISIBLE)}.get(
         fail_on or FailOn.NEVER, ()
     )
@@ -218,52 +217,9 @@ def sanity_probe(
     TARGET. Then run gauge sanity TARGET.gaugeprobe.json here.
     """
     from gauge_envs.pages.document import save_file
-    from gauge_envs.tools.sanity.probe import program_text
 
+    program = Path(__file__).with_name("gauge_probe.py").read_text(encoding="utf-8")
     if out is None:
-        echo(program_text(), nl=False)
+        echo(program, nl=False)
     else:
-        message(save_file(out, program_text()))
-
-
-def sanity_export(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="New folder, or one of an earlier export.")],
-    only: arguments.Only = None,
-    form: arguments.Form = Format.TEXT,
-) -> None:
-    """Write the scenes of a sanity check for any simulator.
-
-    They are MJCF, USD and URDF, with drivers, a manifest and a loop. Run them in your simulator, as README.md in the
-    folder explains, and judge them with gauge sanity judge DIR.
-    """
-    from gauge_envs.pages.document import Document, Paragraph
-    from gauge_envs.pages.text import counted
-    from gauge_envs.tools.sanity.exchange.scenes import export, scenes
-
-    written = export(folder, only=only or [])
-    text = f"{folder}: {counted(len(scenes(only or [])), 'scene')}, {counted(len(written), 'file')}"
-    print_document(Document(parts=[Paragraph(text)], rows=[{"file": str(path)} for path in written]), form)
-    if form is not Format.JSON:
-        message(f"next: read {folder / 'README.md'}")
-
-
-def sanity_judge(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of gauge sanity export, with your motion.")],
-    label: Annotated[str, typer.Option(metavar="NAME", help="Name of your simulator for the report.")] = "",
-    only: arguments.Only = None,
-    fail_on: FailOnOption = None,
-    baseline: BaselineOption = None,
-    out: OutOption = None,
-    form: ReportForm = ReportFormat.TEXT,
-) -> int:
-    """Report which physics a simulator gets wrong, from its motion in exported scenes.
-
-    Exit code 0 when all was measured and passed, 1 for a row as bad as --fail-on states or farther from reality than in
-    --baseline, 3 when rows were not measured. A scene without a motion file is not measured.
-    """
-    from gauge_envs.tools.sanity.exchange.judge import judge
-
-    files, exit_code = _checked_files(out), _judged_by(fail_on, baseline)
-    report = judge(folder, only=only or [], engine=label)
-    _print_report(report, form, files)
-    return exit_code(report)
+        message(save_file(out, program))

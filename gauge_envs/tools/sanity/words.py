@@ -14,7 +14,7 @@ from gauge_envs.pages.document import Document, Heading, Paragraph, Part, Tone, 
 from gauge_envs.pages.html import Html, element, folded
 from gauge_envs.pages.table import Column, Facts, Place, Table, grid
 from gauge_envs.pages.text import counted, quantity_text, vector_text, with_unit
-from gauge_envs.tools.sanity.against import Change, ChangeRow, Comparison
+from gauge_envs.tools.sanity.comparison import Change, ChangeRow, Comparison
 from gauge_envs.tools.sanity.model import (
     Cause,
     Curve,
@@ -25,7 +25,7 @@ from gauge_envs.tools.sanity.model import (
     Verdict,
 )
 from gauge_envs.tools.sanity.phenomena import ROBOT_IDS, phenomena, selection
-from gauge_envs.tools.sanity.stated import STATED_ROWS, robot_row
+from gauge_envs.tools.sanity.target_checks import TARGET_ROWS, robot_row
 
 VERDICT_NOTES = {
     Verdict.INSIDE: "in the interval: a real trial could have done this, or the law is met within its tolerance",
@@ -109,7 +109,7 @@ def is_clean(report: Report) -> bool:
 def phenomena_table(*, include_deformables: bool = False, only: Sequence[str] = ()) -> Table:
     """Return the rows that a sanity check can have: ids, titles, kinds and reality."""
     chosen = selection(only, include_deformables=include_deformables)
-    stated = (*STATED_ROWS, *(robot_row(name, None) for name in ROBOT_IDS))
+    stated = (*TARGET_ROWS, *(robot_row(name, None) for name in ROBOT_IDS))
     known = [(row.phenomenon, row.title, row.reality, row.unit) for row in stated]
     known += [(one.id, one.title, one.reality, one.unit) for one in phenomena(include_deformables=True)]
     return Table(
@@ -298,17 +298,17 @@ def _present(report: Report) -> list[Verdict]:
 
 CHANGE_STYLES = {Change.NONE: "green", Change.VISIBLE: "yellow", Change.LARGE: "bold red", Change.UNKNOWN: "dim"}
 
-AGAINST_LEGEND = (
+COMPARISON_LEGEND = (
     "same: no real trial could resolve the difference, or it is within the tolerance of the law; visible: up to 2.5 "
     "times as much; large: more; unknown: one of the two was not measured."
 )
 
 
-def against_document(comparison: Comparison) -> Document:
+def comparison_document(comparison: Comparison) -> Document:
     """Return the largest change, both sources, and the table; its rows are both configurations, then each row."""
     whole = comparison.to_dict()
     rows = whole.pop("rows")
-    answer, table = Paragraph(against_line(comparison), Tone.ANSWER), _change_table(comparison)
+    answer, table = Paragraph(comparison_line(comparison), Tone.ANSWER), _change_table(comparison)
     return Document(
         parts=(
             answer,
@@ -317,14 +317,14 @@ def against_document(comparison: Comparison) -> Document:
             Facts({"trained": comparison.trained.source, "deployed": comparison.deployed.source}),
             table,
             Paragraph(""),
-            Paragraph(AGAINST_LEGEND, Tone.NOTE),
+            Paragraph(COMPARISON_LEGEND, Tone.NOTE),
         ),
         rows=[whole, *rows],
         markdown=(answer, table),
     )
 
 
-def against_line(comparison: Comparison) -> str:
+def comparison_line(comparison: Comparison) -> str:
     """Return the largest changes in one line."""
     changed = comparison.changed
     if not changed:

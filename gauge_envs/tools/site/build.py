@@ -31,8 +31,9 @@ from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import COST_TITLE, shortened
 from gauge_envs.references.bands import Band
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
-from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import USUAL
 from gauge_envs.rendering.renderer import STRING_RADIUS_M
 from gauge_envs.rendering.skin import Skin
@@ -50,7 +51,6 @@ from gauge_envs.scene import (
     Plane,
     Rod,
     Rope,
-    Scene,
     SoftBody,
     Sphere,
 )
@@ -59,7 +59,7 @@ from gauge_envs.scene.meshes import hull_triangles
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, compare, mean_rank_text
 from gauge_envs.tools.site.experiment_page import experiment_page
-from gauge_envs.tools.site.model import Site, cost_text, first_result, first_results, score_cell, site_page
+from gauge_envs.tools.site.model import Site, cell_cost, first_result, first_results, score_cell, site_page
 from gauge_envs.tools.site.overview import overview_page
 from gauge_envs.tools.site.reproduce import reproduce_page
 
@@ -167,9 +167,9 @@ def _write(
     notes: list[ReplayNote] = []
     for one in comparison.experiments:
         progress(one.name)
-        replay, own = _replays(site, one, out) if replays else (None, [])
-        notes += own
-        texts = [f"{note.label} has no replay: {note.reason}. Its curves are below." for note in own]
+        replay, missing = _replays(site, one, out) if replays else (None, [])
+        notes += missing
+        texts = [f"{note.label} has no replay: {note.reason}. Its curves are below." for note in missing]
         save_file(out / site.experiment_page(one), experiment_page(site, one, replay, texts))
     for name in site.engines:
         save_file(out / site.engine_page(name), engine_page(site, name))
@@ -255,9 +255,11 @@ def _scores(site: Site, index: int) -> Table:
         cell = one.cells[index]
         if cell is not None:
             result = first_result(cell)
-            convergence = None if result is None else discretization_text(result)
+            convergence = None
+            if result is not None:
+                convergence = discretization_text(result, convergence_rows(result.backend, result.id))
             name, score = site.experiment_link(one, site.family(one)[0]), score_cell(one, cell, one.primary)
-            rows.append((name, one.grade_name, score, cost_text(cell), convergence or "-"))
+            rows.append((name, one.grade_name, score, cell_cost(cell), convergence or "-"))
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)
 
 
@@ -290,7 +292,7 @@ def _reasons(site: Site, index: int) -> list[Part]:
 
 FloatArray = NDArray[np.floating[Any]]
 
-MOST = 32767
+MAX_COUNT = 32767
 """Largest stored number."""
 
 ROUND_M = 5
@@ -310,7 +312,7 @@ def quantized(positions_m: FloatArray) -> dict[str, Any]:
     points = positions_m.reshape(-1, 3).astype(np.float64)
     finite = points[np.isfinite(points).all(axis=1)]
     low, high = (finite.min(axis=0), finite.max(axis=0)) if len(finite) else (np.zeros(3), np.zeros(3))
-    centre, step = 0.5 * (low + high), np.maximum(0.5 * (high - low) / MOST, 1e-12)
+    centre, step = 0.5 * (low + high), np.maximum(0.5 * (high - low) / MAX_COUNT, 1e-12)
     counts = np.nan_to_num(np.rint((positions_m - centre) / step), posinf=0.0, neginf=0.0).astype(np.int16)
     return {"data": _packed(counts), "centre": centre.tolist(), "step": step.tolist()}
 
@@ -323,8 +325,9 @@ def _packed(values: NDArray[Any]) -> str:
 # --- scene ---
 
 
-def scene_data(scene: Scene) -> dict[str, Any]:
-    """Return the still part of a scene, JSON-ready: shapes, colours, strings and the camera."""
+def scene_data(experiment: Experiment) -> dict[str, Any]:
+    """Return the still part of the scene of an experiment, JSON-ready: shapes, colours, strings and the camera."""
+    scene = experiment.scene
     shapes: list[list[dict[str, Any]]] = []
     known: dict[Shape, int] = {}
     bodies = []
@@ -340,7 +343,7 @@ def scene_data(scene: Scene) -> dict[str, Any]:
                 "pose": _pose(body.pose),
             }
         )
-    view = scene_view(scene)
+    view = experiment_view(experiment)
     return {
         "shapes": shapes,
         "bodies": bodies,
@@ -394,13 +397,15 @@ def _solids(shape: Shape) -> list[dict[str, Any]]:
 def replay_data(experiment: Experiment, replay: Replay, band: Band | None, *, label: str, color: str) -> dict[str, Any]:
     """Return a replay of the experiment that ran, JSON-ready; a band of positions becomes the ghost."""
     # Quaternions are stored x y z w, the order of three.js.
-    turns = np.rint(MOST * np.nan_to_num(replay.poses[..., [4, 5, 6, 3]])).clip(-MOST, MOST).astype(np.int16)
+    turns = (
+        np.rint(MAX_COUNT * np.nan_to_num(replay.poses[..., [4, 5, 6, 3]])).clip(-MAX_COUNT, MAX_COUNT).astype(np.int16)
+    )
     return {
         "label": label,
         "color": color,
         "rate": replay.rate_hz,
         "views": len(replay.poses),
-        "scene": scene_data(experiment.scene),
+        "scene": scene_data(experiment),
         "moving": list(replay.bodies),
         "positions": quantized(replay.poses[..., :3]),
         "turns": _packed(turns),
@@ -450,7 +455,7 @@ def ghost_text(ghosts: Sequence[Mapping[str, Any]]) -> str:
     grade = BandGrade(ghost["grade"])
     what = reference_words(grade, ghost["trials"])
     what += ", no recorded motion" if not grade.is_real else ""
-    held = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
+    kept = "" if ghost["full"] else " Directions that were not measured keep the start of the simulation."
     last = max((frame for frame, place in enumerate(ghost["places"]) if place is not None), default=0)
     end = f" It ends at {last / FRAME_RATE_HZ:.2f} s." if last < len(ghost["places"]) - 1 else ""
-    return f"Ghost: {what}; not aligned in time.{held}{end}"
+    return f"Ghost: {what}; not aligned in time.{kept}{end}"

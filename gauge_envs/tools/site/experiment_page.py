@@ -12,16 +12,18 @@ from gauge_envs.pages.html import Html, element, folded, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, discretization_text, reality_lines
 from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
-from gauge_envs.pages.text import ENGINE_TITLES, GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
+from gauge_envs.pages.text import GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
+from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
 from gauge_envs.runs.result_file import recorded_experiment
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.compare import ExperimentComparison, p_text, verdict_text
 from gauge_envs.tools.diagnose import Diagnosis, diagnose, findings
-from gauge_envs.tools.site.model import FACTS, Site, cost_text, first_results, score_cell, section, site_page
+from gauge_envs.tools.site.model import FACTS, Site, cell_cost, first_results, score_cell, section, site_page
 from gauge_envs.tools.site.overview import place_text
 from gauge_envs.tools.site.reproduce import run_commands
 
@@ -54,10 +56,10 @@ Results = Mapping[int, Result]
 
 Parts = list[Part]
 
-MOST_PANELS = 6
+MAX_PANELS = 6
 """Largest number of coordinates that are drawn."""
 
-MOST_SECONDS = 10.0
+MAX_SECONDS = 10.0
 """Longest time that is drawn [s]: in a longer one, swings of a second cannot be told apart."""
 
 Recorded = Sequence[tuple[int, FloatArray, FloatArray, Sequence[str]]]
@@ -128,7 +130,7 @@ def _forest(site: Site, one: ExperimentComparison) -> Parts:
         return []
     rows.sort(key=lambda row: row.value)
     rows += [
-        ForestRow(label=f"{ENGINE_TITLES.get(name, name)}, paper", color="var(--quiet)", value=value, interval=None)
+        ForestRow(label=f"{PUBLISHED_ENGINES.get(name, name)}, paper", color="var(--quiet)", value=value, interval=None)
         for name, value in (one.published(one.primary) or {}).items()
         if value is not None
     ]
@@ -146,24 +148,27 @@ def _scores(site: Site, one: ExperimentComparison) -> Parts:
     names = one.metrics()
     if not names:
         return []
-    titles, note = ["", *(SCORE_METRICS[name].title for name in names)], SCORES_NOTE
-    rows: list[list[str]] = [
-        [link, *(score_cell(one, cell, name) for name in names)]
-        for link, cell in zip(site.links, one.cells, strict=True)
-    ]
     percentiles = [None if cell is None else cell.percentile(one.primary) for cell in one.cells]
-    if has_trials := any(percentile is not None for percentile in percentiles):
+    has_trials = any(percentile is not None for percentile in percentiles)
+    titles = ["", *(SCORE_METRICS[name].title for name in names)]
+    note = SCORES_NOTE
+    if has_trials:
         titles.append("real trials closer")
         note += " Real trials closer: share of the real trials that are closer to their mean."
-        for row, percentile in zip(rows, percentiles, strict=True):
-            row.append("-" if percentile is None else f"{percentile:.0f} %")
     titles += FACTS
-    for row, configuration, cell in zip(rows, site.comparison.configurations, one.cells, strict=True):
-        row += [configuration.physics or "-", cost_text(cell)]
-    for engine, title in ENGINE_TITLES.items():
+    rows: list[list[str]] = []
+    for index, cell in enumerate(one.cells):
+        row: list[str] = [site.links[index], *(score_cell(one, cell, name) for name in names)]
+        if has_trials:
+            percentile = percentiles[index]
+            row.append("-" if percentile is None else f"{percentile:.0f} %")
+        row += [site.comparison.configurations[index].physics or "-", cell_cost(cell)]
+        rows.append(row)
+    for engine, title in PUBLISHED_ENGINES.items():
         values = [(one.published(name) or {}).get(engine) for name in names]
         if any(value is not None for value in values):
-            rows.append([f"{title}, paper", *map(score_text, values), *[""] * (len(FACTS) + has_trials)])
+            empty = [""] * (len(titles) - 1 - len(names))
+            rows.append([f"{title}, paper", *map(score_text, values), *empty])
     return section("Scores", grid(titles, rows), note)
 
 
@@ -209,13 +214,13 @@ def _distances(site: Site, one: ExperimentComparison) -> Parts:
     rows = [
         (
             f"{site.labels[far.first]} : {site.labels[far.second]}",
-            f"{quantity_text(far.rms.mean)} {far.unit}",
-            f"{quantity_text(far.motion_rms)} {far.unit}",
-            "never" if far.apart_at_s is None else f"{far.apart_at_s:.2f} s",
+            far.text(far.rms.mean),
+            far.text(far.motion_rms),
+            far.apart_text,
         )
         for far in one.distances
     ]
-    limits = sorted({f"{quantity_text(far.threshold)} {far.unit}" for far in one.distances})
+    limits = sorted({far.text(far.threshold) for far in one.distances})
     note = "Root mean square over the frames. Apart: first time at which the distance exceeds "
     titles = ("between", "distance", "motion", "apart at")
     return section("Distances between engines", grid(titles, rows, number_from=1), f"{note}{', '.join(limits)}.")
@@ -257,8 +262,12 @@ def _budget(site: Site, index: int, diagnosis: Diagnosis) -> Html:
 
 
 def _convergence(site: Site, results: Results) -> Table:
-    texts = ((site.links[index], discretization_text(result)) for index, result in results.items())
-    return grid(("engine", "half step, half cell"), [(link, text) for link, text in texts if text is not None])
+    rows = []
+    for index, result in results.items():
+        text = discretization_text(result, convergence_rows(result.backend, result.id))
+        if text is not None:
+            rows.append((site.links[index], text))
+    return grid(("engine", "half step, half cell"), rows)
 
 
 def _uncertainty(site: Site, results: Results) -> Parts:
@@ -311,7 +320,7 @@ def _curves(site: Site, unit: str, results: Results, band: Band | None) -> Parts
     if not recorded:
         return []
     end_s = max(float(times[-1]) for _, times, _, _ in recorded)
-    shown_s = min(end_s, MOST_SECONDS)
+    shown_s = min(end_s, MAX_SECONDS)
     if band is None:
         panels, note = _plain_panels(site, unit, recorded, shown_s)
     else:
@@ -362,7 +371,7 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
             sigma=band.sigma[:, column],
             measured=band.measured,
         )
-        for column in sorted(np.argsort(spans)[::-1][:MOST_PANELS].tolist())
+        for column in sorted(np.argsort(spans)[::-1][:MAX_PANELS].tolist())
     ]
     left_out = f"{len(panels)} of {len(spans)} coordinates: those in which the real motion is largest."
     return panels, left_out if len(spans) > len(panels) else ""
@@ -371,8 +380,8 @@ def _band_panels(site: Site, unit: str, recorded: Recorded, band: Band, end_s: f
 def _plain_panels(site: Site, unit: str, recorded: Recorded, end_s: float) -> tuple[list[CurvePanel], str]:
     """Return panels without a reference: each coordinate, or of many the displacement from the start, with a note."""
     names, text = recorded[0][3], ""
-    alike = [(i, times, values) for i, times, values, own in recorded if len(own) == len(names)]
-    if len(names) > MOST_PANELS:
+    alike = [(i, times, values) for i, times, values, coordinates in recorded if len(coordinates) == len(names)]
+    if len(names) > MAX_PANELS:
         text = f"Root mean square over all {len(names)} coordinates of the change since the start."
         changes = ((i, times, np.sqrt(np.mean((x - x[0]) ** 2, axis=1, keepdims=True))) for i, times, x, _ in recorded)
         names, alike = ["change from the start, rms"], list(changes)

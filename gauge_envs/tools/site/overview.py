@@ -8,7 +8,7 @@ from gauge_envs.pages.document import Heading, Paragraph, Part, Tone
 from gauge_envs.pages.html import Html, below, element, join, listed
 from gauge_envs.pages.results import SCORE_METRICS, versions_text
 from gauge_envs.pages.table import Column, Table, grid
-from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted, quantity_text
+from gauge_envs.pages.text import COST_TITLE, GRADE_NOTES, counted
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.tools.compare import (
     DIFFERENT,
@@ -16,6 +16,7 @@ from gauge_envs.tools.compare import (
     ExperimentComparison,
     GradeComparison,
     GradeScore,
+    cost_text,
     deciding_text,
     mean_rank_text,
 )
@@ -63,11 +64,11 @@ def overview_page(site: Site) -> str:
     """Return the first page of a site."""
     comparison = site.comparison
     graded = [grade for grade in comparison.grades if grade.ids]
-    against = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
+    references = ", ".join(f"{len(grade.ids)} against {_grade_title(grade)}" for grade in graded)
     lead = (
         f"{counted(len(comparison.experiments), 'experiment')}, "
         f"{counted(len(comparison.configurations), 'configuration')} of {counted(len(site.engines), 'engine')}. "
-        f"Compared: {against or 'none'}."
+        f"Compared: {references or 'none'}."
     )
     none: list[str] = ["No experiment has a score in all configurations."]
     answers = [_answer(site, grade) for grade in graded] or none
@@ -136,7 +137,8 @@ def _changes(site: Site, grade: GradeComparison) -> Iterator[Html]:
         engines = {site.comparison.configurations[index].backend for index in (pair.first, pair.second)}
         if len(engines) > 1:
             continue
-        closer, further = pair.closer, pair.first + pair.second - pair.closer
+        closer = pair.closer
+        further = pair.further
         start = element("b", f"Constants, against {_grade_title(grade)} ({counted(len(pair.ids), 'experiment')}): ")
         between = f"not distinguishable: {site.labels[closer]} and {site.labels[further]}."
         if pair.distinguishable:
@@ -226,14 +228,18 @@ def _matrix(site: Site) -> list[Part]:
 
 def _matrix_cell(index: int, one: _Phenomenon) -> Html:
     """Return the score and the rank of a configuration in a phenomenon, and what has no score."""
-    results = [result for member in one.members if (cell := member.cells[index]) for result in cell.results]
-    counts = {outcome: sum(result.outcome is outcome for result in results) for outcome in LOST}
-    lost = [below(f"{count} {outcome.value}") for outcome, count in counts.items() if count]
+    cells = [cell for member in one.members if (cell := member.cells[index]) is not None]
+    lost = []
+    for outcome in LOST:
+        count = sum(cell.count(outcome) for cell in cells)
+        if count:
+            lost.append(below(f"{count} {outcome.value}"))
     found = one.of(index)
-    if found is None or found[1].mean is None:
-        return join([element("span", "no score" if results else "not run", class_="quiet"), *lost])
-    grade, mean = found[0], found[1].mean
-    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, found[1].rank))]
+    mean = None if found is None else found[1].mean
+    if found is None or mean is None:
+        return join([element("span", "no score" if cells else "not run", class_="quiet"), *lost])
+    grade, score = found
+    parts = [whisker_text(mean.value, mean.interval_95), below(place_text(grade, score.rank))]
     if len(grade.ids) < len(one.members):
         parts.append(below(f"over {len(grade.ids)} of {len(one.members)} experiments"))
     return join([*parts, *lost])
@@ -289,8 +295,8 @@ def _unscored_table(site: Site) -> Table:
         cells = ["one configuration: nothing to compare", "", ""]
         if one.distances:
             far = max(one.distances, key=lambda distance: distance.rms.mean)
-            lengths = (f"{quantity_text(length)} {far.unit}" for length in (far.rms.mean, far.motion_rms))
-            cells = [f"{site.labels[far.first]} and {site.labels[far.second]}", *lengths]
+            between = f"{site.labels[far.first]} and {site.labels[far.second]}"
+            cells = [between, far.text(far.rms.mean), far.text(far.motion_rms)]
         rows.append([site.experiment_link(one), *cells])
     return grid(("experiment", "furthest apart", "distance", "motion"), rows, number_from=2)
 
@@ -302,7 +308,7 @@ def _engines(site: Site) -> list[Part]:
             site.links[index],
             versions_text(one) or "-",
             *map(str, (summary.ran, summary.scored, summary.diverged, summary.not_run)),
-            "-" if summary.wall_s_per_sim_s_common is None else f"{summary.wall_s_per_sim_s_common:.2g}",
+            "-" if summary.wall_s_per_sim_s_common is None else cost_text(summary.wall_s_per_sim_s_common),
         ]
         for index, (one, summary) in enumerate(zip(comparison.configurations, comparison.summaries(), strict=True))
     ]

@@ -1,1 +1,1 @@
-"""Sweeps: many engines, settings, parameters and experiments, planned as a table, resumable, and stored."""
+"""Sweeps: many engines, settings, parameters and experiments, planned as a table, and resumable."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 import shlex
 import sys
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -21,7 +21,6 @@ from gauge_envs.cli.output import (
     LINE_INTERVAL_S,
     Format,
     Progress,
-    echo,
     message,
     note,
     print_document,
@@ -29,12 +28,13 @@ from gauge_envs.cli.output import (
 )
 from gauge_envs.errors import ParameterError
 from gauge_envs.files import processors
-from gauge_envs.pages.text import counted
+from gauge_envs.pages.text import counted, short_id
 
 if TYPE_CHECKING:
+    from gauge_envs.runs.pool import Limits, TaskWorker
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.lanes import Lane
-    from gauge_envs.tools.sweep.plan import SweepPlan
+    from gauge_envs.tools.sweep.folder import EarlierEpisode
+    from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
     from gauge_envs.tools.sweep.spec import SweepSpec
 
 DEFAULT_JOBS = 16
@@ -46,7 +46,7 @@ def sweep(
         list[str] | None,
         typer.Argument(metavar="[FILE] [KEY=VALUE]...", help="Sweep file, TOML, and keys that replace those in it."),
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the result files and the store.")] = Path("sweep"),
+    out: Annotated[Path, typer.Option(help="Folder for the result files.")] = Path("sweep"),
     changes: Annotated[
         list[str] | None,
         typer.Option("--set", help="Values of a setting, as timestep_s=0.001,0.0005 or mujoco.iterations=10,50."),
@@ -70,28 +70,26 @@ def sweep(
     engine; parameters=calibrated,effective, or one set of overrides; repeats=, episodes of each combination; seed=, of
     the first repeat; jitter=1mm,0.5deg, scatter of positions and angles. Several values have commas.
 
-    Episodes whose results are in the folder do not run again. Without a sweep, the store of the folder, which may be
-    one of gauge run, is brought up to date: sqlite3 DIR/sweep.sqlite 'SELECT id, score FROM results' reads it. Limits
-    are those of the worker processes; with isolate each task has a process of its own. Exit code 1 when an episode
-    failed or diverged, or when an experiment given by its id was declined.
+    Episodes whose results are in the folder do not run again. Limits are those of the worker processes; with isolate
+    each task has a process of its own. Exit code 1 when an episode failed or diverged, or when an experiment given by
+    its id was declined.
     """
     from gauge_envs.runs.isolation import TIME_LIMIT_S
-    from gauge_envs.tools.sweep.lanes import Limits
-    from gauge_envs.tools.sweep.plan import plan_sweep, shard as part_of
+    from gauge_envs.runs.pool import Limits
+    from gauge_envs.runs.result import Outcome
+    from gauge_envs.tools.sweep.folder import earlier_episodes
+    from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks, shard as part_of
     from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
-    from gauge_envs.tools.sweep.store import update_store
+    from gauge_envs.tools.sweep.words import outcome_table
 
     file, given = _split(words)
     if file is None and not given and not changes:
-        if not out.is_dir():
-            raise ParameterError("nothing to run: give a sweep file, or words as variants='SlopeSlider-2-*'")
-        echo(update_store(out, note))
-        return False
-    stated = {} if file is None else load_sweep_file(file)
+        raise ParameterError("nothing to run: give a sweep file, or words as variants='SlopeSlider-2-*'")
+    values = {} if file is None else load_sweep_file(file)
     if changes:
-        known = given.get("backends") or stated.get("backends") or ["mujoco"]
-        given["settings"] = _with_changes(stated.get("settings", {}), changes, known)
-    spec = sweep_spec(stated | given)
+        known = given.get("backends") or values.get("backends") or ["mujoco"]
+        given["settings"] = _with_changes(values.get("settings", {}), changes, known)
+    spec = sweep_spec(values | given)
     _, time_s, memory_gb = arguments.parsed_limits(limits)
     bounds = Limits(TIME_LIMIT_S if time_s is None else time_s, memory_gb, "isolate" in limits.split(","))
     plan = plan_sweep(spec, isolate=bounds.isolate)
@@ -100,10 +98,26 @@ def sweep(
         return False
     if shard is not None:
         plan = part_of(plan, *_part(shard))
+    earlier = earlier_episodes(out, None if dry_run else note)
+    names = set(plan.file_names)
+    done = {
+        name: one.outcome
+        for name, one in earlier.items()
+        if name in names and not (retry_failed and one.outcome is Outcome.FAILED)
+    }
+    tasks = list(remaining_tasks(plan, done))
     if dry_run:
-        _show_plan(plan, out, workers or processors(), retry_failed=retry_failed, form=form)
+        _show_plan(plan, tasks, earlier.values(), workers or processors(), form)
         return False
-    return _run(plan, spec, out, partial(_lanes, ray, workers, bounds), shard is not None, retry_failed, form)
+    counts = Counter((earlier[name].group[0], outcome) for name, outcome in done.items())
+    if tasks:
+        counts += _run(plan, tasks, _workers(ray, workers, bounds, len(tasks)), out, form)
+    if form is not Format.JSON:
+        print_document(outcome_table(plan, counts), form)
+    message(f"{counted(counts.total(), 'episode')}; results in {out}")
+    if any(outcome is Outcome.FAILED for _, outcome in counts):
+        message("causes of failures are in the folder failed; --retry-failed runs them again")
+    return _is_bad(plan, spec, counts)
 
 
 # --- what is asked for -----------------------------------------------------------------------------------------------
@@ -141,8 +155,8 @@ def _with_changes(settings: dict[str, Any], changes: list[str], backends: list[s
             result[key] = listed
         elif backend not in backends:
             raise ParameterError(f"--set {text!r}: {backend!r} is no engine of this sweep: {', '.join(backends)}")
-        elif isinstance(own := result.get(backend, {}), dict):
-            result[backend] = own | {name: listed}
+        elif isinstance(of_engine := result.get(backend, {}), dict):
+            result[backend] = of_engine | {name: listed}
         else:
             raise ParameterError(
                 f"--set {text!r}: settings.{backend} of the sweep file is a list, expected a table of settings"
@@ -157,19 +171,10 @@ def _part(text: str) -> tuple[int, int]:
     return int(found[1]), int(found[2])
 
 
-def _lanes(ray: str | None, workers: int | None, limits: Any, most: int) -> list[Lane]:
-    """Return the lanes, at most so many as there are tasks."""
-    from gauge_envs.tools.sweep.lanes import WorkerLane, ray_lanes
-
-    if ray is not None:
-        return [*ray_lanes(ray, workers and min(workers, most), limits)[:most]]
-    return [WorkerLane(limits) for _ in range(min(workers or processors(), most))]
-
-
 def _write_slurm(
     script: Path, file: Path | None, out: Path, shard: str | None, workers: int, given: Mapping[str, Any]
 ) -> None:
-    from gauge_envs.tools.sweep.lanes import slurm_script, write_slurm_script
+    from gauge_envs.tools.sweep.machines import slurm_script, write_slurm_script
 
     if file is None or given:
         raise ParameterError(
@@ -187,63 +192,66 @@ def _write_slurm(
 # --- runs ------------------------------------------------------------------------------------------------------------
 
 
-def _show_plan(plan: SweepPlan, out: Path, workers: int, *, retry_failed: bool, form: Format) -> None:
-    from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.plan import remaining_tasks
-    from gauge_envs.tools.sweep.store import EarlierCosts, SweepFolder
+def _show_plan(
+    plan: SweepPlan, tasks: Sequence[SweepTask], earlier: Iterable[EarlierEpisode], worker_count: int, form: Format
+) -> None:
+    """Print what is left of a plan, and what it costs."""
+    from gauge_envs.tools.sweep.folder import EarlierCosts
     from gauge_envs.tools.sweep.words import cost_text, plan_document
 
-    folder = SweepFolder(out)
-    kept = [one for one in Outcome if not (retry_failed and one is Outcome.FAILED)]
-    tasks = list(remaining_tasks(plan, {entry.name for entry in folder.files(*kept)}))
-    costs = EarlierCosts(folder)
+    costs = EarlierCosts(earlier)
     print_document(plan_document(plan, tasks, costs), form)
     left = sum(len(task.seeds) for task in tasks)
     message(f"{plan.episode_count} episodes, {left} left; {counted(plan.duplicates, 'duplicate')} left out")
-    message(cost_text(costs.of(task for task in tasks if task.run.declined is None), workers))
+    message(cost_text(costs.of(task for task in tasks if task.run.declined is None), worker_count))
+
+
+def _workers(ray: str | None, count: int | None, limits: Limits, task_count: int) -> Sequence[TaskWorker]:
+    """Return the workers, at most as many as there are tasks."""
+    if ray is not None:
+        from gauge_envs.tools.sweep.machines import ray_workers
+
+        return ray_workers(ray, count and min(count, task_count), limits)[:task_count]
+    from gauge_envs.runs.pool import ProcessWorker
+
+    return [ProcessWorker(limits) for _ in range(min(count or processors(), task_count))]
 
 
 def _run(
-    plan: SweepPlan,
-    spec: SweepSpec,
-    out: Path,
-    lanes: Callable[[int], list[Lane]],
-    is_part: bool,
-    retry_failed: bool,
-    form: Format,
-) -> bool:
-    """Run what is left of a plan, print the outcomes, and return whether one is bad."""
-    from gauge_envs.experiments.variants import is_glob
+    plan: SweepPlan, tasks: Sequence[SweepTask], workers: Sequence[TaskWorker], out: Path, form: Format
+) -> Counter[tuple[str, Outcome]]:
+    """Run tasks, and return how many episodes of each engine had which outcome."""
     from gauge_envs.runs.result import Outcome
-    from gauge_envs.tools.sweep.session import SweepSession
-    from gauge_envs.tools.sweep.words import outcome_table
+    from gauge_envs.tools.sweep.folder import result_files
+    from gauge_envs.tools.sweep.run import run_sweep
 
     counts: Counter[tuple[str, Outcome]] = Counter()
-    with SweepSession(plan, out, is_part=is_part, retry_failed=retry_failed, notify=note) as session:
-        counts.update(session.earlier)
-        done = session.earlier.total()
-        progress = Progress("episodes", plan.episode_count, done=done, line_interval_s=LINE_INTERVAL_S)
-        try:
-            if session.tasks:
-                with progress, closing(session.run(lanes(len(session.tasks)))) as results:
-                    for result in results:
-                        counts[str(result.backend), result.outcome] += 1
-                        name = f"{result.id.removeprefix('GAUGE/')} on {result.backend}"
-                        if result.outcome is Outcome.FAILED:
-                            message(f"failed: {name}, seed {result.seed}: {result.error}")
-                        progress.advance(name)
-                        if form is Format.JSON:
-                            print_json_lines([result.to_dict(trajectory=False)])
-        except KeyboardInterrupt:
-            message(f"interrupted: {session.left()} of {plan.episode_count} episodes left; continue with:")
-            message(shlex.join(["gauge", *sys.argv[1:]]))
-            raise typer.Exit(EXIT_INTERRUPTED) from None
-    if form is not Format.JSON:
-        print_document(outcome_table(counts), form)
-    message(f"{counted(counts.total(), 'episode')}; results in {out}")
-    if any(counts[name, Outcome.FAILED] for name in spec.backends):
-        message("causes of failures are in the folder failed; --retry-failed runs them again")
-    named = {name.removeprefix("GAUGE/") for name in spec.variants if not is_glob(name)}
-    return any(outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts) or any(
-        run.declined is not None and run.experiment in named for run in plan.runs
-    )
+    done = plan.episode_count - sum(len(task.seeds) for task in tasks)
+    progress = Progress("episodes", plan.episode_count, done=done, line_interval_s=LINE_INTERVAL_S)
+    try:
+        with progress, closing(run_sweep(tasks, workers, out)) as finished:
+            for result in itertools.chain.from_iterable(finished):
+                counts[str(result.backend), result.outcome] += 1
+                name = f"{short_id(result.id)} on {result.backend}"
+                if result.outcome is Outcome.FAILED:
+                    message(f"failed: {name}, seed {result.seed}: {result.error}")
+                progress.advance(name)
+                if form is Format.JSON:
+                    print_json_lines([result.to_dict(trajectory=False)])
+    except KeyboardInterrupt:
+        left = set(plan.file_names) - {file.name for file in result_files(out)}
+        message(f"interrupted: {len(left)} of {plan.episode_count} episodes left; continue with:")
+        message(shlex.join(["gauge", *sys.argv[1:]]))
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    return counts
+
+
+def _is_bad(plan: SweepPlan, spec: SweepSpec, counts: Mapping[tuple[str, Outcome], int]) -> bool:
+    """Return whether an episode failed or diverged, or an experiment that was given by its id was declined."""
+    from gauge_envs.experiments.variants import is_glob
+    from gauge_envs.runs.result import Outcome
+
+    if any(outcome in (Outcome.FAILED, Outcome.DIVERGED) for _, outcome in counts):
+        return True
+    named = {short_id(name) for name in spec.variants if not is_glob(name)}
+    return any(run.declined is not None and run.experiment in named for run in plan.runs)

@@ -22,9 +22,9 @@ from gauge_envs.references.imported import dataset_record
 from gauge_envs.runs.isolation import Worker
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.scene.jitter import JITTER_FORMAT
-from gauge_envs.tools.sweep.spec import MOST_EPISODES, SweepSpec
+from gauge_envs.tools.sweep.spec import MAX_EPISODES, SweepSpec
 
-FACTS_LIMIT_S = 600.0
+PLAN_LIMIT_S = 600.0
 """Time limit of the questions to an engine of another package [s]."""
 
 
@@ -40,7 +40,6 @@ class SweepRun:
         shares_worlds: Whether the repeats run as worlds of one simulation.
         declined: Why no episode of it can run; None if the plan knows no reason.
         steps: Time steps of an episode; None where the engine does not tell.
-        label: Short text of the parameters and settings.
     """
 
     request: RunRequest
@@ -50,7 +49,6 @@ class SweepRun:
     shares_worlds: bool
     declined: str | None
     steps: float | None
-    label: str
 
     @property
     def group(self) -> tuple[str, str]:
@@ -80,6 +78,11 @@ class SweepTask:
     seeds: range
 
     @property
+    def backend(self) -> str:
+        """Name of the engine."""
+        return self.run.request.backend
+
+    @property
     def request(self) -> RunRequest:
         """The request of these episodes alone."""
         return replace(self.run.request, seed=self.seeds[0], repeats=len(self.seeds))
@@ -107,6 +110,11 @@ class SweepPlan:
         """Number of episodes."""
         return sum(run.request.repeats for run in self.runs)
 
+    @property
+    def file_names(self) -> list[str]:
+        """Names of the result files."""
+        return [run.file_name(seed) for run in self.runs for seed in run.seeds]
+
 
 def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
     """Return the plan of a sweep. No simulation is built.
@@ -116,11 +124,11 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
         isolate: Ask also the engines of this package in another process.
     """
     count = spec.episode_count()
-    if count > MOST_EPISODES:
+    if count > MAX_EPISODES:
         # Python writes no integer of thousands of digits, which long lists give.
         shown = f"{count:,}" if count < 10**15 else f"more than {10**15:,}"
         raise ParameterError(
-            f"the sweep has {shown} episodes, the limit is {MOST_EPISODES:,}: shorten its lists, or split it"
+            f"the sweep has {shown} episodes, the limit is {MAX_EPISODES:,}: shorten its lists, or split it"
         )
     subjects = [_Subject.load(spec, one, parameters) for one in spec.subjects() for parameters in spec.parameters]
     # Parameters that no experiment takes are an error.
@@ -130,12 +138,16 @@ def plan_sweep(spec: SweepSpec, *, isolate: bool = False) -> SweepPlan:
             raise refusals[0]
     runs: dict[str, SweepRun] = {}
     for backend in dict.fromkeys(spec.backends):
+        if backend not in backend_names():
+            raise UnknownNameError("backend", backend, backend_names())
         choices = list(spec.setting_choices(backend))
-        facts = engine_facts(backend, [one.experiment for one in subjects], choices, isolate=isolate)
-        for number, subject in enumerate(subjects):
-            for choice, settings in enumerate(choices):
-                run = _run(backend, subject, settings, facts, (number, choice))
-                runs.setdefault(run.sha256, run)
+        if is_bundled(backend) and not isolate:
+            found = _engine_runs(backend, subjects, choices)
+        else:
+            with Worker(PLAN_LIMIT_S) as worker:
+                found = worker.call(_engine_runs, backend, subjects, choices)
+        for run in found:
+            runs.setdefault(run.sha256, run)
     plan = SweepPlan(tuple(runs.values()))
     return replace(plan, duplicates=count - plan.episode_count)
 
@@ -169,30 +181,66 @@ class _Subject:
             return cls(request, request.calibrated_experiment(), error)
 
 
-def _run(
-    backend: str, subject: _Subject, settings: dict[str, Any], facts: EngineFacts, place: tuple[int, int]
-) -> SweepRun:
-    declined = facts.declined.get(place[0]) or (None if subject.refusal is None else str(subject.refusal))
-    given_sha256, timestep_s = facts.settings.get(place, (str(settings), None))
-    jitter = subject.request.jitter
-    name = subject.experiment.name
-    return SweepRun(
-        request=replace(subject.request, backend=backend, settings=settings or None),
-        experiment=name,
-        sha256=run_sha256(
-            subject.sha256,
-            backend=backend,
-            versions=facts.versions,
-            settings=given_sha256,
-            parameters=subject.request.parameters,
-            jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
-        ),
-        versions=facts.versions,
-        shares_worlds=facts.shares_worlds,
-        declined=declined,
-        steps=None if timestep_s is None else subject.experiment.scene.duration_s / timestep_s,
-        label=", ".join([str(subject.request.parameters), *(f"{key}={value}" for key, value in settings.items())]),
-    )
+def _engine_runs(backend: str, subjects: Sequence[_Subject], choices: Sequence[Mapping[str, Any]]) -> list[SweepRun]:
+    """Return the runs of an engine, which is asked for its versions, and whether it can build each experiment.
+
+    Args:
+        backend: Name of the engine.
+        subjects: The experiments.
+        choices: Settings that replace those of the presets.
+    """
+    engine = backend_for(backend, None)
+    engine_versions = versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]}
+    runs = []
+    for subject in subjects:
+        experiment = subject.experiment
+        jitter = subject.request.jitter
+        support = support_of(backend, experiment.scene, experiment.model_file)
+        declined = None if subject.refusal is None else str(subject.refusal)
+        if not support:
+            declined = "; ".join(support.missing)
+        for settings in choices:
+            settings_sha256 = str(settings)
+            timestep_s = None
+            if support:
+                settings_sha256, timestep_s = _resolved(engine, experiment, settings)
+            sha256 = run_sha256(
+                subject.sha256,
+                backend=backend,
+                versions=engine_versions,
+                settings=settings_sha256,
+                parameters=subject.request.parameters,
+                jitter=None if jitter is None else {**jitter.to_dict(), "format": JITTER_FORMAT},
+            )
+            run = SweepRun(
+                request=replace(subject.request, backend=backend, settings=settings or None),
+                experiment=experiment.name,
+                sha256=sha256,
+                versions=engine_versions,
+                shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
+                declined=declined,
+                steps=None if timestep_s is None else experiment.scene.duration_s / timestep_s,
+            )
+            runs.append(run)
+    return runs
+
+
+def _resolved(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> tuple[str, float | None]:
+    """Return the hash of the settings in force, and the time step [s]; None where the engine does not tell."""
+    try:
+        with engine_call(engine.name, "resolved_settings"):
+            resolved = engine.resolved_settings(experiment.scene, settings)
+    except UnsupportedSceneError:
+        # The preset is one of other scenes: the episode will be declined.
+        resolved = None
+    except (ParameterError, UnknownNameError) as error:
+        raise ParameterError(
+            f"{experiment.name} on {engine.name}: {error}. A setting or preset of one engine belongs in its own table, "
+            f"[settings.{engine.name}]"
+        ) from None
+    timestep_s = (settings if resolved is None else resolved).get("timestep_s")
+    sha256 = content_sha256({"given": settings} if resolved is None else resolved)
+    return sha256, timestep_s if isinstance(timestep_s, float) else None
 
 
 def remaining_tasks(plan: SweepPlan, done: Container[str]) -> Iterator[SweepTask]:
@@ -231,82 +279,6 @@ def shard(plan: SweepPlan, number: int, count: int) -> SweepPlan:
         raise ParameterError(f"shard {number}/{count}: expected a number from 0 to {count - 1}")
     total = len(plan.runs)
     return replace(plan, runs=plan.runs[number * total // count : (number + 1) * total // count])
-
-
-# --- what a plan needs to know of an engine ---
-
-
-@dataclass(frozen=True)
-class EngineFacts:
-    """What a plan needs to know of an engine.
-
-    Attributes:
-        versions: Versions of its packages and of gauge-envs.
-        shares_worlds: Whether repeats are worlds of one simulation.
-        declined: Why the engine cannot build an experiment, by the number of the experiment.
-        settings: Hash of the settings and time step [s] by the number of the experiment and the number of the choice,
-            for experiments that it can build. Settings are resolved where the engine does that; the step is None where
-            it does not tell.
-    """
-
-    versions: dict[str, str]
-    shares_worlds: bool
-    declined: dict[int, str]
-    settings: dict[tuple[int, int], tuple[str, float | None]]
-
-
-def engine_facts(
-    backend: str, experiments: Sequence[Experiment], choices: Sequence[Mapping[str, Any]], *, isolate: bool = False
-) -> EngineFacts:
-    """Ask an engine; one of another package is asked in another process.
-
-    Args:
-        backend: Name of the engine.
-        experiments: The experiments.
-        choices: Settings that replace those of the presets.
-        isolate: Ask an engine of this package in another process, too.
-    """
-    if backend not in backend_names():
-        raise UnknownNameError("backend", backend, backend_names())
-    if is_bundled(backend) and not isolate:
-        return _facts(backend, experiments, choices)
-    with Worker(FACTS_LIMIT_S) as worker:
-        return worker.call(_facts, backend, experiments, choices)
-
-
-def _facts(backend: str, experiments: Sequence[Experiment], choices: Sequence[Mapping[str, Any]]) -> EngineFacts:
-    engine = backend_for(backend, None)
-    facts = EngineFacts(
-        versions=versions_of(backend) | {"gauge-envs": versions()["gauge-envs"]},
-        shares_worlds=type(engine).build_worlds is not Backend.build_worlds,
-        declined={},
-        settings={},
-    )
-    for number, experiment in enumerate(experiments):
-        support = support_of(backend, experiment.scene, experiment.model_file)
-        if not support:
-            facts.declined[number] = "; ".join(support.missing)
-            continue
-        for choice, settings in enumerate(choices):
-            facts.settings[number, choice] = _settings_facts(engine, experiment, settings)
-    return facts
-
-
-def _settings_facts(engine: Backend, experiment: Experiment, settings: Mapping[str, Any]) -> tuple[str, float | None]:
-    try:
-        with engine_call(engine.name, "resolved_settings"):
-            resolved = engine.resolved_settings(experiment.scene, settings)
-    except UnsupportedSceneError:
-        # The preset is one of other scenes: the episode will be declined.
-        resolved = None
-    except (ParameterError, UnknownNameError) as error:
-        raise ParameterError(
-            f"{experiment.name} on {engine.name}: {error}. A setting or preset of one engine belongs in its own table, "
-            f"[settings.{engine.name}]"
-        ) from None
-    timestep_s = (settings if resolved is None else resolved).get("timestep_s")
-    sha256 = content_sha256({"given": settings} if resolved is None else resolved)
-    return sha256, timestep_s if isinstance(timestep_s, float) else None
 
 
 # --- keys ------------------------------------------------------------------------------------------------------------

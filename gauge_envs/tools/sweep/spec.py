@@ -32,11 +32,11 @@ from gauge_envs.experiments.variants import Variant, is_experiment_file, matchin
 from gauge_envs.files import MEGABYTE, os_errors, outside_reason, read_regular, toml_document
 from gauge_envs.scene.jitter import Jitter
 
-MOST_EPISODES = 1_000_000
+MAX_EPISODES = 1_000_000
 """Largest number of episodes of a sweep."""
 
 LARGEST_SEED = 2**62
-"""Largest first seed: the store holds seeds in 64 bits, those of the repeats included."""
+"""Largest first seed: the seeds of all repeats fit into 64 bits."""
 
 Text = Annotated[str, Field(min_length=1)]
 
@@ -115,8 +115,8 @@ class SweepSpec(_Model):
         """Return the values of each setting for an engine: the common ones, replaced by those of its own table."""
         common: dict[str, list[Any]] = {} if self.presets is None else {"preset": list(self.presets)}
         common |= {key: values for key, values in self.settings.items() if isinstance(values, list)}
-        own = self.settings.get(backend)
-        return common | (own if isinstance(own, dict) else {})
+        of_engine = self.settings.get(backend)
+        return common | (of_engine if isinstance(of_engine, dict) else {})
 
     def setting_choices(self, backend: str) -> Iterator[dict[str, Any]]:
         """Yield every combination of settings for an engine."""

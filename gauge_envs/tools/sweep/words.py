@@ -6,8 +6,8 @@ from typing import Any
 from gauge_envs.pages.document import Document
 from gauge_envs.pages.table import Column, Table
 from gauge_envs.runs.result import Outcome
+from gauge_envs.tools.sweep.folder import Cost, EarlierCosts
 from gauge_envs.tools.sweep.plan import SweepPlan, SweepTask
-from gauge_envs.tools.sweep.store import Cost, EarlierCosts
 
 
 def duration_text(seconds: float) -> str:
@@ -84,11 +84,11 @@ def _sums(rows: Iterable[Mapping[str, Any]]) -> list[dict[str, Any]]:
     return list(sums.values())
 
 
-def outcome_table(counts: Mapping[tuple[str, Outcome], int]) -> Table:
-    """Return the number of episodes of each outcome, a row for each engine."""
-    rows = [
-        {"backend": name} | {outcome.value: counts.get((name, outcome), 0) for outcome in Outcome}
-        for name in dict.fromkeys(backend for backend, _ in counts)
-    ]
-    columns = (Column("backend", "engine"), *(Column(one.value, one.value, str, is_number=True) for one in Outcome))
-    return Table(columns=columns, rows=rows)
+def outcome_table(plan: SweepPlan, counts: Mapping[tuple[str, Outcome], int]) -> Table:
+    """Return the number of episodes of each outcome, a row for each engine of a plan."""
+    columns = [Column("backend", "engine")]
+    columns += [Column(outcome.value, outcome.value, str, is_number=True) for outcome in Outcome]
+    rows: list[dict[str, Any]] = []
+    for backend in dict.fromkeys(run.request.backend for run in plan.runs):
+        rows.append({"backend": backend} | {outcome.value: counts.get((backend, outcome), 0) for outcome in Outcome})
+    return Table(columns=tuple(columns), rows=rows)

@@ -138,7 +138,7 @@ def transfer_envelope(
     each world.
     """
     from gauge_envs.pages.figures import save_png
-    from gauge_envs.tools.control.tasks import control_tasks
+    from gauge_envs.tools.control import control_tasks
     from gauge_envs.tools.transfer.envelope import envelope_report, experiment_envelope
     from gauge_envs.tools.transfer.words import draw_envelope, envelope_document
 

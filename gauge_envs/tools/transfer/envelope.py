@@ -19,9 +19,7 @@ from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.limit import LimitReport
-from gauge_envs.tools.control.play import Policy
-from gauge_envs.tools.control.vector import ControlWorlds
+from gauge_envs.tools.control import ControlWorlds, LimitReport, Policy
 from gauge_envs.tools.transfer.policy_replays import make_control_env, task_uncertainties
 
 LARGEST_SAMPLE_COUNT = 2**16

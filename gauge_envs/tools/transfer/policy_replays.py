@@ -16,10 +16,7 @@ from gauge_envs.experiments.experiment import TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.scene_builder import Parameters
 from gauge_envs.experiments.uncertain import UncertainParameter, overrides_at, uncertain_parameters
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.limit import LimitReport
-from gauge_envs.tools.control.play import Policy, play_paid
-from gauge_envs.tools.control.tasks import find_control_task
+from gauge_envs.tools.control import ControlEnv, LimitReport, Policy, find_control_task, play_paid
 
 MOST_SIGMAS = 10.0
 """Largest change of a constant, in standard uncertainties: beyond, no measurement says what a distribution is."""

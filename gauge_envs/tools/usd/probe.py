@@ -77,7 +77,10 @@ def _named_layers(layer: Sdf.Layer) -> set[str]:
 
 
 def _fault(attribute: Usd.Attribute) -> str:
-    """Return what is too large in the values of an attribute; a value that USD cannot read may be of no use."""
+    """Return what is wrong with the values of an attribute, or nothing.
+
+    USD also reports memory that is missing here as a value that it cannot read. Another process would take that memory.
+    """
     try:
         codes = attribute.GetTimeSamples()
         if len(codes) > MOST_SAMPLES:
@@ -85,8 +88,7 @@ def _fault(attribute: Usd.Attribute) -> str:
         for code in (Usd.TimeCode.Default(), *codes):
             attribute.Get(code)
     except Tf.ErrorException as error:
-        reason = _reason(error)
-        return f"a value cannot be read: {reason}" if "bad_alloc" in reason else ""
+        return f"a value cannot be read: {_reason(error)}"
     except UnicodeDecodeError:
         return ""
     return ""

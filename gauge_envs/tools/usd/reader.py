@@ -17,6 +17,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdPhysics
 
 from gauge_envs.errors import AssetError, ParameterError
+from gauge_envs.files import CHILD_MEMORY, MEGABYTE, limited_memory
 from gauge_envs.scene.bodies import Contact, ContactMode, Motion, RigidBody
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import FloatArray, Pose, vector
@@ -120,7 +121,10 @@ def read_points(path: Path, place: str) -> FloatArray:
 def _opened(file: Path) -> Iterator[Source]:
     """Open a stage; convert errors of USD to AssetError while it is read."""
     try:
-        yield Source(file)
+        with limited_memory(CHILD_MEMORY):
+            yield Source(file)
+    except MemoryError:
+        raise AssetError(file, "", f"reading it needs more than {CHILD_MEMORY // MEGABYTE} MB of memory") from None
     except Tf.ErrorException as error:
         # USD detects some faults only when values are read, such as an attribute of another type than in its schema.
         raise AssetError(file, "", f"USD cannot read it: {usd_reason(error)}") from None
@@ -219,8 +223,8 @@ class _Reader:
         if stage.HasAuthoredTimeCodeRange():
             length = np.array(source.seconds(stage.GetEndTimeCode()))
             stated = StoredValue(place="endTimeCode", raw=length, value=length)
-        own = attribute.HasAuthoredValue() if attribute else False
-        if self.duration_s is not None and not own:
+        exact = attribute.HasAuthoredValue() if attribute else False
+        if self.duration_s is not None and not exact:
             stated = None
         value = source.counted(attribute, [stated], rounded=lambda t: np.round(t * source.rate) / source.rate)
         duration = float(value) if value is not None else self.duration_s
@@ -315,12 +319,12 @@ class _Reader:
             if any(is_welded(source, joint, prim) for joint in self.joints):
                 standard = Motion.FIXED
         attribute = prim.GetAttribute("gauge:motion")
-        own = source.text(attribute, tuple(Motion))
-        if own is None or own == standard:
+        exact = source.text(attribute, tuple(Motion))
+        if exact is None or exact == standard:
             return standard
         written = attribute.GetCustomDataByKey(WRITTEN)
         if standard == written:
-            return Motion(own)
-        if own == written:
+            return Motion(exact)
+        if exact == written:
             return standard
-        raise source.fault(attribute, f"is {own}, but UsdPhysics makes the body {standard}: make them agree")
+        raise source.fault(attribute, f"is {exact}, but UsdPhysics makes the body {standard}: make them agree")

@@ -39,12 +39,13 @@ from gauge_envs.scene.bodies import (
     Tether,
 )
 from gauge_envs.scene.drivers import Driver
-from gauge_envs.scene.fabrics import Fabric, isaac_surface
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.geometry import Box, Compound, ConvexUnion, Cylinder, FloatArray, Pose, Shape, Sphere, vector
 from gauge_envs.scene.meshes import TOUCHING_M, grid, hull_faces, nodes_in, tetrahedra
 from gauge_envs.scene.motors import Servo
 from gauge_envs.scene.scene import Scene
 from gauge_envs.scene.timing import FRAME_RATE_HZ
+from gauge_envs.tools.usd.isaac_fabric import surface_constants
 from gauge_envs.tools.usd.layer import (
     AIR_KINDS,
     ARMS,
@@ -87,7 +88,7 @@ ISAAC_ATTRIBUTES = {
     "poissons_ratio": "poissonsRatio",
     "surfaceBendStiffness": "surfaceBendStiffness",
 }
-"""Attributes of Omniverse's deformable material, by the names of `gauge_envs.scene.fabrics.isaac_surface`."""
+"""Attributes of Omniverse's deformable material, by the names of `isaac_fabric.surface_constants`."""
 
 
 def to_usd(scene: Scene, path: str | Path) -> None:
@@ -427,7 +428,7 @@ class _Writer:
                 written = _omni(prim, attribute, "float", getattr(body, name)).Get()
                 record_written(gauge.GetAttribute(f"gauge:{name}"), written)
         if isinstance(body, Cloth):
-            isaac = isaac_surface(Fabric.of(body))
+            isaac = surface_constants(Fabric.of(body))
             for name, attribute in ISAAC_ATTRIBUTES.items():
                 value = isaac.constants[name]
                 for one in (_omni(prim, attribute, "float", value), _custom(prim, f"isaac:{name}", value)):

@@ -78,7 +78,7 @@ def video_score(
     from gauge_envs.pages.document import save_file
     from gauge_envs.tools.video import Grade, read_camera, score_track, video_task
     from gauge_envs.tools.video.frames import FileFrames, Frames
-    from gauge_envs.tools.video.own import MOTIONS, FrontalFilm, score_own, swing_log
+    from gauge_envs.tools.video.phone_films import MOTIONS, FrontalFilm, score_phone_film, swing_log
     from gauge_envs.tools.video.tracker import track_object
     from gauge_envs.tools.video.words import save_overlay, score_document
 
@@ -96,7 +96,7 @@ def video_score(
         source: Frames | None = None if is_track else FileFrames(file, fps=details.get("fps"))
         if source is not None and view is not None:
             source = FrontalFilm(source, view)
-            result = score_own(source, task, details["object"], angle_deg=details.get("angle_deg"))
+            result = score_phone_film(source, task, details["object"], angle_deg=details.get("angle_deg"))
         else:
             chosen = video_task(task)
             track = (
@@ -197,7 +197,7 @@ def video_board(
 
     Details: square_mm=35, the edge of a square: 7 x 5 of them fit on A4.
     """
-    from gauge_envs.tools.video.own import save_board
+    from gauge_envs.tools.video.phone_films import save_board
 
     file, details = arguments.split_subject(words, square_mm=float)
     echo(save_board(Path(file), details.get("square_mm", 35.0)))

@@ -43,13 +43,13 @@ def test_a_reset_or_a_restored_state_clears_the_fault() -> None:
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"sustained_solref": (math.nan, 1.0)}, "'sustained_solref.0'.*finite number"),
-        ({"impratio": math.inf}, "'impratio'.*finite number"),
+        ({"sustained_solref": (math.nan, 1.0)}, "'sustained_solref.0'.*given: nan"),
+        ({"impratio": math.inf}, "'impratio'.*given: inf"),
         ({"iterations": 10**21}, "'iterations'.*at most 2147483647"),
         ({"noslip_iterations": np.int64(2**40)}, "'noslip_iterations'"),
-        ({"timestep_s": 1e-320}, "'timestep_s'.*greater than or equal to 0.00000001"),
+        ({"timestep_s": 1e-320}, "'timestep_s'.*given: 1e-320"),
         ({"drive_interval_s": math.inf}, "'drive_interval_s'"),
-        ({"drive_interval_s": 1e300}, "'drive_interval_s'.*less than or equal to 60"),
+        ({"drive_interval_s": 1e300}, "'drive_interval_s'.*given: 1e.300"),
         ({"preset": ["stack"]}, "unknown MuJoCo preset"),
         ({3: 1}, "expected texts as keys"),
         ([1], "expected a mapping"),

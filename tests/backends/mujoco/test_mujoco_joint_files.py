@@ -12,14 +12,13 @@ import pytest
 from gauge_envs import load_experiment
 from gauge_envs.backends.base import ModelFile
 from gauge_envs.backends.mujoco import BackendMuJoCo
-from gauge_envs.backends.mujoco.mjcf_writer import exact_xml, start_notes
 from gauge_envs.envs.driver_paths import DriverPaths
-from gauge_envs.errors import AssetError, UnsupportedSceneError
+from gauge_envs.errors import AssetError
 from gauge_envs.scene import Hinge, JointDynamics, Scene
 from gauge_envs.scene.diff import scene_changes
 from gauge_envs.scene.motors import Servo, TorqueMotor
 from gauge_envs.scene.profiles import CosineProfile
-from gauge_envs.tools.assets.urdf import body_files
+from gauge_envs.tools.mjcf.writer import exact_xml, start_notes
 
 COMMAND = CosineProfile(start_s=0.1, duration_s=0.3, amount=0.7)
 SERVO = Servo(command=COMMAND, kp_n_m_per_rad=0.8123456789, kv_n_m_s_per_rad=0.013, torque_limit_n_m=1.7, delay_s=0.02)
@@ -105,15 +104,3 @@ def test_a_file_without_the_motor_is_refused(tmp_path: Path) -> None:
 def test_a_file_without_the_play_is_refused(tmp_path: Path) -> None:
     with pytest.raises(AssetError, match="its joint has backlash and needs a second hinge 'first/play'"):
         read(chain(), tmp_path, ('name="first/play"', 'name="other"'))
-
-
-def test_urdf_has_friction_and_refuses_the_rest() -> None:
-    scene = load_experiment("Pendulum-metal").scene
-    (joint,) = scene.joints
-    assert isinstance(joint, Hinge)
-    rubbing = JointDynamics(dry_friction_n_m=0.01, viscous_friction_n_m_s_per_rad=0.002)
-    files = body_files(replace(scene, joints=(replace(joint, dynamics=rubbing),)))
-    assert '<dynamics damping="0.002" friction="0.01" />' in files[joint.body].texts[f"{joint.body}.urdf"]
-    for terms in ({"dynamics": DYNAMICS}, {"motor": SERVO}):
-        with pytest.raises(UnsupportedSceneError, match="URDF has no armature, backlash or motors"):
-            body_files(replace(scene, joints=(replace(joint, **terms),)))

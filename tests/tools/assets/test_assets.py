@@ -41,11 +41,12 @@ from gauge_envs.scene import (
     Tether,
 )
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.fabrics import Fabric, isaac_surface
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.assets import build as assets
 from gauge_envs.tools.assets.build import assets_folder, shape_to_obj, solid_shapes
 from gauge_envs.tools.assets.export import experiment_stage, mjcf_text, usd_layer_text, write_mjcf
+from gauge_envs.tools.usd.isaac_fabric import surface_constants
 from gauge_envs.tools.usd.writer import export_stage
 
 ALL = tuple(variant.name for variant in variants())
@@ -395,7 +396,7 @@ def test_fabrics_carry_the_constants_for_isaac(pair: tuple) -> None:
     for body in experiment.scene.deformables:
         if not isinstance(body, Cloth):
             continue
-        mapped = isaac_surface(Fabric.of(body))
+        mapped = surface_constants(Fabric.of(body))
         material = UsdShade.MaterialBindingAPI(by_name(stage)[body.name]).ComputeBoundMaterial("physics")[0].GetPrim()
         for name, attribute in (
             ("youngs_modulus", "youngsModulus"),

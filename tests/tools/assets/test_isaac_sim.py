@@ -35,7 +35,7 @@ from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.score_file import score_file
 from gauge_envs.scene import Cloth, JointDynamics, SoftBody
 from gauge_envs.scene.driver_path import DriverPath
-from gauge_envs.scene.fabrics import Fabric, isaac_surface
+from gauge_envs.scene.fabrics import Fabric
 from gauge_envs.tools.assets import isaac_sim
 from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.assets.isaac_sim import (
@@ -44,6 +44,7 @@ from gauge_envs.tools.assets.isaac_sim import (
     unsupported_reason,
     write_isaac_sim_layer,
 )
+from gauge_envs.tools.usd.isaac_fabric import surface_constants
 
 SCHEMAS = tomllib.loads((Path(__file__).parent / "omni_physics_schemas.toml").read_text(encoding="utf-8"))
 CYLINDERS = "/physics/collisionApproximateCylinders"
@@ -226,7 +227,7 @@ def test_cloth_has_the_mapped_constants(name: str) -> None:
     thickness, hinge = cloth.thickness_m, cloth.bend_stiffness_n_m_per_rad
     stated = {
         "youngsModulus": cloth.stretch_stiffness_n_per_m / thickness,
-        "poissonsRatio": isaac_surface(Fabric.of(cloth)).constants["poissons_ratio"],
+        "poissonsRatio": surface_constants(Fabric.of(cloth)).constants["poissons_ratio"],
         "surfaceBendStiffness": hinge / (4.0 * thickness**3),
         "surfaceThickness": thickness,
     }

@@ -17,11 +17,13 @@ from typer.testing import CliRunner
 from gauge_envs.backends import Simulation, Support, backend, registry
 from gauge_envs.cli.app import app
 from gauge_envs.errors import ParameterError, UnknownNameError, UnsupportedSceneError
+from gauge_envs.evaluation.estimators import hann_mean
+from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.pages.document import as_markdown
 from gauge_envs.scene import Box, Hinge, Scene
 from gauge_envs.tools.conformance import CheckResult, Status, checks, run_checks
 from gauge_envs.tools.conformance.forces import EULER_DEG, _frame_hint
-from gauge_envs.tools.conformance.laws import hann_mean, pendulum_period_s, torque_free_orientation
+from gauge_envs.tools.conformance.laws import torque_free_orientation
 from gauge_envs.tools.conformance.words import findings_document
 
 SOUND = Fault(what="none", caught_by="", says="")

@@ -268,3 +268,11 @@ def test_the_command_takes_unit_and_rate(tmp_path: Path, gauge) -> None:
     assert "unit=mm says that" in (refused := gauge("data", "import", tmp_path, "rate=30")).stderr.replace("\n", " ")
     assert refused.exit_code == 1
     assert gauge("data", "import", tmp_path, "rate=30", "unit=mm").exit_code == 0
+
+
+def test_empty_rows_are_a_fault_of_their_body_and_names_beside_lists_are_not() -> None:
+    lists = {"x": [1.0], "y": [2.0], "z": [3.0]}
+    content = {"FPS": 30, "unit": "mm", "cube": {"positions": []}, "foam": {"1": lists | {"note": "left"}}}
+    trial = parse_trial(json.dumps(content).encode())
+    assert list(trial.faults) == ["cube"]
+    np.testing.assert_array_equal(trial.markers["foam"]["1"], [[1.0, 2.0, 3.0]])

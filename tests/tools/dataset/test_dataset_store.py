@@ -165,11 +165,14 @@ def test_a_special_file_is_left_out(make: str, tmp_path: Path) -> None:
 
 
 def test_many_keys_take_little_time() -> None:
+    """At most 30 times as long as Python's parser, where a search over all earlier keys would take thousands."""
     content = ('{"FPS": 30, ' + ",".join(f'"k{n}": 1' for n in range(200_000)) + ', "k7": 1}').encode()
-    start = time.perf_counter()
+    start = time.process_time()
+    json.loads(content)
+    parsed = time.process_time()
     with pytest.raises(TrialError, match="k7: the key occurs twice"):
         parse_trial(content)
-    assert time.perf_counter() - start < 5.0
+    assert time.process_time() - parsed < 30.0 * (parsed - start)
 
 
 @pytest.mark.parametrize("first", [0, 1])

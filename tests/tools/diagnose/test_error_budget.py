@@ -45,6 +45,8 @@ SLIDE, BALL, SWING, DRIVEN, HELD = (
     "SlopeSlider-1-wood",
 )
 GRAVITY_MM_S2 = 9806.65
+GRAVITY_M_PER_S2 = np.array([0.0, 0.0, -9.80665])
+FLOOR_MM = 43.297  # Height of the ball's centre where it touches the ground of BouncingBall-rubber.
 QUICK = settings(max_examples=5, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 
 
@@ -164,7 +166,7 @@ def test_errors_planted_in_the_mean_of_real_trials_come_back(name):
     assert rate.fitted / rate.simulated == pytest.approx(ratio, rel=1e-3)
 
 
-def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=40.0):
+def bounce(restitution, *, late_s=0.0, raised_mm=0.0, drop_mm=400.0, floor_mm=FLOOR_MM):
     """Height of a ball that falls from rest and rebounds once; exact."""
     fall_s = math.sqrt(2.0 * drop_mm / GRAVITY_MM_S2)
     speed = GRAVITY_MM_S2 * fall_s
@@ -486,8 +488,8 @@ def test_a_second_impact_ends_the_first_flight():
     height = bounce(0.3)(times)[:, 2:]
     later = times > until_s
     flight = times[later] - until_s
-    height[later, 0] = 40.0 + 0.09 * GRAVITY_MM_S2 * fall_s * flight - 0.5 * GRAVITY_MM_S2 * flight**2
-    impact = find_impact(times, np.maximum(height, 39.0))
+    height[later, 0] = FLOOR_MM + 0.09 * GRAVITY_MM_S2 * fall_s * flight - 0.5 * GRAVITY_MM_S2 * flight**2
+    impact = find_impact(times, height, gravity_m_per_s2=GRAVITY_M_PER_S2[2:], contact_mm=np.array([FLOOR_MM]))
     assert impact is not None
     assert impact.restitution == pytest.approx(0.3, abs=1e-3)
     assert impact.time_s == pytest.approx(fall_s, abs=1e-5)
@@ -496,7 +498,7 @@ def test_a_second_impact_ends_the_first_flight():
 
 @pytest.mark.parametrize("motion_at", [slide(2600.0), lambda times: np.zeros((len(times), 3)), winding])
 def test_there_is_no_impact_where_nothing_rebounds(motion_at):
-    assert find_impact(*samples(30, motion_at)) is None
+    assert find_impact(*samples(30, motion_at), gravity_m_per_s2=GRAVITY_M_PER_S2) is None
 
 
 # --- requests --------------------------------------------------------------------------------------------------------

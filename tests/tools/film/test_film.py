@@ -20,7 +20,7 @@ from gauge_envs.errors import GaugeError, MissingExtraError, ParameterError, Ren
 from gauge_envs.evaluation.reference_path import reference_words
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.rendering import renderer
-from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, scene_view
+from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.runs import replay as replay_module
 from gauge_envs.runs.batch import run_many
 from gauge_envs.runs.replay import ReplayError
@@ -175,7 +175,7 @@ def test_slow_films_use_more_views_of_the_episode() -> None:
 
 def pixel(scene_point_m: np.ndarray, take: Take, width: int, height: int) -> np.ndarray:
     """Column and row of a point, by a pinhole camera of its own."""
-    view = scene_view(take.experiment.scene, aspect=width / height, reference=take.reference)
+    view = experiment_view(take.experiment, aspect=width / height, reference=take.reference)
     azimuth, elevation = np.radians([view.azimuth_deg, view.elevation_deg])
     forward = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
     right = np.array([np.sin(azimuth), -np.cos(azimuth), 0.0])
@@ -249,7 +249,7 @@ def test_panels_differ_where_their_bodies_do(results: dict[Path, Result]) -> Non
     places = [one.replay.poses[-1, 0, :3].astype(float) for one in takes]
     # The balls at the end are apart by more than a ball; their pictures span what has changed.
     radius_m = takes[0].experiment.scene.body("ball").shape.radius_m
-    view = scene_view(takes[0].experiment.scene, aspect=320 / 240, reference=takes[0].reference)
+    view = experiment_view(takes[0].experiment, aspect=320 / 240, reference=takes[0].reference)
     tops = [pixel(place + radius_m * view.axes[1], takes[0], 320, 240)[1] for place in places]
     assert abs(tops[0] - tops[1]) > 10
     assert rows.min() == pytest.approx(min(tops), abs=2)

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.backends import backend
 from gauge_envs.scene import Hinge
 from gauge_envs.scene.motors import Servo
-from gauge_envs.tools.conformance.lab import ramp
+from gauge_envs.tools.bench.parts import ramp
 from gauge_envs.tools.identify import Identified, Log, one_joint
 from gauge_envs.tools.identify.rig import numbers, simulated, with_terms
 from gauge_envs.tools.identify.words import snippet

@@ -214,9 +214,7 @@ def test_an_edited_result_is_found(change: Edit, message: str, board: Path) -> N
 
 def test_a_file_that_is_no_json_is_found(board: Path) -> None:
     result_file(board).write_text("score = 1\n", encoding="utf-8")
-    assert "SlopeSlider-2-wood.mujoco.calibrated.json: not a result file: Expecting value" in texts(
-        check_leaderboard(board)
-    )
+    assert "SlopeSlider-2-wood.mujoco.calibrated.json: not a result file: " in texts(check_leaderboard(board))
 
 
 def test_a_result_of_another_name_is_found(board: Path) -> None:
@@ -579,7 +577,7 @@ def test_names_that_lead_elsewhere_are_found(name: str, board: Path) -> None:
     file = submission(board) / "submission.toml"
     text = file.read_text(encoding="utf-8").replace('engine = "mujoco"', f'engine = "{name}"')
     file.write_text(text, encoding="utf-8")
-    assert "submission.toml: engine: String should match pattern" in only_fault(board)
+    assert "submission.toml: engine: " in only_fault(board)
 
 
 def test_a_file_of_1_gb_is_found_and_not_read(board: Path) -> None:
@@ -613,7 +611,7 @@ def test_a_submission_without_statement_is_found(board: Path) -> None:
 
 
 STATEMENTS = [
-    ("format = 1", "format = 2", "format: Input should be 1"),
+    ("format = 1", "format = 2", "format: "),
     ('submitter = "A vendor"', "", "submitter: missing key"),
     ("format = 1", "format = 1\nscore = 3", "score: unknown key"),
     ("[left_out]", "[left_out", "not TOML"),

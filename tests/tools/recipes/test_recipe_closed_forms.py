@@ -4,17 +4,13 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from gauge_envs.backends.shared.spring_damper import damping_ratio_of, spring_damper_restitution
-from gauge_envs.scene import GRAVITY_M_PER_S2 as G
-from gauge_envs.tools.conformance import friction_of_slide
 from gauge_envs.tools.recipes.closed_forms import mujoco_impedance
 from gauge_envs.tools.recipes.engines.mujoco import MuJoCoSettings
 from gauge_envs.tools.recipes.measure import probe_of
-from gauge_envs.tools.recipes.probes import first_rebound
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.3, 0.9, 1.0, 2.0])
@@ -39,26 +35,6 @@ def test_the_damping_ratio_is_the_inverse_of_the_restitution() -> None:
         assert spring_damper_restitution(damping_ratio_of(restitution)) == pytest.approx(restitution, abs=1e-9)
 
 
-@pytest.mark.parametrize("restitution", [0.9, 0.6, 0.3])
-@pytest.mark.parametrize("step_s", [0.001, 0.01])
-def test_a_rebound_is_read_from_the_height_e_squared_h(restitution: float, step_s: float) -> None:
-    speed = math.sqrt(2.0 * G * 0.2)
-    times = step_s * np.arange(round(0.5 / step_s))
-    after = times - speed / G
-    rebound = restitution * speed * after - 0.5 * G * after**2
-    heights = np.where(after < 0.0, 0.2 - 0.5 * G * times**2, np.maximum(rebound, 0.0))
-    assert first_rebound(heights, step_s) == pytest.approx(restitution, abs=1e-6)
-
-
-def test_a_rebound_higher_than_the_drop_is_read_before_its_top() -> None:
-    """Twice the speed: the top is 0.61 s after the release, and samples end at 0.5 s."""
-    speed, step_s = math.sqrt(2.0 * G * 0.2), 0.002
-    times = step_s * np.arange(250)
-    after = times - speed / G
-    heights = np.where(after < 0.0, 0.2 - 0.5 * G * times**2, 2.0 * speed * after - 0.5 * G * after**2)
-    assert first_rebound(heights, step_s) == pytest.approx(2.0, abs=1e-6)
-
-
 @pytest.mark.parametrize(
     ("step_s", "solref"),
     [
@@ -75,15 +51,6 @@ def test_the_rebound_of_mujocos_equation_is_that_of_the_engine(step_s: float, so
     form = settings.closed_form()
     found = probe_of(settings, 0.5).drop(settings.build(0.5))
     assert form.restitution == pytest.approx(found.mean, abs=5e-4)
-
-
-def test_a_ball_that_stays_down_has_no_rebound() -> None:
-    assert first_rebound(np.array([0.2, 0.15, 0.05, 0.0, 0.0, 0.0]), 0.01) == 0.0
-
-
-def test_the_friction_of_a_slide_is_that_of_coulomb() -> None:
-    slope = math.radians(30.0)
-    assert friction_of_slide(G * (math.sin(slope) - 0.4 * math.cos(slope)), slope) == pytest.approx(0.4)
 
 
 def test_the_friction_of_a_plate_that_cannot_turn_is_that_of_its_contacts() -> None:

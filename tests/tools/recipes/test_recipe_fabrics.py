@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from gauge_envs.backends.mujoco import cloth as mujoco_cloth
+from gauge_envs.backends.mujoco.fabrics import flex_constants
 from gauge_envs.errors import ParameterError
+from gauge_envs.evaluation.estimators import hann_mean
 from gauge_envs.experiments.task_files import fabrics
-from gauge_envs.scene.fabrics import MAPPINGS
-from gauge_envs.tools.conformance.laws import hann_mean
 from gauge_envs.tools.recipes.fabrics import NOTHING_LOST, fabric_recipe, fabric_snippet
 
-SATIN = fabrics()["satin"]
+SATIN = fabrics("TextileFlinging")["satin"]
 G = 9.80665
 
 
@@ -75,13 +75,13 @@ def sag_over_expected(snippet: str) -> float:
 
 
 def test_the_snippet_stretches_in_a_plain_loop_of_mujoco() -> None:
-    snippet = fabric_snippet(MAPPINGS["mujoco"](SATIN))
+    snippet = fabric_snippet(flex_constants(SATIN))
     assert sag_over_expected(snippet) == pytest.approx(1.0, rel=0.02)
 
 
 def test_a_snippet_with_a_wrong_unit_is_noticed() -> None:
     """A planted fault: the modulus is a tenth of the right one, as from a conversion between Pa and dyn/cm^2."""
-    mapped = MAPPINGS["mujoco"](SATIN)
+    mapped = flex_constants(SATIN)
     young = mapped.constants["young"]
     wrong = fabric_snippet(mapped).replace(f'young="{young:.6g}"', f'young="{0.1 * young:.6g}"')
     assert sag_over_expected(wrong) > 5.0

@@ -75,7 +75,7 @@ def test_friction_of_a_target_is_that_of_the_geoms_that_decide() -> None:
 
 
 def test_rows_that_are_known_are_not_measured_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    package = script.Package("gymnasium", "gymnasium", lambda: ["Reacher-v5", "Swimmer-v5"])
+    package = script.Package("gymnasium", lambda: ["Reacher-v5", "Swimmer-v5"])
     monkeypatch.setattr(script, "PACKAGES", {"Gymnasium": package})
     data: dict[str, Any] = {"rows": [], "unreadable": {}}
     script.measure("Gymnasium", data, tmp_path / "data.json")
@@ -85,14 +85,23 @@ def test_rows_that_are_known_are_not_measured_again(tmp_path: Path, monkeypatch:
     script.measure("Gymnasium", data, tmp_path / "data.json")
 
 
-def test_package_that_is_not_installed_keeps_its_rows(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize("package", [script.Package("absent", lambda: ["x"]), script.Package("absent")])
+def test_package_that_is_not_here_keeps_its_rows(
+    package: script.Package, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(script, "PACKAGES", {"Absent": script.Package("absent", "absent_module", lambda: ["x"])})
+    monkeypatch.setattr(script, "PACKAGES", {"Absent": package})
     data: dict[str, Any] = {"rows": [{"package": "Absent"}], "unreadable": {}}
-    script.measure("Absent", data, tmp_path / "data.json")
+    script.measure("Absent", data, tmp_path / "data.json", tmp_path)
     assert data["rows"] == [{"package": "Absent"}]
-    assert "not installed" in capsys.readouterr().out
+    assert "not here" in capsys.readouterr().out
+
+
+def test_tasks_of_other_packages_are_read_from_probe_files(tmp_path: Path) -> None:
+    (tmp_path / "playground").mkdir()
+    file = tmp_path / "playground" / f"Walk{script.SUFFIX}"
+    file.write_text(json.dumps({"versions": {"playground": "0.2.0"}}), encoding="utf-8")
+    assert script.targets_of(script.PACKAGES["MuJoCo Playground"], tmp_path) == ("0.2.0", [str(file)])
+    assert script.shown_name(str(file)) == "Walk"
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Callable, Iterator, Mapping
+from importlib import import_module
 from math import radians
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
@@ -13,13 +14,13 @@ from typing import Any
 import mujoco
 import numpy as np
 import pytest
+from mujoco_stacks import CollisionCfg, MujocoCfg, SimulationCfg, install_mjlab, mjlab_task, playground_env
 
 from gauge_envs.tools.sanity import TrainingConfiguration, configuration
-from gauge_envs.tools.sanity.stacks import LANGUAGES, OBJECTS, TEXTS, dialect, genesis
+from gauge_envs.tools.sanity.stacks import STACKS, dialect, genesis
 from gauge_envs.tools.sanity.stacks.isaac_gym import isaac_gym_configuration
 from gauge_envs.tools.sanity.stacks.isaac_lab import isaac_lab_configuration
 from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
-from gauge_envs.tools.sanity.stacks.mjlab import mjlab_configuration
 
 FLAGS = dict.fromkeys(("warmstart", "refsafe", "eulerdamp", "nativeccd", "multiccd", "island"), (False, True))
 
@@ -121,35 +122,17 @@ def of_playground(text: str, _: Path) -> dict[str, Any]:
 
 def playground_limits(overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return the limits that are read of an environment of Playground with such overrides."""
-    kind = type("Env", (), {"__module__": "mujoco_playground.env"})
-    env = kind()
-    env.mj_model, env._config = mujoco.MjModel.from_xml_string("<mujoco/>"), {"impl": "warp", **overrides}
-    read = found(configuration(env))
+    model = mujoco.MjModel.from_xml_string("<mujoco/>")
+    read = found(configuration(playground_env(model, impl="warp", **overrides)))
     return {name: read[name] for name in ("njmax", "naconmax")}
 
 
-ROBOT = (
-    '<mujoco><worldbody><body pos="0 0 .2"><freejoint/><geom name="foot" size=".1"/></body></worldbody></mujoco>',
-    "import mujoco\nfrom pathlib import Path\n"
-    'def spec():\n    return mujoco.MjSpec.from_file(str(Path(__file__).parent / "robot.xml"))\n',
-)
-
-
-def of_mjlab(text: str, folder: Path) -> dict[str, Any]:
-    names = {
-        "SimulationCfg": lambda **sim: {"sim": sim},
-        "MujocoCfg": dict,
-        "CollisionCfg": lambda **constants: {"collisions": [{"geom_names_expr": ["foot"], "priority": 1} | constants]},
-    }
-    (folder / "mjlab").mkdir(exist_ok=True)
-    for name, content in zip(("robot.xml", "robot.py", "__init__.py"), (*ROBOT, ""), strict=True):
-        (folder / "mjlab" / name).write_text(content)
-    robot = {"spec_fn": "mjlab.robot.spec"}
-    cfg: dict[str, Any] = {"scene": {"entities": {"robot": robot}}}
-    for part in text.split(" and "):
-        value = eval(part, names)
-        (robot if "collisions" in value else cfg).update(value)
-    return found(mjlab_configuration(cfg, name="task", source="test"))
+def of_mjlab(text: str, _: Path) -> dict[str, Any]:
+    names = {"SimulationCfg": SimulationCfg, "MujocoCfg": MujocoCfg, "CollisionCfg": CollisionCfg}
+    parts = [eval(part, names) for part in text.split(" and ")]
+    sim = next((part for part in parts if isinstance(part, SimulationCfg)), None)
+    collision = next((part for part in parts if isinstance(part, CollisionCfg)), None)
+    return found(configuration(mjlab_task(sim, collision)))
 
 
 def of_isaac_lab(text: str, _: Path) -> dict[str, Any]:
@@ -259,15 +242,16 @@ def cases() -> Iterator[tuple[str, str]]:
 
 
 def test_every_dialect_is_read_here_or_with_its_engine() -> None:
-    stacks = {*TEXTS, *OBJECTS} - {"probe", "settings", "gymnasium_env", "dm_control", "batched"}
-    assert {*stacks, *LANGUAGES} == {*READINGS, "newton"}
+    modules = [import_module(f"gauge_envs.tools.sanity.stacks.{name}") for name in STACKS]
+    names = {one.name for module in modules for one in getattr(module, "DIALECTS", ())}
+    assert names == {*READINGS, "newton"}
 
 
 @pytest.mark.parametrize(("name", "setting"), list(cases()))
 def test_reading_what_a_dialect_writes_gives_the_setting_back(
     name: str, setting: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
+    install_mjlab(monkeypatch)
     monkeypatch.setitem(sys.modules, "genesis", ModuleType("genesis"))
     monkeypatch.setattr(genesis, "check_settings", lambda *_: None)
     reading, known = READINGS[name]

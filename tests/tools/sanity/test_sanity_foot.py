@@ -24,7 +24,6 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.scene import GRAVITY_M_PER_S2, Box, Capsule, ConvexUnion, Scene, Sphere
 from gauge_envs.tools.sanity import Need, Report, Verdict, check, configuration, run
-from gauge_envs.tools.sanity.exchange.scenes import scenes
 from gauge_envs.tools.sanity.measure import Measurements, judged
 from gauge_envs.tools.sanity.phenomena import phenomenon
 from gauge_envs.tools.sanity.phenomena.foot import DEPTH_MM, DROP_M, PUSH, foot_scene
@@ -465,12 +464,6 @@ def test_the_foot_and_what_is_assumed_are_printed() -> None:
     assert "four copies in one rigid body" in text and "6.82 times softer" in text
     source = rows_of(check("HalfCheetah-v5", only=["foot-creep"]))["foot-creep"].reality.source
     assert "mu = 0.4 that the target states for its foot" in source
-
-
-def test_exported_scenes_need_no_robot() -> None:
-    exported = {one.id for scene in scenes() for one in scene.phenomena}
-    assert "creep-wood" in exported
-    assert not any(name.startswith("foot-") for name in exported)
 
 
 @pytest.mark.slow

@@ -20,7 +20,7 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.scene.timing import FRAME_RATE_HZ
 from gauge_envs.tools.sanity import Verdict, check, configuration
-from gauge_envs.tools.sanity.against import Change, compare
+from gauge_envs.tools.sanity.comparison import Change, compare
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.model import Need, TrainingConfiguration
 from gauge_envs.tools.sanity.phenomena import phenomenon, rigid

@@ -1,12 +1,10 @@
-"""ManiSkill: settings of tasks, by name and as a SimConfig. The stored ones are returned by ManiSkill 3.0.1 itself."""
+"""ManiSkill: settings of tasks as a SimConfig. The stored ones are returned by ManiSkill 3.0.1 itself."""
 
 from __future__ import annotations
 
 import json
 import math
-import sys
 from dataclasses import asdict, dataclass, field
-from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -14,16 +12,14 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from gauge_envs.backends import backend
-from gauge_envs.cli.app import app
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity import Verdict, check, configuration
 from gauge_envs.tools.sanity.measure import Measurements
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.stacks import dialect
-from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration, task_sim_config
+from gauge_envs.tools.sanity.stacks.maniskill import maniskill_configuration
 
 pytest.importorskip("sapien")
 
@@ -31,127 +27,6 @@ STORED: dict[str, Any] = json.loads((Path(__file__).parent / "data" / "maniskill
     "tasks"
 ]
 PICK_CUBE = STORED["PickCube-v1"]
-RUNNER = CliRunner()
-
-TYPES = '''
-from dataclasses import dataclass, field
-import numpy as np
-@dataclass
-class GPUMemoryConfig:
-    heap_capacity: int = 2**26
-@dataclass
-class SceneConfig:
-    gravity: list = field(default_factory=lambda: np.array([0, 0, -9.81]))
-    bounce_threshold: float = 2.0
-    solver_position_iterations: int = 15
-    enable_tgs: bool = True
-@dataclass
-class DefaultMaterialsConfig:
-    static_friction: float = 0.3
-    dynamic_friction: float = 0.3
-    restitution: float = 0
-@dataclass
-class SimConfig:
-    """Simulation configurations."""
-    sim_freq: int = 100
-    control_freq: int = 20
-    gpu_memory_config: GPUMemoryConfig = field(default_factory=GPUMemoryConfig)
-    scene_config: SceneConfig = field(default_factory=SceneConfig)
-    default_materials_config: DefaultMaterialsConfig = field(default_factory=DefaultMaterialsConfig)
-'''
-
-BASE = """
-from mani_skill.utils import structs
-from mani_skill.utils.structs.types import SimConfig
-class BaseEnv:
-    @property
-    def _default_sim_config(self):
-        return SimConfig()
-class Quadruped(BaseEnv):
-    @property
-    def _default_sim_config(self):
-        return SimConfig(sim_freq=200, scene_config=structs.SceneConfig(solver_position_iterations=2 * 2))
-class Computed(BaseEnv):
-    @property
-    def _default_sim_config(self):
-        config = SimConfig(sim_freq=self.rate)
-        config.control_freq = 5
-        return config
-"""
-
-TASKS = """
-raise RuntimeError("a task is never imported")
-from mani_skill.envs.base import BaseEnv, Computed
-from mani_skill.envs.base import Quadruped as Four
-from mani_skill.utils.structs import GPUMemoryConfig, SimConfig
-@register_env("Plain-v1", max_episode_steps=50)
-class Plain(BaseEnv):
-    pass
-@register_env("Walk-v1", max_episode_steps=50)
-class Walk(Four):
-    pass
-@register_env("Run-v1")
-@register_env("Race-v1")
-class Run(Walk):
-    @property
-    def _default_sim_config(self):
-        return SimConfig(gpu_memory_config=GPUMemoryConfig(heap_capacity=self.size), control_freq=1e2 / 4)
-@register_env("Computed-v1")
-class Task(Computed):
-    pass
-"""
-
-
-@pytest.fixture
-def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A package that is built like ManiSkill."""
-    for name, text in {
-        "__init__.py": "raise RuntimeError('it is never imported')",
-        "utils/__init__.py": "",
-        "utils/structs/__init__.py": "import torch\nfrom .types import *",
-        "utils/structs/types.py": TYPES,
-        "envs/base.py": BASE,
-        "envs/tasks/walk.py": TASKS,
-    }.items():
-        file = tmp_path / "mani_skill" / name
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-
-
-def test_a_task_is_read_without_importing_it(package: None) -> None:
-    plain, walk, run = (task_sim_config(f"maniskill:{name}-v1") for name in ("Plain", "Walk", "Run"))
-    assert (plain["sim_freq"], plain["scene_config"]["solver_position_iterations"]) == (100, 15)
-    assert plain["scene_config"]["gravity"] == [0, 0, -9.81]
-    # A base class of another file, imported under another name, states two values; the others are defaults.
-    assert (walk["sim_freq"], walk["control_freq"]) == (200, 20)
-    assert walk["scene_config"] == plain["scene_config"] | {"solver_position_iterations": 4}
-    # A task's own method replaces that of its base class as a whole.
-    assert (run["sim_freq"], run["control_freq"]) == (100, 25.0)
-    assert run == task_sim_config("maniskill:Race-v1")
-    assert "mani_skill" not in sys.modules
-    assert configuration("maniskill:Walk-v1").settings["position_iterations"] == 4
-
-
-def test_what_a_task_computes_is_declined(package: None) -> None:
-    with pytest.raises(TargetError, match="_default_sim_config: sim_freq is computed: give the environment"):
-        task_sim_config("maniskill:Computed-v1")
-    with pytest.raises(TargetError, match=r"has no task 'Wal-v1'; similar ones: Walk-v1"):
-        task_sim_config("maniskill:Wal-v1")
-
-
-def test_an_absent_package_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("gauge_envs.tools.sanity.python_source.source.find_spec", lambda name: None)
-    outcome = RUNNER.invoke(app, ["sanity", "maniskill:PickCube-v1"])
-    assert outcome.exit_code == 2
-    assert "pip install --no-deps mani-skill is enough" in outcome.output.replace("\n", " ")
-
-
-@pytest.mark.skipif(find_spec("mani_skill") is None, reason="ManiSkill is not installed")
-def test_the_installed_tasks_are_those_that_maniskill_returns() -> None:
-    for name, stored in STORED.items():
-        found = task_sim_config(f"maniskill:{name}")
-        assert found == stored, name
 
 
 def test_a_sim_config_is_read() -> None:

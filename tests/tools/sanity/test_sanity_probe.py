@@ -20,12 +20,11 @@ import numpy as np
 import pytest
 
 from gauge_envs.errors import GaugeError, TargetError
-from gauge_envs.tools.sanity import check, configuration
-from gauge_envs.tools.sanity.probe import program, program_text
-from gauge_envs.tools.sanity.probe.mujoco_capture import ARRAYS
-from gauge_envs.tools.sanity.probe.values import ProbeError, plain
+from gauge_envs.tools.sanity import check, configuration, gauge_probe as program
+from gauge_envs.tools.sanity.gauge_probe import ARRAYS, ProbeError, plain
 
 SUFFIX = ".gaugeprobe.json"
+PROGRAM = Path(program.__file__).read_text(encoding="utf-8")
 
 # Every kind of geom and joint, objects without names, hulls, height fields, a mocap body, pairs, excludes, a keyframe.
 HARD = """
@@ -94,20 +93,19 @@ def facts(target: Any) -> dict[str, Any]:
 
 
 def test_the_program_is_python_3_8_and_imports_only_the_standard_library() -> None:
-    text = program_text()
-    tree = ast.parse(text, feature_version=(3, 8))
+    tree = ast.parse(PROGRAM, feature_version=(3, 8))
     tops = [node for node in tree.body if isinstance(node, ast.Import | ast.ImportFrom)]
     names = {alias.name if isinstance(node, ast.Import) else node.module for node in tops for alias in node.names}
     assert {str(name).partition(".")[0] for name in names} <= sys.stdlib_module_names
-    assert "gauge_envs" not in text
+    assert "gauge_envs" not in PROGRAM
     # Annotations are not evaluated; these forms would be.
     assert not any(isinstance(node, ast.Match) for node in ast.walk(tree))
-    assert ".removeprefix(" not in text and ".removesuffix(" not in text and "strict=" not in text
+    assert ".removeprefix(" not in PROGRAM and ".removesuffix(" not in PROGRAM and "strict=" not in PROGRAM
 
 
 def run_program(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """Run the program in a folder, without the sources of this package on the path."""
-    (folder / "gauge_probe.py").write_text(program_text(), encoding="utf-8")
+    (folder / "gauge_probe.py").write_text(PROGRAM, encoding="utf-8")
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     command = [sys.executable, "gauge_probe.py", *arguments]
     return subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
@@ -279,7 +277,9 @@ def changed(document: dict[str, Any], place: str, value: Any) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("place", "value", "message"),
     [
-        ("version", 2, "version 2 of the format.*run `gauge sanity probe` again"),
+        ("version", 3, "version 3 of the format.*run `gauge sanity probe` again"),
+        ("version", 0, "version 0 of the format"),
+        ("data.stack", "other", "data: stack"),
         ("kind", "pickle", "kind 'pickle' is not known; known are mujoco-model"),
         ("more", 1, "more"),
         ("name", 7, "name"),

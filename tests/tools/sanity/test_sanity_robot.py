@@ -18,7 +18,7 @@ from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.robot import never_touches
 from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
-from gauge_envs.tools.sanity.stated import robot_row, stated_rows
+from gauge_envs.tools.sanity.target_checks import robot_row, target_rows
 
 G = 9.81
 
@@ -29,7 +29,7 @@ def read(xml: str) -> TrainingConfiguration:
 
 
 def rows_of(xml: str) -> dict[str, PhenomenonResult]:
-    found = stated_rows(read(xml), dialect("mjcf"), ["gravity", *ROBOT_IDS])
+    found = target_rows(read(xml), dialect("mjcf"), ["gravity", *ROBOT_IDS])
     return {row.phenomenon: row for row in found}
 
 

@@ -313,7 +313,7 @@ def test_environments_of_somebody_else(tmp_path, monkeypatch) -> None:
     monkeypatch.syspath_prepend(tmp_path)
     read = configuration("robots:Robot-v0")
     assert (read.name, read.frame_skip, read.settings["timestep_s"]) == ("robots:Robot-v0", 4, 0.002)
-    with pytest.raises(TargetError, match=r"'robots:Broken-v0': gymnasium.make fails: No module named 'nowhere'"):
+    with pytest.raises(TargetError, match=r"'robots:Broken-v0': gymnasium.make fails: .*nowhere"):
         configuration("robots:Broken-v0")
 
 
@@ -342,7 +342,7 @@ def test_the_out_of_box_preset_is_what_a_model_has_that_states_nothing() -> None
     ("target", "error", "message"),
     [
         ("CartPole-v1", TargetError, r"CartPole-v1 is .*CartPoleEnv, which has no MuJoCo model; give a Gymnasium id"),
-        ("Nope-v1", TargetError, r"'Nope-v1': gymnasium.make fails: .*Nope.* doesn't exist"),
+        ("Nope-v1", TargetError, r"'Nope-v1': gymnasium.make fails: .*Nope"),
         ("nowhere.xml", TargetError, "nowhere.xml: there is no such file"),
         ("nowhere.toml", TargetError, "nowhere.toml: there is no such file"),
         ("mujoco:nope", UnknownNameError, "unknown MuJoCo preset 'nope'"),
@@ -366,13 +366,13 @@ GENESIS = '{"sim": {"dt": %s, "gravity": [0, 0, 9.81]}, "rigid": {"integrator": 
             "setings: unknown key; keys: backend, preset, settings",
         ),
         ("a.toml", "preset = 'contact'", "backend: missing key"),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "'cone'.*'pyramidal' or 'elliptic'"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ncone = "round"', "'cone'.*given: 'round'"),
         ("a.toml", 'backend = "mujoco"\n[settings]\nsteps = 3', "'steps' .*unknown setting"),
-        ("a.toml", "backend = ", "a.toml: Invalid value"),
-        ("a.json", "{", "a.json: Expecting property name"),
+        ("a.toml", "backend = ", r"a\.toml: ."),
+        ("a.json", "{", r"a\.json: ."),
         ("a.json", "[1]", "the file: "),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = 0', "'timestep_s' .*greater than or equal to"),
-        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = [1]', "'timestep_s' .*valid number"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = 0', "'timestep_s'.*given: 0"),
+        ("a.toml", 'backend = "mujoco"\n[settings]\ntimestep_s = [1]', "'timestep_s'"),
         ("a.json", GENESIS % ("[]", "0"), "sim.dt is a list, and a number is expected"),
         ("a.json", GENESIS % ("1" * 400, "0"), "sim.dt is 'a number of many digits', and a number is expected"),
         ("a.json", GENESIS % ("0.01", "[3]"), "rigid.integrator is a list, and a number is expected"),

@@ -23,7 +23,7 @@ from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 from gauge_envs.tools.sanity.phenomena import phenomena
 from gauge_envs.tools.sanity.run import applied
 from gauge_envs.tools.sanity.stacks import configuration, dialect
-from gauge_envs.tools.sanity.stated import capacity_row, stated_rows
+from gauge_envs.tools.sanity.target_checks import capacity_row, target_rows
 
 mujoco_warp = pytest.importorskip("mujoco_warp")
 wp = pytest.importorskip("warp")
@@ -184,6 +184,6 @@ def test_sliding_and_driving_follow_the_laws() -> None:
 
 def test_limits_of_the_engine_are_described() -> None:
     read = configuration(mujoco.MjModel.from_xml_string(BALLS))
-    assert stated_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[0].phenomenon == "gravity"
-    (row,) = stated_rows(read, dialect("mjcf"), ["contact-capacity"])
+    assert target_rows(read, dialect("mjcf"), ["contact-capacity", "gravity"])[0].phenomenon == "gravity"
+    (row,) = target_rows(read, dialect("mjcf"), ["contact-capacity"])
     assert (row.verdict.value, row.remark) == ("declined", "the target states no limit of its memory for contacts")

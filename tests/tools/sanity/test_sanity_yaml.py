@@ -66,27 +66,31 @@ def test_a_slice_is_never_called() -> None:
         ("- 1\n" * 50_001, "more than 50000 values"),
         ("a: &a [*a]", "contains itself"),
         ("a: &a {b: {c: *a}}", "contains itself"),
-        ("[" * 50_000, f"more than {MOST_DEPTH} deep"),
-        ("".join(f"{' ' * k}a:\n" for k in range(200)), f"more than {MOST_DEPTH} deep"),
-        ("a: *x", "undefined alias"),
-        ("a: 1\n---\nb: 2", "single document"),
+        # PyYAML from 6.0.4 refuses a depth of its own choice first.
+        ("[" * 50_000, f"more than {MOST_DEPTH} deep|it is no YAML: "),
+        ("".join(f"{' ' * k}a:\n" for k in range(200)), f"more than {MOST_DEPTH} deep|it is no YAML: "),
+        ("a: *x", "it is no YAML: "),
+        ("a: 1\n---\nb: 2", "it is no YAML: "),
         ("a: !unknown 1", "is unknown"),
-        ("a: 2020-99-99", "month"),
+        ("a: 2020-99-99", ""),
         ("a: !!bool x", "cannot be read"),
         ("a: !!timestamp x", "cannot be read"),
         ("a: " + "9" * 400, "a number of more than 64 characters"),
         ("a: -0x" + "f" * 400, "a number of more than 64 characters"),
         ("a: 1" + ":59" * 100_000, "a number of more than 64 characters"),
         ("a: \x00", "no YAML"),
-        ("? [a]\n: 1", "unhashable"),
+        ("? [a]\n: 1", "it is no YAML: "),
         ("x" * (MOST_YAML_BYTES + 1), "the limit is"),
-        (b"\xff\xfe\x00", "utf-8"),
+        (b"\xff\xfe\x00", ""),
     ],
     ids=lambda value: str(value)[:20].strip(),
 )
-def test_what_is_damaged_or_too_large_is_an_error(text: str | bytes, reason: str) -> None:
-    with pytest.raises(ValueError, match=reason):
-        yaml_document(text)
+def test_what_is_damaged_or_too_large_is_an_error(text: str | bytes, reason: str, tmp_path) -> None:
+    file = tmp_path / "env.yaml"
+    file.write_bytes(text if isinstance(text, bytes) else text.encode())
+    # Where the words are those of a library, the file is ours to name.
+    with pytest.raises(TargetError, match=rf"env\.yaml: .*({reason})"):
+        read_yaml(file)
 
 
 def test_files_that_cannot_be_read_are_named(tmp_path) -> None:

@@ -14,13 +14,13 @@ from typing import Any
 
 import pytest
 from places import ROOT
-from sweep_lanes import HereLane, contents, needs_rapier, stored
+from sweep_workers import contents, needs_rapier, outcomes, swept
 
+from gauge_envs.runs.pool import Limits
 from gauge_envs.runs.request import RunRequest
 from gauge_envs.runs.result import Result
-from gauge_envs.tools.sweep.lanes import Limits, ray_lanes
-from gauge_envs.tools.sweep.plan import SweepPlan, plan_sweep
-from gauge_envs.tools.sweep.session import SweepSession
+from gauge_envs.tools.sweep.machines import ray_workers
+from gauge_envs.tools.sweep.plan import plan_sweep
 from gauge_envs.tools.sweep.spec import sweep_spec
 
 VALUES: dict[str, Any] = {
@@ -39,8 +39,7 @@ COMMAND = [
 
 def whole(folder: Path) -> dict[str, str]:
     """The results of the sweep in one process."""
-    with SweepSession(plan_sweep(sweep_spec(VALUES)), folder) as session:
-        assert len(list(session.run([HereLane()]))) == COUNT
+    assert len(swept(plan_sweep(sweep_spec(VALUES)), folder)) == COUNT
     return contents(folder)
 
 
@@ -75,7 +74,7 @@ def test_kills_of_parent_and_workers_lose_nothing_and_nothing_runs_twice(tmp_pat
         assert contents(folder).items() <= expected.items()
     assert kills == ["parent", "parent", "worker"]
     assert contents(folder) == expected
-    assert stored(folder, "SELECT outcome, count(*) FROM results GROUP BY 1") == [("finished", COUNT)]
+    assert outcomes(folder) == ["finished"] * COUNT
 
 
 @pytest.mark.slow
@@ -86,10 +85,9 @@ def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
     ray = pytest.importorskip("ray")
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
     expected = whole(tmp_path / "whole")
-    plan: SweepPlan = plan_sweep(sweep_spec(VALUES))
-    lanes = ray_lanes("local", 2, Limits())
+    workers = ray_workers("local", 2, Limits())
     try:
-        first = lanes[0]
+        first = workers[0]
         run, calls = first.run, []
 
         def run_and_kill(request: RunRequest) -> list[Result]:
@@ -99,8 +97,7 @@ def test_two_ray_workers_of_which_one_is_killed_give_the_same_bits(
             return run(request)
 
         monkeypatch.setattr(first, "run", run_and_kill)
-        with SweepSession(plan, tmp_path / "ray") as session:
-            assert len(list(session.run(lanes))) == COUNT
+        assert len(swept(plan_sweep(sweep_spec(VALUES)), tmp_path / "ray", *workers)) == COUNT
     finally:
         ray.shutdown()
     assert len(calls) > 3

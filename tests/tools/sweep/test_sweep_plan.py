@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from sweep_lanes import needs_rapier
+from sweep_workers import needs_rapier
 
 from gauge_envs.backends import backend
 from gauge_envs.backends.mujoco import BackendMuJoCo

@@ -338,7 +338,7 @@ def test_a_zip_that_is_no_policy_is_named(env, tmp_path) -> None:
     with pytest.raises(PolicyError, match=r"expected the parts data and policy\.pth"):
         load_policy(str(tmp_path / "a.zip"), env)
     (tmp_path / "b.zip").write_bytes(b"no archive")
-    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: File is not a zip file"):
+    with pytest.raises(PolicyError, match="no policy of Stable-Baselines3: "):
         load_policy(str(tmp_path / "b.zip"), env)
 
 

@@ -22,8 +22,8 @@ HUGE = "9" * 400
     [
         ("frame,x,y\n1e300,1,2\n", "a whole number from 0 to 1000000000"),
         (f"frame,x,y\n{HUGE},1,2\n", "must be a finite number"),
-        ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: field larger than field limit"),
-        ("frame,x,y\n\x001,2,3", "it is no CSV: line contains NUL|finite number"),
+        ("frame,x,y\n1,2," + "3" * 200_000, "it is no CSV: "),
+        ("frame,x,y\n\x001,2,3", "it is no CSV: |finite number"),
         ("\x00", "there is no column|it is no CSV"),
     ],
 )

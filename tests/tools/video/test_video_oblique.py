@@ -102,7 +102,7 @@ def test_four_points_are_enough(tmp_path: Path) -> None:
     [
         (SIZE, "either"),
         (SIZE + POINTS + METRES + "[board]\nsquare_m = 0.035\n", "either"),
-        (SIZE + "[board]\nsquare_m = 0\n", "board.square_m: .*greater than 0"),
+        (SIZE + "[board]\nsquare_m = 0\n", "board.square_m: .*given: 0"),
         (SIZE + "[board]\nsquare = 0.035\n", "board.square_m: missing key"),
         (SIZE + POINTS + METRES + "sigma = 1\n", "points.sigma: unknown key"),
         (SIZE + POINTS + METRES + "[motion]\npivot_m = [0.1, 0.2]\n", "pivot_sigma_m go together"),

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
 GRAVITY_ID, CAPACITY_ID = "gravity", "contact-capacity"
 """Rows on what a target states, which need no rollout."""
 
-RELEASE_ID = "release"
-"""Row on a body that touches the ground at the start."""
-
 _TABLES = tomllib.loads((Path(__file__).parent / "phenomena.toml").read_text(encoding="utf-8"))
 
 ROBOT_IDS = tuple(_TABLES["robot"])

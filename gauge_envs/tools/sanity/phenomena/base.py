@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-import numpy as np
-
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.files import MOST_TOML_BYTES, data_folder, read_regular, toml_document
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
@@ -132,7 +131,7 @@ def position_scatter_mm(variant: str) -> float:
 def acceleration(rollout: Rollout, displacement_mm: FloatArray, start_s: float, end_s: float) -> float:
     """Return the mean acceleration of a displacement, shape [sample_count], between two times [m/s^2]."""
     part = rollout.between(start_s, end_s)
-    return 2e-3 * float(np.polyfit(rollout.times_s[part], displacement_mm[part], 2)[0])
+    return 1e-3 * acceleration_m_per_s2(rollout.times_s[part], displacement_mm[part])
 
 
 def rigid_law(source: str, millimetres: float, of: str) -> Reality:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2, Contact, Motion, Plane, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon, Trace
 from gauge_envs.tools.sanity.phenomena.friction import HOLD_S, SLIDE_S, creeping, real_friction, real_slides, sliding
@@ -129,8 +130,7 @@ def _source(law: str, foot: FootGeometry) -> str:
 
 def _downhill_mm(rollout: Rollout) -> FloatArray:
     """Return displacements of the foot down the ground [mm], shape [sample_count]."""
-    ground = rollout.scene.body(GROUND).pose.rotation
-    return np.asarray(1e3 * ground.apply(rollout.displacement(FOOT), inverse=True)[:, 0])
+    return 1e3 * moved_m(rollout, FOOT, GROUND)[:, 0]
 
 
 def _lowest_mm(rollout: Rollout, foot: FootGeometry) -> FloatArray:

@@ -10,10 +10,12 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from gauge_envs.evaluation.estimators import steady_speed_m_per_s
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import Box, Pose, Scene
 from gauge_envs.scene.geometry import FloatArray, vector
+from gauge_envs.tools.bench.slope import moved_m
 from gauge_envs.tools.sanity.model import COVERAGE, Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
@@ -53,8 +55,7 @@ def _hold_scenario(material: str) -> Scenario:
 
 def _on_board_mm(rollout: Rollout) -> FloatArray:
     """Return displacements of the cube [mm], shape [sample_count, 3]: downhill, across, normal to the board."""
-    board = rollout.scene.body("board").pose.rotation
-    return np.asarray(1e3 * board.apply(rollout.displacement("cube"), inverse=True))
+    return 1e3 * moved_m(rollout, "cube", "board")
 
 
 def _downhill_mm(rollout: Rollout) -> FloatArray:
@@ -93,7 +94,7 @@ def creeping(
 
     def speed_mm_per_s(rollout: Rollout) -> float:
         late = rollout.between(SETTLED_S, HOLD_S)
-        return float(np.polyfit(rollout.times_s[late], downhill_mm(rollout)[late], 1)[0])
+        return steady_speed_m_per_s(rollout.times_s[late], downhill_mm(rollout)[late])
 
     def reality(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.zeros_like(times_s), bound * times_s

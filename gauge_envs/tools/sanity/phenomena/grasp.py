@@ -3,14 +3,23 @@
 The contacts have the target's constants, and friction 0.5.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, Scene
-from gauge_envs.tools.conformance import HANDS, SQUEEZED, checks, turning_scene
+from gauge_envs.tools.bench.grasp import (
+    HELD,
+    SQUEEZED,
+    TURNED,
+    pad_creep_um_per_s,
+    pad_depth_um,
+    spin_torque_share,
+)
+from gauge_envs.tools.bench.turning import turning_scene
+from gauge_envs.tools.conformance import checks
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import Phenomenon, rigid_law
 from gauge_envs.tools.sanity.scenario import Scenario
@@ -35,6 +44,14 @@ def _row(name: str, scene: Scene, value: Callable[[Rollout], float], **texts: An
     return Phenomenon(scenario=scenario, value=value, needs_friction=True, **texts)
 
 
+HANDS: Mapping[str, tuple[Scene, Callable[[Rollout], float]]] = {
+    "grasp-creep": (HELD, pad_creep_um_per_s),
+    "grasp-sink": (HELD, pad_depth_um),
+    "grasp-torsion": (TURNED, spin_torque_share),
+}
+"""Scene and reading of what a robot's hand is judged by, by id of the check that has its law."""
+
+
 def held(id: str, quantity: str) -> Phenomenon:
     """Return a row on a box whose pads press with twice its weight, with law and tolerance of a conformance check."""
     (known,), (scene, measure) = checks([id]), HANDS[id]
@@ -42,7 +59,7 @@ def held(id: str, quantity: str) -> Phenomenon:
     source, allowed = f"{known.source}: {known.law}", known.tolerance
     real = Reality.law(law, tolerance=allowed.width(law), source=source, rationale=allowed.rationale)
     texts = {"title": known.title, "quantity": quantity, "unit": known.unit, "reality": real}
-    return _row(name, scene, lambda rollout: measure(rollout).measured, **texts)
+    return _row(name, scene, measure, **texts)
 
 
 def servo() -> Phenomenon:

@@ -6,8 +6,8 @@ The ball has the restitution that the same trials show, so that the row judges w
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from gauge_envs.evaluation.estimators import first_bounce
 from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
@@ -80,24 +80,14 @@ def _height_mm(rollout: Rollout, name: str) -> FloatArray:
 
 
 def _rebound_ratio(rollout: Rollout, name: str) -> float:
-    """Return the speed after the first impact over that before, from the tops of both flights."""
-    height, speed = _height_mm(rollout, name), rollout.states[name][:, 9]
-    impacts = np.flatnonzero((speed[:-1] < 0.0) & (speed[1:] >= 0.0)) + 1
-    fall, *bounces = (
-        _top_mm(rollout, height, arc[height[arc] > CLEAR_MM]) for arc in np.split(np.arange(len(height)), impacts)
-    )
-    # A fall of fewer than three samples has the height from which the ball was let go.
-    return float(np.sqrt(bounces[0] / (fall or height[0]))) if bounces else 0.0
-
-
-def _top_mm(rollout: Rollout, height: FloatArray, flight: NDArray[np.intp]) -> float:
-    """Return the top of the free-fall parabola through a flight's samples [mm]; 0 for fewer than three samples."""
-    if len(flight) < 3:
+    """Return the speed after the first impact over that before; 0 for a ball that does not get clear of the ground."""
+    heights_m = 1e-3 * _height_mm(rollout, name)
+    drop_m = float(heights_m[0])
+    gravity = rollout.scene.gravity_m_per_s2
+    bounce = first_bounce(rollout.times_s, heights_m, gravity_m_per_s2=gravity, released_m=drop_m)
+    if bounce is None or 1e3 * bounce.restitution**2 * drop_m <= CLEAR_MM:
         return 0.0
-    fall = 500.0 * rollout.scene.gravity_m_per_s2
-    times = rollout.times_s[flight] - rollout.times_s[flight[0]]
-    speed, start = np.polyfit(times, height[flight] + fall * times**2, 1)
-    return float(start + speed**2 / (4.0 * fall))
+    return bounce.restitution
 
 
 def rebound() -> Phenomenon:

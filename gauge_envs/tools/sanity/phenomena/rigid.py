@@ -10,13 +10,14 @@ from dataclasses import replace
 import numpy as np
 from scipy.spatial import ConvexHull
 
+from gauge_envs.evaluation.estimators import mean_period_s
 from gauge_envs.evaluation.metrics.events import energy_loss
+from gauge_envs.evaluation.pendulum_laws import pendulum_period_s
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import ConvexUnion, Hinge, RigidBody, Scene, Sphere
 from gauge_envs.scene.geometry import FloatArray
 from gauge_envs.scene.timing import FRAME_RATE_HZ, SAMPLE_INTERVAL_S
-from gauge_envs.tools.conformance import pendulum_period_s
 from gauge_envs.tools.sanity.model import Reality
 from gauge_envs.tools.sanity.phenomena.base import (
     RECORDINGS,
@@ -180,7 +181,7 @@ def period() -> Phenomenon:
 
     def measured_s(rollout: Rollout) -> float:
         part = rollout.between(0.0, PERIOD_S)
-        return _period_s(rollout.times_s[part], aside_mm(rollout)[part])
+        return mean_period_s(rollout.times_s[part], aside_mm(rollout)[part])
 
     real = recorded("pendulum", "period_s")
     law = pendulum_period_s(
@@ -223,11 +224,3 @@ def energy() -> Phenomenon:
         ),
         value=lambda rollout: energy_loss(1e3 * rollout.position(ball.name)[:, 2], rest_height_mm=rest_mm),
     )
-
-
-def _period_s(times_s: FloatArray, aside: FloatArray) -> float:
-    """Return the mean time between passes through the lowest point in one direction [s]; NaN for fewer than two."""
-    passes = np.flatnonzero((aside[:-1] < 0.0) & (aside[1:] >= 0.0))
-    share = -aside[passes] / (aside[passes + 1] - aside[passes])
-    moments = times_s[passes] + share * (times_s[1] - times_s[0])
-    return float((moments[-1] - moments[0]) / (len(moments) - 1)) if len(moments) > 1 else float("nan")

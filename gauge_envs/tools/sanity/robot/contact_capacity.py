@@ -4,7 +4,7 @@ Engines on a GPU reserve memory for contacts before they run. What finds no plac
 the ground or pass through each other.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 
 import mujoco
 import numpy as np
@@ -26,24 +26,18 @@ DROP_HEIGHT_M = 0.05
 SEED = 0
 
 
-def contact_capacity(
-    model: mujoco.MjModel, limits: CapacityLimits, *, unknown: Sequence[int] = (), reason: str = ""
-) -> ContactCapacity:
+def contact_capacity(model: mujoco.MjModel, limits: CapacityLimits) -> ContactCapacity:
     """Return limits of a target and what its model needs.
 
     Args:
         model: The model.
         limits: The limits.
-        unknown: Numbers of colliding geoms whose shape is not known.
-        reason: Why the model's contacts cannot be counted; empty when they can.
     """
-    if not reason and limits.njmax is None and limits.naconmax is None:
-        reason = "the engine chooses the limits"
-    elif not reason and len(unknown):
-        reason = f"the shape of {len(unknown)} colliding geoms is not known here"
-    elif not reason and model.nhfield:
-        reason = "engines find different numbers of contacts on a height field"
-    return ContactCapacity(limits=limits, need=None if reason else contact_need(model), reason=reason)
+    if limits.njmax is None and limits.naconmax is None:
+        return ContactCapacity(limits=limits, reason="the engine chooses the limits")
+    if model.nhfield:
+        return ContactCapacity(limits=limits, reason="engines find different numbers of contacts on a height field")
+    return ContactCapacity(limits=limits, need=contact_need(model))
 
 
 def contact_need(model: mujoco.MjModel) -> ContactNeed:

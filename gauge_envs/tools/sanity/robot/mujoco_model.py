@@ -29,7 +29,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
-from gauge_envs.tools.sanity.robot.robot import Robot, held_kinds, never_touches
+from gauge_envs.tools.sanity.robot.robot import Robot, grasp_kinds, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
@@ -64,7 +64,6 @@ def mujoco_configuration(
     pair: tuple[str, str] | None = None,
     frame_skip: int | None = None,
     spec: mujoco.MjSpec | None = None,
-    unknown: tuple[int, ...] = (),
     has_robot: bool = True,
 ) -> TrainingConfiguration:
     """Return the training configuration of a MuJoCo model, after a trial of its settings.
@@ -76,7 +75,6 @@ def mujoco_configuration(
         pair: Names of two geoms whose constants the experiments get, instead of all sets on ground.
         frame_skip: Steps of the engine for one action; None when unknown.
         spec: The model before it was compiled, with the ids of the compiled one; None when it is not known.
-        unknown: Geoms whose shape is not known.
         has_robot: Whether masses, joints and actuators of the model are those of the target.
     """
     options, pairs, up = option_settings(model), contact_pairs(model), _up(model)
@@ -89,7 +87,7 @@ def mujoco_configuration(
     if overrides_contacts(model):
         origin = "option, flag override"
     inapplicable = _inapplicable(model, groups)
-    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, unknown=unknown, pair=pair)
+    robot = Robot(model=model, pairs=pairs, up=up, spec=spec, pair=pair)
     try:
         standing = find_standing(model, pairs, up)
         foot = read_foot(model, pairs, groups, standing)
@@ -169,8 +167,8 @@ def _groups(
 
     Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
     """
-    held = all_on_ground * held_kinds(model, pairs)
-    keys = np.column_stack([pairs.kinds, held, pairs.constants])
+    grasped = all_on_ground * grasp_kinds(model, pairs)
+    keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
     for number in range(inverse.max() + 1):
@@ -185,8 +183,8 @@ def _groups(
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
             is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
-            is_held=bool(held[rows[0]]),
-            is_point=bool(held[rows[0]] == 2),
+            is_held=bool(grasped[rows[0]]),
+            is_point=bool(grasped[rows[0]] == 2),
             settings=contact_settings(model, constants),
         )
         groups.append((kind, -len(rows), number, group))

@@ -1,6 +1,7 @@
 """Run the target's own robot in its own settings: held where it stands, moving freely, and joint by joint."""
 
-from collections.abc import Mapping
+import copy
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -42,90 +43,101 @@ NO_SERVO = "no servos hold the robot: its torques come from a policy, or its ser
 
 
 @dataclass(frozen=True, kw_only=True)
-class Held:
-    """What a robot did while its servos held it.
+class HoldMotion:
+    """What a robot did while its servos held the pose in which it stands.
 
     Attributes:
         diverged_s: Time at which the state diverged [s]; infinite when it did not.
-        height: Height of its first body above the ground at the end, over that at the start.
-        loads: Share of the weight on each of its bodies that touch the ground, late in the motion.
-        saturation: Largest torque over its limit, late in the motion, and its joint.
+        height_ratio: Height of its first body above the ground at the end, over that at the start.
+        load_shares: Share of the weight on each of its bodies that touch the ground, late in the motion.
+        saturation: Largest mean torque over its limit, late in the motion.
+        saturated_joint: Joint of that torque.
         slip_mm_per_s: Mean speed of its feet along the ground, late in the motion [mm/s].
     """
 
-    diverged_s: float
-    height: float = 0.0
-    loads: Mapping[int, float] = field(default_factory=dict)
-    saturation: tuple[float, str] = (0.0, "")
+    diverged_s: float = np.inf
+    height_ratio: float = 0.0
+    load_shares: Mapping[int, float] = field(default_factory=dict)
+    saturation: float = 0.0
+    saturated_joint: str = ""
     slip_mm_per_s: float = 0.0
 
 
 @cache
-def held(robot: Robot, slope_deg: float = 0.0) -> Held:
-    """Return what a robot does while the controls of its pose hold it.
+def hold_pose(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
+    """Simulate a robot whose controls hold the pose in which it stands.
 
     Args:
         robot: The robot, which stands.
         slope_deg: Slope of the ground along x, made by turning gravity [degrees].
     """
-    model, data, standing = robot.model, start(robot), standing_of(robot)
-    gravity, body = model.opt.gravity.copy(), standing.body
-    slope, size = np.radians(slope_deg), float(np.linalg.norm(gravity))
-    up, bodies = np.asarray(robot.up), set(robot.bodies)
-    along = np.cross([0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0], up)
-    model.opt.gravity[:] = size * (np.sin(slope) * along - np.cos(slope) * up) if slope_deg else gravity
-    # The height of the soles.
-    ground = min(float(point[2]) for point in standing.support_m.values())
-    first = float(data.xpos[body] @ up) - ground
-    steps, limits = max(1, round(HOLD_S / model.opt.timestep)), torque_limits(model)
-    late = max(0, steps - round(LATE_S / model.opt.timestep))
-    loads: dict[int, float] = {}
-    torques, before = np.zeros(model.nv), np.zeros(3)
+    standing = standing_of(robot)
+    model = copy.copy(robot.model)
+    data = start(robot, model)
+    gravity_m_per_s2 = float(np.linalg.norm(model.opt.gravity))
+    up = np.asarray(robot.up)
+    if slope_deg:
+        # On a slope a, gravity is g (sin(a) along - cos(a) up) in the frame of the ground.
+        slope_rad = np.radians(slope_deg)
+        across = [0.0, 1.0, 0.0] if abs(up[1]) < 0.5 else [1.0, 0.0, 0.0]
+        along = np.cross(across, up)
+        model.opt.gravity[:] = gravity_m_per_s2 * (np.sin(slope_rad) * along - np.cos(slope_rad) * up)
+    ground_m = min(float(point[2]) for point in standing.support_m.values())
+    start_height_m = float(data.xpos[standing.body] @ up) - ground_m
     soles = [geoms[0] for geoms in standing.feet.values()]
-    try:
-        for step in range(steps):
-            mujoco.mj_step(model, data)
-            if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
-                return Held(diverged_s=(step + 1) * float(model.opt.timestep))
-            if step == late:
-                before = data.geom_xpos[soles]
-            if step >= late:
-                torques += np.abs(data.qfrc_actuator) / (steps - late)
-                _add_loads(robot, data, loads, bodies, 1.0 / (steps - late))
-    finally:
-        model.opt.gravity[:] = gravity
-    ratio = np.divide(torques, limits, out=np.zeros(model.nv), where=(limits > 0.0) & np.isfinite(limits))
-    dof = int(ratio.argmax()) if model.nv else 0
-    weight = float(model.body_mass[robot.bodies].sum()) * size
-    return Held(
-        diverged_s=np.inf,
-        height=(float(data.xpos[body] @ up) - ground) / max(first, 1e-6),
-        loads={one: load / weight for one, load in loads.items()},
-        saturation=(float(ratio[dof]), model.joint(int(model.dof_jntid[dof])).name),
-        slip_mm_per_s=1e3 * float(np.linalg.norm(data.geom_xpos[soles] - before, axis=-1).mean()) / LATE_S,
+    soles_before_m = np.zeros(3)
+    torques_nm = np.zeros(model.nv)
+    loads_n: dict[int, float] = {}
+    steps = max(1, round(HOLD_S / model.opt.timestep))
+    first_late = max(0, steps - round(LATE_S / model.opt.timestep))
+    share = 1.0 / (steps - first_late)
+    for step in range(steps):
+        mujoco.mj_step(model, data)
+        if data.warning[mujoco.mjtWarning.mjWARN_BADQACC].number or not np.isfinite(data.qpos).all():
+            return HoldMotion(diverged_s=(step + 1) * float(model.opt.timestep))
+        if step == first_late:
+            soles_before_m = data.geom_xpos[soles]
+        if step >= first_late:
+            torques_nm += np.abs(data.qfrc_actuator) / (steps - first_late)
+            for body, load_n in _ground_loads_n(robot, data):
+                loads_n[body] = loads_n.get(body, 0.0) + share * load_n
+    limits_nm = torque_limits(model)
+    is_limited = (limits_nm > 0.0) & np.isfinite(limits_nm)
+    saturations = np.divide(torques_nm, limits_nm, out=np.zeros(model.nv), where=is_limited)
+    dof = int(saturations.argmax()) if model.nv else 0
+    weight_n = float(model.body_mass[robot.bodies].sum()) * gravity_m_per_s2
+    end_height_m = float(data.xpos[standing.body] @ up) - ground_m
+    slips_m = np.linalg.norm(data.geom_xpos[soles] - soles_before_m, axis=-1)
+    return HoldMotion(
+        height_ratio=end_height_m / max(start_height_m, 1e-6),
+        load_shares={body: load_n / weight_n for body, load_n in loads_n.items()},
+        saturation=float(saturations[dof]),
+        saturated_joint=model.joint(int(model.dof_jntid[dof])).name,
+        slip_mm_per_s=1e3 * float(slips_m.mean()) / LATE_S,
     )
 
 
-def _add_loads(robot: Robot, data: mujoco.MjData, loads: dict[int, float], bodies: set[int], share: float) -> None:
-    """Add the normal forces of the ground on the bodies of a robot [N], times a share."""
+def _ground_loads_n(robot: Robot, data: mujoco.MjData) -> Iterator[tuple[int, float]]:
+    """Yield the body and the normal force [N] of each contact between a robot and the ground."""
     model, force = robot.model, np.zeros(6)
     for number in range(data.ncon):
-        pair = [int(model.geom_bodyid[geom]) for geom in data.contact[number].geom]
-        own = [body for body in pair if body in bodies]
-        if len(own) == 1 and not model.body_dofnum[first_moving_body(model, sum(pair) - own[0])]:
-            mujoco.mj_contactForce(model, data, number, force)
-            loads[own[0]] = loads.get(own[0], 0.0) + share * float(force[0])
+        first, second = (int(model.geom_bodyid[geom]) for geom in data.contact[number].geom)
+        for body, other in ((first, second), (second, first)):
+            is_ground = other not in robot.bodies and not model.body_dofnum[first_moving_body(model, other)]
+            if body in robot.bodies and is_ground:
+                mujoco.mj_contactForce(model, data, number, force)
+                yield body, float(force[0])
 
 
-def _held(robot: Robot, slope_deg: float = 0.0) -> Held:
-    """Return the motion of a robot that its servos hold."""
+def _finite_hold(robot: Robot, slope_deg: float = 0.0) -> HoldMotion:
+    """Return the motion of a robot that its servos hold; it does not apply without servos, or where it diverges."""
     standing_of(robot)
     if not servos(robot.model).any():
         raise NotApplicableError(NO_SERVO)
-    found = held(robot, slope_deg)
-    if np.isfinite(found.diverged_s):
-        raise NotApplicableError(f"the state diverges at {found.diverged_s:.3g} s")
-    return found
+    motion = hold_pose(robot, slope_deg)
+    if np.isfinite(motion.diverged_s):
+        raise NotApplicableError(f"the state diverges at {motion.diverged_s:.3g} s")
+    return motion
 
 
 def _advisory(robot: Robot) -> str:
@@ -135,30 +147,30 @@ def _advisory(robot: Robot) -> str:
 
 @row("robot-holds")
 def _finite(robot: Robot) -> Finding:
-    until = held(robot).diverged_s
-    if np.isinf(until):
+    diverged_s = hold_pose(robot).diverged_s
+    if np.isinf(diverged_s):
         return Finding(value=1.0)
-    return Finding(value=until / HOLD_S, remark=f"diverges at {until:.3g} s")
+    return Finding(value=diverged_s / HOLD_S, remark=f"diverges at {diverged_s:.3g} s")
 
 
 @row("robot-stands")
 def _stands(robot: Robot) -> Finding:
-    return Finding(value=max(_held(robot).height, 1e-3), advisory=_advisory(robot))
+    return Finding(value=max(_finite_hold(robot).height_ratio, 1e-3), advisory=_advisory(robot))
 
 
 @row("robot-loads")
 def _loads(robot: Robot) -> Finding:
-    loads, feet = _held(robot).loads, set(standing_of(robot).feet)
-    idle = [body for body in feet if loads.get(body, 0.0) < 0.01]
-    other = {body: load for body, load in loads.items() if body not in feet and load > 0.1}
-    shares = ", ".join(f"{body_name(robot, body)} {load:.0%}" for body, load in sorted(loads.items()))
-    return Finding(value=float(len(idle) + len(other)), remark=shares, advisory=_advisory(robot))
+    shares, feet = _finite_hold(robot).load_shares, set(standing_of(robot).feet)
+    idle = [body for body in feet if shares.get(body, 0.0) < 0.01]
+    others = [body for body, share in shares.items() if body not in feet and share > 0.1]
+    text = ", ".join(f"{body_name(robot, body)} {share:.0%}" for body, share in sorted(shares.items()))
+    return Finding(value=float(len(idle) + len(others)), remark=text, advisory=_advisory(robot))
 
 
 @row("robot-saturation")
 def _saturation(robot: Robot) -> Finding:
-    value, joint = _held(robot).saturation
-    return Finding(value=value, remark=joint, advisory=_advisory(robot))
+    motion = _finite_hold(robot)
+    return Finding(value=motion.saturation, remark=motion.saturated_joint, advisory=_advisory(robot))
 
 
 @row("robot-slip")
@@ -166,28 +178,26 @@ def _slip(robot: Robot) -> Finding:
     if not robot.foot_rows or _advisory(robot):
         return Finding(declined=_advisory(robot) or NOT_STANDING)
     friction = float(robot.pairs.constants[robot.foot_rows, 1].min())
-    slope = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
-    found = _held(robot, slope)
-    if not 0.7 < found.height < 1.3:
+    slope_deg = min(SLOPE_DEG, float(np.degrees(np.arctan(SLOPE_PUSH * friction))))
+    motion = _finite_hold(robot, slope_deg)
+    if not 0.7 < motion.height_ratio < 1.3:
         return Finding(declined="the robot falls on the slope")
-    return Finding(value=found.slip_mm_per_s, remark=f"{slope:.3g} degrees, friction {friction:.3g}")
+    return Finding(value=motion.slip_mm_per_s, remark=f"{slope_deg:.3g} degrees, friction {friction:.3g}")
 
 
 @row("robot-overlap")
 def _overlap(robot: Robot) -> Finding:
     standing_of(robot)
-    model, data, bodies = robot.model, start(robot), set(robot.bodies)
-    deepest, names = 0.0, ""
+    model, data = robot.model, start(robot)
+    deepest_m, names = 0.0, ""
     for number in range(data.ncon):
         contact = data.contact[number]
         pair = [int(model.geom_bodyid[geom]) for geom in contact.geom]
-        if set(pair) <= bodies and contact.exclude == 0 and -contact.dist > deepest:
-            deepest, names = -float(contact.dist), " and ".join(body_name(robot, body) for body in pair)
-    return Finding(
-        value=1e3 * deepest,
-        remark=names,
-        advice=f"exclude the pair {names}, or make its geoms smaller" if names else "",
-    )
+        if set(pair) <= set(robot.bodies) and contact.exclude == 0 and -contact.dist > deepest_m:
+            deepest_m = -float(contact.dist)
+            names = " and ".join(body_name(robot, body) for body in pair)
+    advice = f"exclude the pair {names}, or make its geoms smaller" if names else ""
+    return Finding(value=1e3 * deepest_m, remark=names, advice=advice)
 
 
 @row("robot-energy")

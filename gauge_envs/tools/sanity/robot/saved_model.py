@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from gauge_envs.errors import TargetError
-from gauge_envs.tools.sanity.probe.mujoco_capture import ARRAYS, FLAGS, MESHES, NAMED_OPTIONS
+from gauge_envs.tools.sanity.gauge_probe import ARRAYS, FLAGS, MESHES, NAMED_OPTIONS
 
 MOST_OBJECTS = 2000
 """Most geoms, bodies or joints; pairs of geoms are counted by their square."""
@@ -55,6 +55,7 @@ class ModelData(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     implementation: Literal["c", "mjx", "mujoco_warp"]
+    stack: Literal["", "playground", "mjlab"] = ""
     options: dict[Text, float | Numbers | Text | Texts]
     known_flags: dict[Text, Texts]
     counts: dict[Text, int]

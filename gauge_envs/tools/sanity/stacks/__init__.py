@@ -1,20 +1,17 @@
 """Training stacks: what can be checked, how it is read, and the dialect in which its changes are written.
 
-Each module has the readers of one stack, `READERS`, and its dialects, `DIALECTS`. It is loaded when a target may be of
-its stack.
+Each module has the readers of one stack, `READERS`, and its dialects, `DIALECTS`.
 """
 
 from __future__ import annotations
 
-import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import import_module
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from gauge_envs.errors import TargetError
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.stacks.dialect import TOML, Dialect
+from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.stacks.reader import GeomPair, NotATargetError, Reader
 
 if TYPE_CHECKING:
@@ -22,31 +19,14 @@ if TYPE_CHECKING:
 
 __all__ = ["Dialect", "accepted", "configuration", "dialect", "reader_of"]
 
-TEXTS = {
-    "dm_control": r"dm_control:",
-    "playground": r"playground:",
-    "mjlab": r"mjlab:|.*\.ya?ml$",
-    "maniskill": r"maniskill:",
-    "mjcf": r".*\.(xml|mjcf|urdf)$",
-    # A settings file may be any JSON file.
-    "genesis": r".*\.json$",
-    "probe": r".*\.json$",
-    "settings": r"",
-    "isaac_gym": r".*\.ya?ml$",
-    "isaac_lab": r"",
-    # It takes every text.
-    "gymnasium_env": r"",
-}
-"""Stacks that a text may name a target of, and the form of such texts; the first reader that matches reads it."""
-
-OBJECTS = (
-    *("mjcf", "newton", "maniskill", "batched", "playground", "mjlab", "gymnasium_env", "genesis", "isaac_gym"),
+STACKS = (
+    *("mjcf", "newton", "maniskill", "batched", "mujoco_env", "genesis", "probe", "settings", "isaac_gym"),
+    # It takes every YAML file.
     "isaac_lab",
+    # It takes every text.
+    "gymnasium_env",
 )
-"""Stacks with targets in this process, in the order in which their readers are tried."""
-
-LANGUAGES = {"toml": "", "isaac_lab_3": "isaac_lab"}
-"""Stacks of the dialects that have another name than their stack."""
+"""Modules of the stacks; the first reader that matches a target reads it."""
 
 
 def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | None = None) -> TrainingConfiguration:
@@ -56,16 +36,15 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
         target: One of
             a Gymnasium id (`HalfCheetah-v5`) whose environment has a `mujoco.MjModel` as `unwrapped.model`;
             an id of this suite, with its own settings;
-            a task of dm_control's suite (`dm_control:walker/walk`), whose model file is read without dm_control;
-            a task of MuJoCo Playground (`playground:WalkerWalk`) or of mjlab (`mjlab:TASK`), read from its source;
-            `params/env.yaml` of a training run of mjlab, or its task configuration;
             a model file that MuJoCo reads;
             a settings file: `backend`, optionally `preset`, and a table `settings`;
             a backend, with or without a preset (`mujoco:out_of_box`, `newton`);
             the `params/env.yaml` of a training run with Isaac Lab, the folder of the run, or the same as a mapping;
             a YAML file in the style of IsaacGym, or the same as a mapping or an object;
-            a task of ManiSkill (`maniskill:PickCube-v1`), an environment of it, or a SimConfig;
-            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, or an env of MuJoCo Playground;
+            an environment of ManiSkill, or its SimConfig;
+            a `mujoco.MjModel`, a `gymnasium.Env`, a `gymnasium.vector.VectorEnv`, an env of MuJoCo Playground, or an
+            env or a task configuration of mjlab;
+            a file that the probe writes in the Python of any of these stacks (`NAME.gaugeprobe.json`);
             a `mujoco.mjx.Model`, a `mujoco_warp.Model`, or a pair of the latter with its data;
             a configuration, which is returned unchanged.
         pair: Names of two geoms of a model whose contact constants the experiments get, instead of the most frequent
@@ -92,29 +71,23 @@ def configuration(target: Target | TrainingConfiguration, *, pair: GeomPair | No
 
 def reader_of(target: Any) -> Reader | None:
     """Return the first reader that matches a target; None when none does."""
-    return next((one for one in _readers(target) if one.matches(target)), None)
+    return next((reader for reader in _readers() if reader.matches(target)), None)
 
 
 def accepted() -> str:
     """Return what can be checked, as a list in words."""
-    stacks = dict.fromkeys(("gymnasium_env", *OBJECTS, *TEXTS))
-    *most, last = (reader.accepts for stack in stacks for reader in _stack(stack).READERS)
-    return f"{', '.join(most)}, or {last}"
+    *first, last = (reader.accepts for reader in _readers(("gymnasium_env", *STACKS[:-1])))
+    return f"{', '.join(first)}, or {last}"
 
 
 def dialect(name: str) -> Dialect:
     """Return a dialect by the name that a `TrainingConfiguration` states as its language."""
-    stack = LANGUAGES.get(name, name)
-    known: tuple[Dialect, ...] = _stack(stack).DIALECTS if stack else (TOML,)
-    return next(one for one in known if one.name == name)
+    return next(one for stack in STACKS for one in getattr(_stack(stack), "DIALECTS", ()) if one.name == name)
 
 
-def _readers(target: Any) -> Iterator[Reader]:
-    """Yield the readers of the stacks that a target may be of."""
-    text = str(target) if isinstance(target, str | Path) else None
-    for stack, form in TEXTS.items() if text is not None else dict.fromkeys(OBJECTS, "").items():
-        if re.match(form, text or "", re.IGNORECASE | re.DOTALL):
-            yield from _stack(stack).READERS
+def _readers(stacks: Sequence[str] = ()) -> Iterator[Reader]:
+    for stack in stacks or STACKS:
+        yield from _stack(stack).READERS
 
 
 def _stack(name: str) -> Any:

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from gauge_envs.backends.mujoco.model_settings import GROUND_TYPES
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import is_mjx_model, is_of
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, ContactNeed, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.mujoco_capture import is_mjx_model
-from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import GEOM_FIELDS, PAIR_FIELDS, WIDTHS, add_pairs, write_fields
 from gauge_envs.tools.sanity.stacks.dialect import rounded
@@ -111,8 +110,8 @@ def _add_bodies(spec: mujoco.MjSpec, target: Any) -> None:
 def _names(target: Any, count: int) -> list[str]:
     """Return a unique name for each geom: its own, or its number."""
     texts, addresses = getattr(target, "names", b""), getattr(target, "name_geomadr", ())
-    own = [bytes(texts)[int(start) :].split(b"\0", 1)[0].decode() for start in addresses]
-    return [own[geom] if geom < len(own) and own[geom] else f"geom {geom}" for geom in range(count)]
+    known = [bytes(texts)[int(start) :].split(b"\0", 1)[0].decode() for start in addresses]
+    return [known[geom] if geom < len(known) and known[geom] else f"geom {geom}" for geom in range(count)]
 
 
 def _set_options(spec: mujoco.MjSpec, option: Any) -> None:

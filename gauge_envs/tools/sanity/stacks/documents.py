@@ -1,8 +1,7 @@
 """Read files of strangers: plain values only, within limits. Tags of YAML run nothing. A table reads typed values.
 
 A training run dumps its configuration with tags of Python. Two of them are data: a tuple, and a slice, which Isaac Lab
-writes for every selection of joints. A slice is read as None. Every other tag of Python is refused, unless the reader
-takes names of Python as texts and its objects as None.
+writes for every selection of joints. A slice is read as None. Every other tag of Python is refused.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import math
 import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -41,11 +39,10 @@ PYTHON = f"{PLAIN}python/"
 TUPLE, SLICE = f"{PYTHON}tuple", f"{PYTHON}object/apply:builtins.slice"
 
 _Loader: Any = type("_Loader", (getattr(yaml, "CSafeLoader", yaml.SafeLoader),), {})
-"""Loader of plain values and tuples, of names of Python as texts, and of its objects as None."""
+"""Loader of plain values and tuples, and of slices as None."""
 
 _Loader.add_constructor(TUPLE, lambda loader, node: tuple(loader.construct_sequence(node, deep=True)))
-_Loader.add_multi_constructor(f"{PYTHON}name:", lambda loader, suffix, node: suffix)
-_Loader.add_multi_constructor(PYTHON, lambda loader, suffix, node: None)
+_Loader.add_constructor(SLICE, lambda loader, node: None)
 
 
 def file_content(path: Path, most_bytes: int) -> bytes:
@@ -67,24 +64,19 @@ def file_value(path: Path, parse: Callable[[bytes], Any], most_bytes: int = MEGA
         raise TargetError(f"{path}: {error}") from None
 
 
-def read_yaml(path: Path, *, takes_objects: bool = False) -> Any:
+def read_yaml(path: Path) -> Any:
     """Return the value of a YAML file; see `yaml_document`."""
-    return file_value(path, partial(yaml_document, takes_objects=takes_objects), MOST_YAML_BYTES)
+    return file_value(path, yaml_document, MOST_YAML_BYTES)
 
 
-def yaml_document(content: bytes | str, *, takes_objects: bool = False) -> Any:
-    """Return the value of a YAML document.
-
-    Args:
-        content: The document.
-        takes_objects: Whether names of Python are read as texts and its objects as None, instead of an error.
-    """
+def yaml_document(content: bytes | str) -> Any:
+    """Return the value of a YAML document; raise `ValueError` where it is too large, or has a tag that runs code."""
     raw = content.encode("utf-8", errors="surrogatepass") if isinstance(content, str) else content
     if len(raw) > MOST_YAML_BYTES:
         raise ValueError(f"it has {len(raw)} bytes, the limit is {MOST_YAML_BYTES}")
     text = raw.decode("utf-8")
     try:
-        _check(yaml.parse(text, Loader=_Loader), takes_objects)
+        _check(yaml.parse(text, Loader=_Loader))
         return yaml.load(text, Loader=_Loader)
     except yaml.YAMLError as error:
         raise ValueError(f"it is no YAML: {printable(' '.join(str(error).split()))}") from None
@@ -95,7 +87,7 @@ def yaml_document(content: bytes | str, *, takes_objects: bool = False) -> Any:
         raise ValueError(f"a value cannot be read: {printable(str(error))}") from None
 
 
-def _check(events: Iterable[Any], takes_objects: bool) -> None:
+def _check(events: Iterable[Any]) -> None:
     """Check the size, the depth and the tags of a document before its values are built."""
     sizes: Counter[str] = Counter()
     open_values: list[tuple[str | None, int]] = []
@@ -112,7 +104,7 @@ def _check(events: Iterable[Any], takes_objects: bool) -> None:
                 raise ValueError(f"line {line}: a value contains itself")
             count += sizes[str(anchor)]
         else:
-            _check_tag(event.tag, line, takes_objects)
+            _check_tag(event.tag, line)
             count += 1
             sizes[str(anchor)] = 1
         if isinstance(event, yaml.ScalarEvent) and len(event.value) > MOST_DIGITS and NUMBER.fullmatch(event.value):
@@ -125,10 +117,8 @@ def _check(events: Iterable[Any], takes_objects: bool) -> None:
             raise ValueError(f"line {line}: it has more than {MOST_NODES} values, where aliases count in full")
 
 
-def _check_tag(tag: str | None, line: int, takes_objects: bool) -> None:
+def _check_tag(tag: str | None, line: int) -> None:
     if tag is None or tag in (TUPLE, SLICE) or (tag.startswith(PLAIN) and not tag.startswith(PYTHON)):
-        return
-    if takes_objects and tag.startswith(PYTHON):
         return
     shown = printable(tag.replace(PLAIN, "!!"))
     reason = "would run code" if tag.startswith(PYTHON) else "is unknown"
@@ -210,20 +200,6 @@ class Table:
         if value is None or isinstance(value, str):
             return value
         raise self._wrong(key, value, "a text")
-
-    def entries(self, key: str) -> tuple[Any, ...]:
-        """Return a list of values of any kind; an empty one when it is absent."""
-        value = self.value(key) or ()
-        if isinstance(value, list | tuple):
-            return tuple(value)
-        raise self._wrong(key, value, "a list")
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """Return a list of texts; an empty one when it is absent."""
-        value = self.entries(key)
-        if all(isinstance(one, str) for one in value):
-            return value
-        raise self._wrong(key, value, "a list of texts")
 
     def choice(self, key: str, known: Collection[str]) -> str | None:
         """Return one of some texts."""

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from gauge_envs.files import MEGABYTE, json_document
+from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.scenario import check_settings
 from gauge_envs.tools.sanity.stacks.dialect import Dialect, Kind, Place, Setting, python_text
 from gauge_envs.tools.sanity.stacks.documents import Table, file_value

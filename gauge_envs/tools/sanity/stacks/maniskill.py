@@ -1,46 +1,22 @@
-"""ManiSkill: a task by its name, an environment, or a SimConfig.
+"""ManiSkill: an environment, or a SimConfig; the probe reads a task without starting it.
 
-A task is read without starting it, and without importing ManiSkill, which imports PyTorch and looks for a GPU driver:
-its source is evaluated for its `_default_sim_config`. Changes are a SimConfig:
-`SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
+Changes are a SimConfig: `SimConfig(sim_freq=200, scene_config=SceneConfig(bounce_threshold=0.2))`.
 """
 
-import ast
 from collections.abc import Mapping
 from dataclasses import is_dataclass
-from difflib import get_close_matches
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import plain
 from gauge_envs.tools.sanity.model import TrainingConfiguration
-from gauge_envs.tools.sanity.python_source.source import Source, package_folder, package_version
-from gauge_envs.tools.sanity.python_source.values import UNKNOWN, External, Instance, PythonClass, plain
 from gauge_envs.tools.sanity.stacks.dialect import FLAG, WHOLE, Dialect, Kind, Place, Setting, number_text
 from gauge_envs.tools.sanity.stacks.documents import Table
 from gauge_envs.tools.sanity.stacks.physx import SOLVERS, Material, PhysxValues, combined, stated_material
-from gauge_envs.tools.sanity.stacks.reader import Reader, has_start
-
-PREFIX = "maniskill:"
-"""Start of the name of a task."""
-
-PACKAGE = "mani_skill"
-
-METHOD = "_default_sim_config"
-"""Property of an environment that returns its SimConfig."""
-
-MEMORY = "gpu_memory_config"
-"""Field of a SimConfig that does not change the physics."""
-
-REGISTER = "register_env"
-"""Decorator with which ManiSkill registers a task."""
+from gauge_envs.tools.sanity.stacks.reader import Reader
 
 LINK_DAMPING_PER_S = 0.05
 """Linear and angular damping of links that SAPIEN starts with; a SimConfig has no field for it."""
-
-MOST_NAMED = 8
-"""Most tasks that the message on an unknown one names."""
 
 MATERIAL = Material.constant("body", "sim_config.default_materials_config", friction=0.3)
 """Default material of ManiSkill 3."""
@@ -129,52 +105,6 @@ def maniskill_configuration(sim_config: Mapping[str, Any], *, name: str, source:
     )
 
 
-# --- a task by its name ----------------------------------------------------------------------------------------------
-
-
-def task_sim_config(name: str) -> dict[str, Any]:
-    """Return the fields of the SimConfig of a task of the installed ManiSkill.
-
-    Args:
-        name: `maniskill:TASK`, as `maniskill:PickCube-v1`.
-    """
-    folder = package_folder(PACKAGE, "ManiSkill", "mani-skill")
-    source, known = _registered(folder)
-    task = name.removeprefix(PREFIX)
-    if task not in known:
-        near = get_close_matches(task, known, n=MOST_NAMED, cutoff=0.5) or sorted(known)[:MOST_NAMED]
-        version = package_version(PACKAGE)
-        raise TargetError(f"{name}: ManiSkill {version} has no task {task!r}; similar ones: {', '.join(near)}")
-    return _fields(source.attribute(Instance(known[task]), METHOD), f"{name}: {METHOD}")
-
-
-@cache
-def _registered(folder: Path) -> tuple[Source, dict[str, PythonClass]]:
-    """Return ManiSkill's source, and the classes that it registers as tasks, by the task's name."""
-    source = Source(folder, PACKAGE, {"numpy.array": lambda args, _: args[0]})
-    found = {}
-    for module in source.modules("envs", REGISTER):
-        for tree in (node for node in module.tree.body if isinstance(node, ast.ClassDef)):
-            for call in tree.decorator_list:
-                if isinstance(call, ast.Call) and ast.unparse(call.func) == REGISTER and call.args:
-                    found[source.evaluate(call.args[0], module)] = PythonClass(module, tree)
-    return source, {str(task): kind for task, kind in found.items()}
-
-
-def _fields(config: Any, where: str) -> dict[str, Any]:
-    """Return the fields of a configuration in the source as tables; an error where one is not known."""
-    if not isinstance(config, Instance):
-        raise TargetError(f"{where} is computed: give the environment to gauge_envs.tools.sanity.check")
-    found = {}
-    for key, value in config.attributes.items():
-        if key == MEMORY:
-            continue
-        is_known = value is not UNKNOWN and not isinstance(value, External)
-        is_table = isinstance(value, Instance) or not is_known
-        found[key] = _fields(value, f"{where}: {key}") if is_table else plain(value)
-    return found
-
-
 # --- reader ----------------------------------------------------------------------------------------------------------
 
 
@@ -185,15 +115,10 @@ def _is_sim_config(value: Any) -> bool:
 
 
 def _matches(target: Any) -> bool:
-    if isinstance(target, str | Path):
-        return has_start(PREFIX)(target)
     return _is_sim_config(target) or _is_sim_config(getattr(getattr(target, "unwrapped", None), "sim_config", None))
 
 
 def _read(target: Any) -> TrainingConfiguration:
-    if isinstance(target, str | Path):
-        source = f"ManiSkill {package_version(PACKAGE)}, {METHOD} of the task"
-        return maniskill_configuration(task_sim_config(str(target)), name=str(target), source=source)
     if _is_sim_config(target):
         return maniskill_configuration(plain(target), name="SimConfig", source="ManiSkill's SimConfig")
     spec = getattr(target, "spec", None)
@@ -203,4 +128,4 @@ def _read(target: Any) -> TrainingConfiguration:
 
 DIALECTS = (MANISKILL,)
 
-READERS = (Reader("a task of ManiSkill (maniskill:PickCube-v1)", _matches, _read, has_geoms=False),)
+READERS = (Reader("an env of ManiSkill, or its SimConfig", _matches, _read, has_geoms=False),)

@@ -10,10 +10,10 @@ from typing import Any
 
 import mujoco
 
-from gauge_envs.backends.mujoco import mjcf_probe
 from gauge_envs.backends.mujoco.model import DISABLE_FLAGS, ENABLE_FLAGS, SAME_NAME_OPTIONS
 from gauge_envs.errors import TargetError
 from gauge_envs.files import MEGABYTE, child_refusal
+from gauge_envs.tools.mjcf import PROBE
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.stacks.dialect import NUMBER, WHOLE, Dialect, Kind, Place, Setting, number_text
@@ -84,7 +84,7 @@ class Mjcf(Dialect):
 def read_model_file(path: Path, pair: GeomPair | None = None) -> TrainingConfiguration:
     """Return the configuration of a model file that MuJoCo reads."""
     file_content(path, MOST_MODEL_BYTES)
-    refusal = child_refusal(Path(mjcf_probe.__file__), str(path), cpu_s=MODEL_CPU_S)
+    refusal = child_refusal(PROBE, str(path), cpu_s=MODEL_CPU_S)
     if refusal is not None:
         raise TargetError(f"{path}: {refusal}: simplify the model")
     try:

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from gauge_envs.errors import TargetError
+from gauge_envs.tools.sanity.gauge_probe import is_of
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.values import is_of
 from gauge_envs.tools.sanity.robot.contact_capacity import contact_capacity
 from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 from gauge_envs.tools.sanity.scenario import check_settings
@@ -115,10 +115,7 @@ def newton_configuration(
     solver = target if hasattr(target, "model") else _default_solver(target)
     kind = type(solver).__name__
     if not is_of(solver, "newton", JUDGED):
-        raise TargetError(
-            f"{kind}: rigid bodies are judged with {JUDGED} only. Export the scenes with gauge sanity export, run them "
-            f"with {kind}, and judge them with gauge sanity judge"
-        )
+        raise TargetError(f"{kind}: rigid bodies are judged with {JUDGED} only")
     given = "" if solver is target else ", with the defaults of SolverMuJoCo"
     source = f"{type(target).__name__} of Newton {version('newton')}{given}"
     model = _compiled(solver)

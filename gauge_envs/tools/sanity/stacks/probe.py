@@ -17,8 +17,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import MEGABYTE, json_document, read_regular
+from gauge_envs.tools.sanity.gauge_probe import SUFFIX, VERSION
 from gauge_envs.tools.sanity.model import CapacityLimits, ContactCapacity, TrainingConfiguration
-from gauge_envs.tools.sanity.probe.program import SUFFIX, VERSION
 from gauge_envs.tools.sanity.robot.mujoco_model import ABSENT_PARTS, mujoco_configuration
 from gauge_envs.tools.sanity.robot.saved_model import ModelData, build_saved_model
 from gauge_envs.tools.sanity.stacks.documents import file_value, yaml_document
@@ -77,10 +77,10 @@ def _validated(kind: type[_Model], values: Any, where: str, *, strict: bool = Fa
 
 def _read(path: Path, pair: GeomPair | None) -> TrainingConfiguration:
     file = _validated(_ProbeFile, file_value(path, json_document, MOST_PROBE_BYTES), str(path))
-    if file.version != VERSION:
+    if not 1 <= file.version <= VERSION:
         raise TargetError(
-            f"{path}: version {file.version} of the format, this gauge-envs reads version {VERSION}: run `gauge sanity "
-            "probe` again here, and its output where the policy is trained"
+            f"{path}: version {file.version} of the format, this gauge-envs reads up to version {VERSION}: run `gauge "
+            "sanity probe` again here, and its output where the policy is trained"
         )
     if file.kind != MUJOCO and file.kind not in STACKS:
         raise TargetError(f"{path}: kind {file.kind!r} is not known; known are {', '.join((MUJOCO, *STACKS))}")
@@ -108,8 +108,15 @@ def _read_mujoco(file: _ProbeFile, path: Path, pair: GeomPair | None) -> Trainin
     read = mujoco_configuration(model, name=file.name, source=file.source, pair=pair, frame_skip=data.frame_skip)
     limits = CapacityLimits(njmax=data.limits.get("njmax"), naconmax=data.limits.get("naconmax"))
     capacity = ContactCapacity(limits=limits, reason=NOT_COUNTED) if data.limits else None
-    # Its actuators have no gains.
-    return replace(read, notes=(*read.notes, *notes), capacity=capacity, robot=None)
+    return replace(
+        read,
+        notes=(*read.notes, *notes),
+        capacity=capacity,
+        # Its actuators have no gains.
+        robot=None,
+        language=data.stack or read.language,
+        trains_on="mujoco_warp" if data.implementation == "mujoco_warp" else "",
+    )
 
 
 def _release(version: str | None) -> tuple[int, ...]:
@@ -142,4 +149,10 @@ def _is_probe_file(target: Any) -> bool:
     return str(target).endswith(SUFFIX) or START.match(content[:200]) is not None
 
 
-READERS = (Reader(f"a probe file ({SUFFIX})", _is_probe_file, lambda target, pair: _read(Path(target), pair)),)
+READERS = (
+    Reader(
+        f"a probe file of another environment (NAME{SUFFIX}, see gauge sanity probe)",
+        _is_probe_file,
+        lambda target, pair: _read(Path(target), pair),
+    ),
+)

@@ -37,11 +37,6 @@ class Reader:
     has_geoms: bool = True
 
 
-def has_start(*starts: str) -> Callable[[Any], bool]:
-    """Return a function that returns whether a target is a text with one of some starts."""
-    return lambda target: isinstance(target, str | Path) and str(target).startswith(starts)
-
-
 def named_content(target: Any, suffixes: tuple[str, ...], most_bytes: int) -> bytes:
     """Return the content of the file that a target names; empty where it names no readable file with such a suffix."""
     with suppress(OSError):

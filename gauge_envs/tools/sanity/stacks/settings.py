@@ -10,6 +10,7 @@ from gauge_envs.errors import ParameterError, TargetError, first_fault
 from gauge_envs.files import json_document, toml_document
 from gauge_envs.tools.sanity.model import TrainingConfiguration
 from gauge_envs.tools.sanity.scenario import check_settings
+from gauge_envs.tools.sanity.stacks.dialect import TOML
 from gauge_envs.tools.sanity.stacks.documents import file_value
 from gauge_envs.tools.sanity.stacks.reader import Reader, has_suffix
 
@@ -60,6 +61,8 @@ def _read_backend(target: Any) -> TrainingConfiguration:
         origins=dict.fromkeys(settings, "command"),
     )
 
+
+DIALECTS = (TOML,)
 
 READERS = (
     Reader("a settings file (.toml, .json)", has_suffix(".toml", ".json"), _read_file, has_geoms=False),

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import CHILD_MEMORY, MEGABYTE, child_command, os_errors, read_regular
 from gauge_envs.scene.geometry import FloatArray
-from gauge_envs.tools.control.env import ControlEnv
-from gauge_envs.tools.control.play import Policy
+from gauge_envs.tools.control import ControlEnv, Policy
 from gauge_envs.tools.transfer.policies import onnx_child
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
 

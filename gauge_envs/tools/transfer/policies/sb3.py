@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from gauge_envs.errors import MissingExtraError, PolicyError
 from gauge_envs.files import MEGABYTE, json_document, read_regular
-from gauge_envs.tools.control.play import Policy
+from gauge_envs.tools.control import Policy
 
 MOST_BYTES = 512 * MEGABYTE
 """Largest size of a file and of its weights."""

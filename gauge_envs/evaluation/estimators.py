@@ -1,0 +1,368 @@
+"""Estimators of physical quantities from sampled motion: one function for each, in SI units.
+
+Checks of engines, recipes, sanity rows, diagnoses of episodes and films read these, each with its own tolerance. Every
+function takes positions at known times. None takes velocities: an engine's velocity lags its positions by up to a step,
+and a film has none.
+
+The estimator of a bounce is the one with the smallest error on closed forms. Over 300 bounces of known restitution that
+are sampled at 180 Hz, beside the contact and with a noise of 0.1 mm, its median error is 2e-5. Speeds of the samples
+beside the contact have 1.4e-4, the vertex of three samples 1.3e-4, and speeds where free parabolas meet 2e-4. For a
+contact that lasts 2 to 20 ms these numbers are 2e-5, 1.3e-4, 1.5e-4 and 1.5e-2.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gauge_envs.errors import ShapeError
+from gauge_envs.scene.geometry import FloatArray
+
+LEAST_FLIGHT = 2
+"""Smallest number of samples of a flight, which has two unknown constants."""
+
+CLEARANCE = 0.01
+"""Height over the contact below which a sample is not in flight, over the drop: contact margins are thinner."""
+
+FALLEN = 0.05
+"""Fall from which on a sample belongs to the flight, over the drop: before, a body may still be held."""
+
+
+def _checked(times_s: FloatArray, values: FloatArray, least: int) -> None:
+    """Raise ShapeError unless there are as many values as times, and enough of them."""
+    if times_s.ndim != 1 or len(values) != len(times_s) or len(times_s) < least:
+        raise ShapeError(
+            f"times have shape {times_s.shape} and values {values.shape}; one value for each of {least} or more times "
+            "is needed"
+        )
+
+
+# --- along a line ----------------------------------------------------------------------------------------------------
+
+
+def steady_speed_m_per_s(times_s: FloatArray, path_m: FloatArray) -> float:
+    """Return the speed v of a uniform motion, as creep: least squares of s = s0 + v t.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        path_m: Positions along the motion [m], same shape. The result has their unit per second.
+
+    Raises:
+        ShapeError: There are fewer than two samples, or the shapes differ.
+    """
+    _checked(times_s, path_m, 2)
+    return float(np.polyfit(times_s, path_m, 1)[0])
+
+
+def acceleration_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
+    """Return the acceleration a of a uniformly accelerated motion: least squares of s = s0 + v0 t + a t^2 / 2.
+
+    A time integration with constant steps has positions on an exact parabola, so that it is not biased by the step.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        path_m: Positions along the motion [m], same shape.
+
+    Raises:
+        ShapeError: There are fewer than three samples, or the shapes differ.
+    """
+    _checked(times_s, path_m, 3)
+    return float(2.0 * np.polyfit(times_s, path_m, 2)[0])
+
+
+def acceleration_error_m_per_s2(times_s: FloatArray, path_m: FloatArray) -> float:
+    """Return the standard error of `acceleration_m_per_s2` from the scatter about the parabola.
+
+    It is the square root of the last element of s^2 (X'X)^-1, with s^2 the sum of squared residuals over the number of
+    samples beyond three (Draper and Smith, Applied Regression Analysis, section 5.2).
+    """
+    _checked(times_s, path_m, 3)
+    coefficients, unscaled = np.polyfit(times_s, path_m, 2, cov="unscaled")
+    residual_m = path_m - np.polyval(coefficients, times_s)
+    variance_m2 = float(residual_m @ residual_m) / max(len(times_s) - 3, 1)
+    return 2.0 * math.sqrt(variance_m2 * float(unscaled[0, 0]))
+
+
+def slide_friction(
+    acceleration_m_per_s2: float, slope_rad: float, *, gravity_m_per_s2: float, lift_m_per_s2: float = 0.0
+) -> float:
+    """Return the coefficient of friction of a body that slides down a slope: mu = (g sin - a) / (g cos + b).
+
+    It is Newton's second law along the slope and off it, with Coulomb's law T = mu N.
+
+    Args:
+        acceleration_m_per_s2: Acceleration a down the slope.
+        slope_rad: Slope [rad].
+        gravity_m_per_s2: Gravity g.
+        lift_m_per_s2: Acceleration b off the slope, which adds to the force on the slope. Means over a time will do, if
+            both have the same weights: a body that hops gets its friction from its impacts.
+    """
+    driving = gravity_m_per_s2 * math.sin(slope_rad) - acceleration_m_per_s2
+    pressing = gravity_m_per_s2 * math.cos(slope_rad) + lift_m_per_s2
+    return driving / pressing
+
+
+# --- rest ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class RestDepth:
+    """A body at rest on a support.
+
+    Attributes:
+        depth_m: Mean depth in the support [m]; negative above it.
+        drift_m_per_s: Speed at which the depth still changes [m/s].
+    """
+
+    depth_m: float
+    drift_m_per_s: float
+
+
+def rest_depth(times_s: FloatArray, depth_m: FloatArray, *, settled_s: float) -> RestDepth:
+    """Return the mean depth of a body after it has settled, and how fast the depth still changes.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        depth_m: Depth in the support [m], same shape.
+        settled_s: Time from which on it counts as settled [s].
+
+    Raises:
+        ShapeError: Fewer than two samples are settled, or the shapes differ.
+    """
+    settled = times_s >= settled_s
+    later_s, later_m = times_s[settled], depth_m[settled]
+    drift_m_per_s = steady_speed_m_per_s(later_s, later_m)
+    return RestDepth(depth_m=float(later_m.mean()), drift_m_per_s=drift_m_per_s)
+
+
+# --- oscillations ----------------------------------------------------------------------------------------------------
+
+
+def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
+    """Return the mean period of an oscillation about 0: the mean time between passes through 0 upward.
+
+    Linear interpolation between two samples gives the time of a pass.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        values: Displacement from the rest position, any unit, same shape.
+
+    Returns:
+        Period [s]; NaN for fewer than two passes.
+    """
+    _checked(times_s, values, 2)
+    before = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
+    share = values[before] / (values[before] - values[before + 1])
+    crossings_s = times_s[before] + share * np.diff(times_s)[before]
+    if len(crossings_s) < 2:
+        return math.nan
+    return float(crossings_s[-1] - crossings_s[0]) / (len(crossings_s) - 1)
+
+
+def hann_mean(values: FloatArray) -> FloatArray:
+    """Return the mean over the first axis under a Hann window: the centre of an oscillation, damped or not.
+
+    An oscillation with two or more whole periods in the window averages to zero. With any number of periods from four
+    on, less than 1 % is left. A plain mean would leave several per cent.
+    """
+    weights = np.hanning(len(values) + 2)[1:-1]
+    return np.asarray(np.tensordot(weights / weights.sum(), values, axes=1))
+
+
+# --- bounces ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Bounce:
+    """The first bounce of a body, between two free flights.
+
+    Attributes:
+        time_s: Time at which the flights meet [s].
+        until_s: Time of the first sample after the flight that follows, or of the last sample [s].
+        speed_in_m_per_s: Speed against the contact just before it.
+        speed_out_m_per_s: Speed off the contact just after it.
+        misfit: Largest root-mean-square distance of a flight from its parabola, over the height that it covers.
+    """
+
+    time_s: float
+    until_s: float
+    speed_in_m_per_s: float
+    speed_out_m_per_s: float
+    misfit: float
+
+    @property
+    def restitution(self) -> float:
+        """Ratio of the speeds after and before the bounce (Newton)."""
+        return self.speed_out_m_per_s / self.speed_in_m_per_s
+
+
+def speed_at_contact_m_per_s(top_m: float, gravity_m_per_s2: float) -> float:
+    """Return the speed at the contact of a body whose flight has its top at a height over it: v = sqrt(2 g h)."""
+    return math.sqrt(2.0 * gravity_m_per_s2 * max(top_m, 0.0))
+
+
+def first_bounce(
+    times_s: FloatArray,
+    heights_m: FloatArray,
+    *,
+    gravity_m_per_s2: float,
+    contact_m: float | None = 0.0,
+    released_m: float | None = None,
+) -> Bounce | None:
+    """Return the first bounce of a body that falls on a support.
+
+    Free flights are parabolas z = z0 + v t - g t^2 / 2 with a known g, fitted by least squares to the samples that are
+    clear of the contact. Where the contact is known, energy gives the speeds at it: v^2 = 2 g h of the top of each
+    flight. So a contact that lasts some time, or a step that ends beside it, does not matter. Where it is unknown, the
+    speeds are those at the point where both parabolas meet, as of a contact that takes no time.
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        heights_m: Heights [m], same shape, along the normal of the support.
+        gravity_m_per_s2: Gravity along the same axis.
+        contact_m: Height at which it touches the support; None if it is not known.
+        released_m: Height from which it was let go at rest; None fits the fall.
+
+    Returns:
+        The bounce; with a speed of 0 after it if the body stays down. None if it does not fall to the contact.
+
+    Raises:
+        ShapeError: There are fewer than two samples, or the shapes differ.
+    """
+    _checked(times_s, heights_m, 2)
+    start_m = float(heights_m[0])
+    floor_m = float(heights_m.min()) if contact_m is None else contact_m
+    drop_m = start_m - floor_m
+    low = _first_minimum(heights_m, below_m=floor_m + 0.5 * drop_m)
+    if drop_m <= 0.0 or low is None:
+        return None
+    clear = heights_m > floor_m + CLEARANCE * drop_m
+    fell = np.flatnonzero(clear[:low] & (start_m - heights_m[:low] > FALLEN * drop_m))
+    rose = _flight_after(heights_m, clear, low, floor_m)
+    flight_in = _Flight.of(times_s[fell], heights_m[fell], gravity_m_per_s2)
+    flight_out = _Flight.of(times_s[rose], heights_m[rose], gravity_m_per_s2)
+    until_s = float(times_s[min(int(rose[-1]) + 1, len(times_s) - 1)]) if len(rose) else float(times_s[-1])
+    if contact_m is None:
+        return _meeting(flight_in, flight_out, until_s)
+    fallen_m = released_m if released_m is not None else flight_in.top_m if flight_in is not None else start_m
+    # A hop of fewer samples than a flight has the height of its highest sample.
+    hop_m = flight_out.top_m if flight_out is not None else float(heights_m[low:].max())
+    time_s = float(times_s[low])
+    if flight_in is not None and flight_out is not None:
+        time_s = flight_in.meets_s(flight_out)
+    return Bounce(
+        time_s=time_s,
+        until_s=until_s,
+        speed_in_m_per_s=speed_at_contact_m_per_s(fallen_m - contact_m, gravity_m_per_s2),
+        speed_out_m_per_s=speed_at_contact_m_per_s(hop_m - contact_m, gravity_m_per_s2),
+        misfit=max((one.misfit for one in (flight_in, flight_out) if one is not None), default=0.0),
+    )
+
+
+def restitution_of_flights(times_s: FloatArray, heights_m: FloatArray, flights: Sequence[NDArray[np.intp]]) -> float:
+    """Return the mean restitution of the bounces between flights, where neither gravity nor contact is known.
+
+    As in a film, whose scale may be off. Between bounces the body flies free: z_k(t) = z_k + v_k t - g t^2 / 2. All
+    flights share one gravity, so that one linear least-squares fit gives z_k, v_k and g. Flights k and k + 1 meet at
+    the time of a bounce, where Newton's law gives e = -(v_{k+1} - g t) / (v_k - g t).
+
+    Args:
+        times_s: Times [s], shape [sample_count].
+        heights_m: Heights [m], same shape.
+        flights: Indices of the samples of each flight; two flights or more.
+    """
+    used = np.concatenate(flights)
+    flight_of = np.repeat(np.arange(len(flights)), [len(flight) for flight in flights])
+    sample = np.arange(len(used))
+    clock_s = times_s[used]
+    # Unknowns: z_0, v_0, z_1, v_1, ..., g.
+    basis = np.zeros((len(used), 2 * len(flights) + 1))
+    basis[sample, 2 * flight_of] = 1.0
+    basis[sample, 2 * flight_of + 1] = clock_s
+    basis[:, -1] = -0.5 * clock_s**2
+    unknowns = np.linalg.lstsq(basis, heights_m[used], rcond=None)[0]
+    starts_m, speeds_m_per_s, gravity_m_per_s2 = unknowns[:-1:2], unknowns[1::2], unknowns[-1]
+    impacts_s = -np.diff(starts_m) / np.diff(speeds_m_per_s)
+    before_m_per_s = speeds_m_per_s[:-1] - gravity_m_per_s2 * impacts_s
+    after_m_per_s = speeds_m_per_s[1:] - gravity_m_per_s2 * impacts_s
+    return float((-after_m_per_s / before_m_per_s).mean())
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """The parabola z = start_m + speed_m_per_s t - g t^2 / 2 of a free flight."""
+
+    start_m: float
+    speed_m_per_s: float
+    gravity_m_per_s2: float
+    misfit: float
+
+    @classmethod
+    def of(cls, times_s: FloatArray, heights_m: FloatArray, gravity_m_per_s2: float) -> _Flight | None:
+        """Return the flight through some samples; None of fewer than `LEAST_FLIGHT`."""
+        if len(times_s) < LEAST_FLIGHT:
+            return None
+        without_fall_m = heights_m + 0.5 * gravity_m_per_s2 * times_s**2
+        speed_m_per_s, start_m = np.polyfit(times_s, without_fall_m, 1)
+        residual_m = without_fall_m - (start_m + speed_m_per_s * times_s)
+        misfit = float(np.sqrt(np.mean(residual_m**2)) / np.ptp(heights_m))
+        return cls(float(start_m), float(speed_m_per_s), gravity_m_per_s2, misfit)
+
+    @property
+    def top_m(self) -> float:
+        """Height of the vertex: z0 + v^2 / (2 g)."""
+        return self.start_m + self.speed_m_per_s**2 / (2.0 * self.gravity_m_per_s2)
+
+    def speed_at(self, time_s: float) -> float:
+        """Return the upward speed at a time [m/s]."""
+        return self.speed_m_per_s - self.gravity_m_per_s2 * time_s
+
+    def meets_s(self, other: _Flight) -> float:
+        """Return the time at which two flights of one gravity meet: their difference is a straight line [s]."""
+        return (self.start_m - other.start_m) / (other.speed_m_per_s - self.speed_m_per_s)
+
+
+def _meeting(flight_in: _Flight | None, flight_out: _Flight | None, until_s: float) -> Bounce | None:
+    """Return the bounce at the point where two flights meet; None without one that turns the speed."""
+    if flight_in is None or flight_out is None or flight_out.speed_m_per_s <= flight_in.speed_m_per_s:
+        return None
+    time_s = flight_in.meets_s(flight_out)
+    speed_in, speed_out = -flight_in.speed_at(time_s), flight_out.speed_at(time_s)
+    if speed_in <= 0.0 or speed_out <= 0.0:
+        return None
+    return Bounce(
+        time_s=time_s,
+        until_s=until_s,
+        speed_in_m_per_s=speed_in,
+        speed_out_m_per_s=speed_out,
+        misfit=max(flight_in.misfit, flight_out.misfit),
+    )
+
+
+def _first_minimum(heights_m: FloatArray, *, below_m: float) -> int | None:
+    """Return the first sample below a height that the next one rises from; the last one of a body that stays down."""
+    fallen = np.flatnonzero(heights_m < below_m)
+    if not len(fallen):
+        return None
+    rises = np.diff(heights_m[fallen[0] :]) > 0.0
+    return int(fallen[0] + np.argmax(rises)) if rises.any() else len(heights_m) - 1
+
+
+def _flight_after(heights_m: FloatArray, clear: NDArray[np.bool_], low: int, floor_m: float) -> NDArray[np.intp]:
+    """Return the samples of the first flight after a minimum: those that are clear, up to the next minimum."""
+    later = low + 1 + np.flatnonzero(clear[low + 1 :])
+    if not len(later):
+        return later
+    begin = int(later[0])
+    blocked = np.flatnonzero(~clear[begin:])
+    end = begin + int(blocked[0]) if len(blocked) else len(heights_m)
+    # A second bounce between two samples leaves no sample at the contact.
+    top = begin + int(np.argmax(heights_m[begin:end]))
+    second = _first_minimum(heights_m[top:end], below_m=0.5 * (heights_m[top] + floor_m))
+    if second is not None and top + second < end - 1:
+        end = top + second
+    return np.arange(begin, end)

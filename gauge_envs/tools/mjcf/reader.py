@@ -1,0 +1,461 @@
+"""Reader of MJCF files that replace a scene.
+
+The file determines the time step, solver, masses, friction, poses, compiled tables and driven motion. It must contain
+the rigid bodies of the scene under their names, and a free joint of the same name for each driven body. The nodes of
+deformable bodies must be where the backend places them. `writer` writes such files. Custom numbers hold the data
+for which MJCF has no element:
+
+- `driver/<body>`: rows of qpos (7), qvel (6) and xfrc_applied (6) to write before every 1/180 s. If the rows equal
+  those of the scene's driver, the driver stays; otherwise a sampled driver goes through their poses.
+- `flex_stiffness/<body>/kinds` and `/kind`: distinct rows of the table, and the index of the distinct row for each row.
+- `flex_bending/<body>/weight`: a factor on each row of the table.
+
+The `qvel` of a keyframe `start` holds the start velocities of dynamic bodies. Other keyframes have no effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from gauge_envs.backends.base import ModelFile
+from gauge_envs.backends.mujoco.flex import FlexPart, flex_table
+from gauge_envs.backends.mujoco.model import START_KEY, build_model, parents_first, start_rates
+from gauge_envs.backends.mujoco.model_settings import option_settings
+from gauge_envs.backends.mujoco.settings import settings_for
+from gauge_envs.backends.shared.rigid import hinges_by_body
+from gauge_envs.errors import AssetError, ShapeError
+from gauge_envs.files import MEGABYTE, child_refusal, read_regular
+from gauge_envs.scene import BodyHinge, Hinge, JointDynamics, Motion, Pose, RigidBody, Scene
+from gauge_envs.scene.driver_fit import sampled_motions
+from gauge_envs.scene.drivers import Driver
+from gauge_envs.scene.geometry import vector
+from gauge_envs.scene.hinged import other_end, parent_hinges
+from gauge_envs.scene.motors import Servo
+from gauge_envs.scene.timing import DRIVE_INTERVAL_S, FRAME_RATE_HZ
+from gauge_envs.tools.mjcf.diff import format_value, is_same, model_changes, same_or
+
+if TYPE_CHECKING:
+    from gauge_envs.backends.mujoco.simulation import SimulationMuJoCo
+    from gauge_envs.scene.driver_path import DriverPath
+
+AnyHinge = TypeVar("AnyHinge", Hinge, BodyHinge)
+
+
+DRIVER_PREFIX = "driver/"
+"""Prefix of the custom numeric with the motion of a driven body; the name of the body follows."""
+
+STATED_SETTINGS = ("timestep_s", "integrator", "cone", "solver", "impratio", "iterations", "tolerance")
+"""Settings that a result of a file holds."""
+
+DRIVER_COLUMNS = 19
+"""Number of columns of driven motion: qpos 7, qvel 6, xfrc_applied 6."""
+
+SHORTEST_STEP_S = 1e-7
+
+PROBE = Path(__file__).with_name("probe.py")
+"""Script that loads an MJCF file in a child process."""
+
+MOST_FILE_BYTES = 16 * MEGABYTE
+
+SAME_MOTION = 1e-6
+"""Relative difference below which rows of driven motion are equal; accelerations are second differences of poses."""
+
+
+# --- loading ---------------------------------------------------------------------------------------------------------
+
+
+def load_model(path: Path, scene: Scene) -> tuple[dict[str, Any], mujoco.MjSpec, mujoco.MjModel, dict[str, FlexPart]]:
+    """Compile an MJCF file for the scene that `read_model` returned for it.
+
+    Returns:
+        The numerical settings, the editable model, the compiled model, and the parts of the deformable bodies by name.
+    """
+    spec, model = _compiled(path)
+    _, _, parts = build_model(scene, settings_for(scene, None))
+    _check_bodies(path, model, scene)
+    for body, started in zip(scene.bodies, _started(path, model, scene), strict=True):
+        if started != body:
+            raise AssetError(
+                path,
+                body.name,
+                "an MJCF file fixes its start pose and velocity: use a USD layer for another start, such as a jitter",
+            )
+    return _settings(path, model), spec, model, parts
+
+
+def _compiled(path: Path) -> tuple[mujoco.MjSpec, mujoco.MjModel]:
+    try:
+        content = read_regular(path, MOST_FILE_BYTES)
+        text = content.decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else None
+        raise AssetError(path, "", f"cannot be read: {reason or error}") from error
+    refusal = _refusal(content)
+    if refusal is not None:
+        raise AssetError(path, "", f"{refusal}: simplify the model")
+    try:
+        spec = mujoco.MjSpec.from_string(text)
+        model = spec.compile()
+    except ValueError as error:
+        raise AssetError(path, "", f"MuJoCo cannot load it: {' '.join(str(error).split())}") from None
+    _complete(path, model)
+    return spec, model
+
+
+@lru_cache(maxsize=64)
+def _refusal(content: bytes) -> str | None:
+    """Return why a model must not be compiled in this process, or None."""
+    return child_refusal(PROBE, content=content)
+
+
+def _settings(path: Path, model: mujoco.MjModel) -> dict[str, Any]:
+    """Return the numerical settings of a file, under the names of `SettingsMuJoCo`."""
+    step_s = model.opt.timestep
+    if not step_s >= SHORTEST_STEP_S:
+        raise AssetError(path, "option timestep", f"is {step_s:g} s: {SHORTEST_STEP_S:g} s or more is expected")
+    steps = DRIVE_INTERVAL_S / step_s
+    if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
+        raise AssetError(
+            path,
+            "option timestep",
+            f"1/180 s is {steps:.6g} steps of {step_s:g} s, not a whole number: choose a step that divides it",
+        )
+    known = option_settings(model)
+    return {"model_file": path.name} | {name: known[name] for name in STATED_SETTINGS}
+
+
+# --- custom numbers --------------------------------------------------------------------------------------------------
+
+
+def _numerics(model: mujoco.MjModel) -> dict[str, NDArray[np.float64]]:
+    """Return the custom numbers of a model, by name."""
+    numerics = [model.numeric(index) for index in range(model.nnumeric)]
+    return {numeric.name: numeric.data for numeric in numerics}
+
+
+def _complete(path: Path, model: mujoco.MjModel) -> None:
+    """Apply the file's custom numbers to the compiled flex tables."""
+    numbers = _numerics(model)
+    for name, values in numbers.items():
+        table, _, rest = name.partition("/")
+        body, _, part = rest.rpartition("/")
+        if part not in ("kinds", "weight") or table not in ("flex_stiffness", "flex_bending"):
+            continue
+        flex, place = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, body), f"{table}/{body}"
+        if flex < 0:
+            raise AssetError(path, place, "the file has no flex of this name: correct the name of the numeric")
+        rows = flex_table(model, table, flex)
+        if part == "weight":
+            weighed = rows.reshape(_divided(path, name, rows.size, len(values)), -1)
+            weighed *= values[:, None]
+            continue
+        kind = numbers.get(f"{place}/kind")
+        if kind is None:
+            raise AssetError(path, name, f"custom numeric '{place}/kind', the index of each row, is missing: add it")
+        width = rows.size // _divided(path, f"{place}/kind", rows.size, len(kind))
+        kinds = values.reshape(_divided(path, name, len(values), len(values) // max(width, 1)), -1)
+        if kind.min() < 0 or kind.max() >= len(kinds):
+            raise AssetError(path, f"{place}/kind", f"holds numbers beyond the {len(kinds)} rows of kinds")
+        rows[:] = kinds[kind.astype(int)].ravel()
+
+
+def _divided(path: Path, name: str, size: int, count: int) -> int:
+    """Return the row count if it divides the size of a table."""
+    if count < 1 or size % count:
+        raise AssetError(path, name, f"{count} rows do not fit a table of {size} numbers: write all rows")
+    return count
+
+
+# --- scene of a file -------------------------------------------------------------------------------------------------
+
+
+def read_model(path: Path, scene: Scene, simulation: SimulationMuJoCo) -> ModelFile:
+    """Read the start poses, masses, hinges, gravity and driven motion of a file, and its differences.
+
+    Args:
+        path: The file.
+        scene: The scene whose bodies the file must contain.
+        simulation: The simulation that the backend builds from the scene.
+    """
+    _, model = _compiled(path)
+    _settings(path, model)
+    built = simulation.model
+    _check_bodies(path, model, scene)
+    _check_nodes(path, model, built, scene)
+    bodies = tuple(replace(body, mass_kg=_mass_kg(model, built, body)) for body in _started(path, model, scene))
+    hanging = {hinge: name for name, hinge in parent_hinges(scene.body_hinges, scene.hung).items()}
+    placed = replace(
+        scene,
+        bodies=bodies,
+        joints=tuple(
+            _hinge(model, built, joint, joint.body) if isinstance(joint, Hinge) else joint for joint in scene.joints
+        ),
+        body_hinges=tuple(_hinge(model, built, hinge, hanging[hinge]) for hinge in scene.body_hinges),
+        gravity_m_per_s2=same_or(float(np.linalg.norm(model.opt.gravity)), scene.gravity_m_per_s2),
+    )
+    changes = [*model_changes(model, built), *_velocity_changes(scene, placed)]
+    drivers = []
+    for driver in placed.drivers:
+        read = _driver(path, model, placed, driver, simulation)
+        drivers.append(read)
+        if read != driver:
+            changes.append(f"driver of {driver.body}: its motion is sampled from other rows")
+    return ModelFile(scene=replace(placed, drivers=tuple(drivers)), changes=tuple(changes))
+
+
+def _check_bodies(path: Path, model: mujoco.MjModel, scene: Scene) -> None:
+    known = [model.body(index).name for index in range(1, model.nbody)]
+    hinged = hinges_by_body(scene)
+    for body in scene.bodies:
+        if body.name not in known:
+            shown = ", ".join(known[:12]) + (f" and {len(known) - 12} more" if len(known) > 12 else "")
+            raise AssetError(path, body.name, f"no body of that name: the file has {shown or 'none'}")
+        if body.motion is Motion.FIXED:
+            continue
+        kind = mujoco.mjtJoint.mjJNT_HINGE if body.name in hinged else mujoco.mjtJoint.mjJNT_FREE
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, body.name)
+        if joint < 0 or model.jnt_type[joint] != kind or model.jnt_bodyid[joint] != model.body(body.name).id:
+            wanted = "hinge" if body.name in hinged else "free"
+            raise AssetError(path, body.name, f"it is {body.motion.value} and needs a {wanted} joint with its name")
+        hinge = hinged.get(body.name)
+        play = hinge and hinge.dynamics.backlash_rad
+        if play and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{body.name}/play") < 0:
+            raise AssetError(path, body.name, f"its joint has backlash and needs a second hinge '{body.name}/play'")
+        if hinge and hinge.motor and mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_ACTUATOR, body.name) < 0:
+            raise AssetError(path, body.name, "its joint has a motor and needs an actuator with its name")
+        if isinstance(hinge, BodyHinge):
+            parent = other_end(hinge, body.name)
+            if model.body(model.body(body.name).parentid[0]).name != parent:
+                raise AssetError(path, body.name, f"it hangs on {parent!r}: make it a child of that body")
+        found = model.body(body.name)
+        if body.motion is Motion.KINEMATIC and not np.all(found.inertia == found.mass):
+            reason = "its mass and its moments of inertia must be the same number: it is driven"
+            raise AssetError(path, body.name, reason)
+
+
+def _check_nodes(path: Path, model: mujoco.MjModel, built: mujoco.MjModel, scene: Scene) -> None:
+    """Check that the nodes of deformable bodies exist at the positions that the backend gives them."""
+    rigid = {body.name for body in scene.bodies}
+    for index in range(1, built.nbody):
+        name = built.body(index).name
+        if name in rigid:
+            continue
+        found = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name)
+        if found < 0:
+            raise AssetError(path, name, "the file lacks this node of a deformable body: restore it")
+        if not is_same(model.body_pos[found], built.body_pos[index]):
+            raise AssetError(path, name, "nodes of a deformable body cannot be moved in MJCF: move the body in USD")
+    for index in range(built.nflex):
+        name = mujoco.mj_id2name(built, mujoco.mjtObj.mjOBJ_FLEX, index)
+        if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_FLEX, name) < 0:
+            raise AssetError(path, name, "the file lacks the flex of this deformable body: restore it")
+
+
+def _poses(model: mujoco.MjModel, scene: Scene) -> Iterator[Pose]:
+    """Yield the start pose of each rigid body in a file, or the scene's pose if both are equal up to rounding."""
+    data = mujoco.MjData(model)
+    mujoco.mj_kinematics(model, data)
+    for body in scene.bodies:
+        place = data.body(body.name)
+        same_rotation = abs(float(place.xquat @ body.pose.quaternion)) > 1.0 - 1e-12
+        if same_rotation and is_same(place.xpos, body.pose.position_m):
+            yield body.pose
+        else:
+            yield _pose(place.xpos, place.xquat)
+
+
+def _started(path: Path, model: mujoco.MjModel, scene: Scene) -> Iterator[RigidBody]:
+    """Yield each rigid body with its start in a file; poses and velocities that equal the scene's are the scene's."""
+    rates = _start_qvel(path, model)
+    hinges = hinges_by_body(scene)
+    poses = dict(zip((body.name for body in scene.bodies), _poses(model, scene), strict=True))
+    found: dict[str, RigidBody] = {}
+    # The velocity of a body that hangs on another one contains that of the other one.
+    for body in parents_first(scene):
+        started, hinge = replace(body, pose=poses[body.name]), hinges.get(body.name)
+        if body.motion is Motion.DYNAMIC:
+            parent = found[other_end(hinge, body.name)] if isinstance(hinge, BodyHinge) else None
+            expected, first = start_rates(scene, started, hinge), int(model.joint(body.name).dofadr[0])
+            own = rates[first : first + len(expected)]
+            moving = _with_rates(model, started, own, parent)
+            is_still = parent is None and is_same(own, expected)
+            if not is_still and not is_same(_velocities(moving), _velocities(started)):
+                started = moving
+            own[:] = 0.0
+        found[body.name] = started
+    yield from (found[body.name] for body in scene.bodies)
+    if rates.any():
+        joint = model.joint(int(model.dof_jntid[np.flatnonzero(rates)[0]])).name
+        raise AssetError(
+            path,
+            f"keyframe {START_KEY}",
+            f"its qvel moves joint {joint!r}: only dynamic rigid bodies start with velocity",
+        )
+
+
+def _start_qvel(path: Path, model: mujoco.MjModel) -> NDArray[np.float64]:
+    """Return the start velocities of a file's joints, shape [nv], which are zero without the keyframe."""
+    key = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_KEY, START_KEY)
+    if key < 0:
+        return np.zeros(model.nv)
+    if not is_same(model.key_qpos[key], model.qpos0):
+        raise AssetError(
+            path,
+            f"keyframe {START_KEY}",
+            "its qpos moves bodies away from their poses: delete qpos and move the bodies",
+        )
+    return np.array(model.key_qvel[key])
+
+
+def _velocities(body: RigidBody) -> list[tuple[float, float, float]]:
+    return [body.linear_velocity_m_per_s, body.angular_velocity_rad_per_s]
+
+
+def _with_rates(
+    model: mujoco.MjModel, body: RigidBody, rates: NDArray[np.float64], parent: RigidBody | None
+) -> RigidBody:
+    """Return a body whose joint to its parent, or to the world, starts with a velocity; see `start_rates`."""
+    if len(rates) == 1:
+        data = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, data)
+        angular = rates * data.joint(body.name).xaxis
+        anchor = data.joint(body.name).xanchor
+        linear = np.zeros(3)
+        if parent is not None:
+            carried = np.asarray(parent.angular_velocity_rad_per_s)
+            linear = parent.linear_velocity_m_per_s + np.cross(carried, anchor - parent.pose.position_m)
+            angular = angular + carried
+        linear = linear + np.cross(angular, body.pose.position_m - anchor)
+    else:
+        linear, angular = rates[:3], body.pose.rotation.apply(rates[3:])
+    return replace(body, linear_velocity_m_per_s=vector(linear), angular_velocity_rad_per_s=vector(angular))
+
+
+def _velocity_changes(before: Scene, after: Scene) -> Iterator[str]:
+    """Yield one line for each start velocity that differs."""
+    for old, new in zip(before.bodies, after.bodies, strict=True):
+        for name in ("linear_velocity_m_per_s", "angular_velocity_rad_per_s"):
+            if getattr(old, name) != getattr(new, name):
+                yield f"{old.name}: {name} {format_value(getattr(old, name))} -> {format_value(getattr(new, name))}"
+
+
+def _pose(position_m: NDArray[np.float64], quaternion: NDArray[np.float64]) -> Pose:
+    w, x, y, z = quaternion.tolist()
+    return Pose(position_m=vector(position_m), quaternion=(w, x, y, z))
+
+
+def _mass_kg(model: mujoco.MjModel, built: mujoco.MjModel, body: RigidBody) -> float:
+    """Return the mass of a body in a file. Driven bodies keep the scene's mass, since theirs is a numerical setting."""
+    mass, expected = (float(one.body(body.name).mass[0]) for one in (model, built))
+    return body.mass_kg if body.motion is not Motion.DYNAMIC or is_same(mass, expected) else mass
+
+
+def _hinge(model: mujoco.MjModel, built: mujoco.MjModel, hinge: AnyHinge, body: str) -> AnyHinge:
+    """Return the hinge that is the joint of a body of a file."""
+    found = []
+    for one in (model, built):
+        data = mujoco.MjData(one)
+        mujoco.mj_kinematics(one, data)
+        found.append((data.joint(body).xanchor, data.joint(body).xaxis))
+    (anchor, axis), expected = found
+    joint, stated, motor = model.joint(body), hinge.dynamics, hinge.motor
+    dynamics = JointDynamics(
+        dry_friction_n_m=same_or(float(joint.frictionloss[0]), stated.dry_friction_n_m),
+        viscous_friction_n_m_s_per_rad=same_or(float(joint.damping[0]), stated.viscous_friction_n_m_s_per_rad),
+        armature_kg_m2=same_or(float(joint.armature[0]), stated.armature_kg_m2),
+        backlash_rad=stated.backlash_rad
+        and same_or(float(np.ptp(model.joint(f"{body}/play").range)), stated.backlash_rad),
+    )
+    if isinstance(motor, Servo):
+        actuator = model.actuator(body)
+        limit = float(actuator.forcerange[1]) if actuator.forcelimited[0] else None
+        motor = replace(
+            motor,
+            kp_n_m_per_rad=same_or(float(actuator.gainprm[0]), motor.kp_n_m_per_rad),
+            kv_n_m_s_per_rad=same_or(-float(actuator.biasprm[2]), motor.kv_n_m_s_per_rad),
+            torque_limit_n_m=limit and same_or(limit, motor.torque_limit_n_m or limit),
+        )
+    hinge = replace(hinge, dynamics=dynamics, motor=motor)
+    if is_same(anchor, expected[0]) and is_same(axis, expected[1]):
+        return hinge
+    return replace(hinge, anchor_m=vector(anchor), axis=vector(axis))
+
+
+def driver_rows(simulation: SimulationMuJoCo, path: DriverPath, count: int) -> NDArray[np.float64]:
+    """Return the numbers that the backend writes to drive a body, interval by interval.
+
+    Args:
+        simulation: A simulation of the scene; its driven body moves.
+        path: Motion of the driven body.
+        count: Number of intervals.
+
+    Returns:
+        qpos (7), qvel (6) and xfrc_applied (6) before each interval, shape [count, 19].
+    """
+    model, data = simulation.model, simulation.data
+    joint, body = model.joint(path.body), model.body(path.body)
+    position, speed = int(joint.qposadr[0]), int(joint.dofadr[0])
+    still = np.zeros(path.motion_count)
+    rows = np.empty((count, DRIVER_COLUMNS))
+    for sample, row in enumerate(rows):
+        simulation.drive(path.body, *path.interval(sample, still))
+        row[:7] = data.qpos[position : position + 7]
+        row[7:13] = data.qvel[speed : speed + 6]
+        row[13:] = data.xfrc_applied[body.id]
+    return rows
+
+
+def _driver(path: Path, model: mujoco.MjModel, scene: Scene, driver: Driver, simulation: SimulationMuJoCo) -> Driver:
+    """Return the scene's driver if the file's rows equal its motion, otherwise a driver through the rows' poses."""
+    from gauge_envs.scene.driver_path import DriverPath
+
+    name = f"{DRIVER_PREFIX}{driver.body}"
+    numbers = _numerics(model).get(name)
+    if numbers is None:
+        raise AssetError(path, name, "the custom numeric with the motion of this driven body is missing: add it")
+    if numbers.size == 0 or numbers.size % DRIVER_COLUMNS:
+        raise AssetError(path, name, f"it has {numbers.size} numbers: whole rows of {DRIVER_COLUMNS} are expected")
+    rows = numbers.reshape(-1, DRIVER_COLUMNS)
+    count = round(scene.duration_s / DRIVE_INTERVAL_S)
+    rows = rows[np.minimum(np.arange(count), len(rows) - 1)]
+    frame_count = round(scene.duration_s * FRAME_RATE_HZ) + 1
+    expected = driver_rows(simulation, DriverPath(driver, scene, frame_count), count)
+    expected[:, 13:] *= model.body(driver.body).mass[0] / simulation.model.body(driver.body).mass[0]
+    if _same_rows(rows, expected):
+        return driver
+    if _same_rows(rows[:, :7], expected[:, :7]):
+        raise AssetError(path, name, "velocities or forces changed but poses did not: change the poses")
+    poses = [*(_pose(row[:3], row[3:7]) for row in rows), _end_of(rows[-1], model.body(driver.body).mass[0])]
+    start = scene.body(driver.body).pose
+    if not _same_rows(rows[:1, :7], np.array([[*start.position_m, *start.quaternion]])):
+        raise AssetError(
+            path, name, f"its rows start at {format_value(rows[0, :7])}, but the body elsewhere: make both poses equal"
+        )
+    try:
+        motions = sampled_motions(start, (np.arange(count + 1) * DRIVE_INTERVAL_S).tolist(), poses, like=driver.motions)
+    except ShapeError as error:
+        raise AssetError(path, name, str(error)) from error
+    return replace(driver, motions=motions, provenance=f"nominal: edited in {path.name}, was {driver.provenance}")
+
+
+def _end_of(row: NDArray[np.float64], mass_kg: float) -> Pose:
+    """Return the pose at the end of the interval of a row of driven motion."""
+    seconds = DRIVE_INTERVAL_S
+    rotation = Rotation.from_quat(row[3:7], scalar_first=True)
+    rates = np.concatenate([row[7:10], rotation.apply(row[10:13])])
+    displacement = rates * seconds + 0.5 * row[13:] / mass_kg * seconds**2
+    return Pose.from_rotation(vector(row[:3] + displacement[:3]), Rotation.from_rotvec(displacement[3:]) * rotation)
+
+
+def _same_rows(rows: NDArray[np.float64], expected: NDArray[np.float64]) -> bool:
+    size = np.abs(expected).max(axis=0, initial=0.0)
+    return bool((np.abs(rows - expected) <= SAME_MOTION * np.maximum(size, 1e-3)).all())

@@ -1,0 +1,302 @@
+"""Compare two training configurations in physical terms: where a policy was trained, and where it runs.
+
+Example:
+    >>> from gauge_envs.tools.sanity import compare
+    >>> comparison = compare("mujoco", "mujoco", only=["gravity"])
+    >>> [row.id for row in comparison.rows][:2]
+    ['step', 'gravity']
+"""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, closing
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from typing import Any
+
+import numpy as np
+
+from gauge_envs.files import json_ready, versions
+from gauge_envs.runs.rollout import DeclinedError
+from gauge_envs.scene import GRAVITY_M_PER_S2
+from gauge_envs.tools.sanity.measure import Engine, Measurements, TimeLimitError, simulation_limit_s, subject_of
+from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Need, TrainingConfiguration
+from gauge_envs.tools.sanity.phenomena import CAPACITY_ID, GRAVITY_ID, ROBOT_IDS, phenomenon, selection
+from gauge_envs.tools.sanity.phenomena.base import Phenomenon
+from gauge_envs.tools.sanity.stacks import configuration
+from gauge_envs.tools.sanity.target_checks import GRAVITY_ROW
+
+SLOPE_DEG = 30.0
+"""Slope of the boards on which cubes slide [degrees]."""
+
+STEP_RATIO = 0.01
+"""Relative difference of two steps that counts as none."""
+
+FRICTION_SLIDES = {"slide-wood": "straight", "slide-turned": "turned by 45 degrees"}
+"""Slides that show the friction that a foot meets, and their direction."""
+
+REBOUND = "rebound-slow"
+"""Rebound that shows the restitution that a foot meets: feet land at 2 m/s at most."""
+
+
+class Change(StrEnum):
+    """Size of the difference between two configurations."""
+
+    NONE = "same"
+    """At most the half-width of the interval of reality: no real trial could resolve it."""
+    VISIBLE = "visible"
+    """At most 2.5 half-widths."""
+    LARGE = "large"
+    """More, or one of the two fails."""
+    UNKNOWN = "unknown"
+    """One of the two was not measured."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ChangeRow:
+    """One quantity in both configurations.
+
+    Attributes:
+        id: Id of the phenomenon, or `step`, `gravity`, `foot-straight`, `foot-turned`, `foot-restitution`.
+        title: Title.
+        unit: Unit of both values; `1` for a pure number.
+        trained: Value where the policy was trained; None when unknown.
+        deployed: Value where it runs; None when unknown.
+        tolerance: Difference up to which both count as the same.
+        change: Size of the difference.
+        remark: Why a value is unknown or failed; empty otherwise.
+    """
+
+    id: str
+    title: str
+    unit: str
+    trained: float | None
+    deployed: float | None
+    tolerance: float
+    change: Change
+    remark: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Comparison:
+    """Two configurations against each other.
+
+    Attributes:
+        trained: Configuration in which the policy was trained.
+        deployed: Configuration in which it runs.
+        rows: The quantities; what is not simulated comes first.
+        versions: Versions of the packages.
+        wall_s: Time that the comparison took [s].
+    """
+
+    trained: TrainingConfiguration
+    deployed: TrainingConfiguration
+    rows: tuple[ChangeRow, ...]
+    versions: Mapping[str, str]
+    wall_s: float
+
+    @property
+    def changed(self) -> tuple[ChangeRow, ...]:
+        """The rows that change: a large change first, then by half-widths of the interval, to two digits."""
+        changed = (row for row in self.rows if row.change in (Change.VISIBLE, Change.LARGE))
+        return tuple(sorted(changed, key=lambda row: (row.change is not Change.LARGE, -float(f"{_size(row):.2g}"))))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return all attributes, JSON-ready."""
+        # The targets' own models are not written.
+        bare = {name: replace(getattr(self, name), robot=None) for name in ("trained", "deployed")}
+        return json_ready(asdict(replace(self, **bare)))
+
+
+def compare(
+    trained: Any,
+    deployed: Any,
+    *,
+    only: Sequence[str] = (),
+    include_deformables: bool = False,
+    time_limit_s: float | None = None,
+) -> Comparison:
+    """Return what changes in physical terms between two configurations, each on its own engine.
+
+    Args:
+        trained: A `TrainingConfiguration`, or a target of `gauge_envs.tools.sanity.configuration`.
+        deployed: The other one.
+        only: Ids of phenomena or patterns such as `creep-*`; all when empty.
+        include_deformables: Whether to measure phenomena of deformable bodies.
+        time_limit_s: Time after which no simulation starts any more [s]; None for no limit.
+    """
+    started = time.perf_counter()
+    chosen = selection(only, include_deformables=include_deformables)
+    targets = [configuration(target) for target in (trained, deployed)]
+    with ExitStack() as stack:
+        names = dict.fromkeys(target.backend for target in targets)
+        engines = {name: stack.enter_context(closing(Engine(name, simulation_limit_s(time_limit_s)))) for name in names}
+        limit_s = math.inf if time_limit_s is None else time_limit_s
+        known = {name: Measurements(engine, time_limit_s=limit_s) for name, engine in engines.items()}
+        sides = [_Side(target, known[target.backend]) for target in targets]
+        rows = [_step_row(sides)]
+        if GRAVITY_ID in chosen:
+            rows.append(_gravity_row(sides))
+        simulated = [phenomenon(name) for name in chosen if name not in (GRAVITY_ID, CAPACITY_ID, *ROBOT_IDS)]
+        measured = {one.id: _measured_row(one, sides) for one in simulated}
+    found = {name: version for engine in engines.values() for name, version in engine.versions.items()}
+    return Comparison(
+        trained=targets[0],
+        deployed=targets[1],
+        rows=(*rows, *_friction_rows(sides, measured), *_restitution_rows(sides, measured), *measured.values()),
+        versions={**found, **versions()},
+        wall_s=time.perf_counter() - started,
+    )
+
+
+class _Side:
+    """One configuration and the measurements on its engine."""
+
+    def __init__(self, configuration: TrainingConfiguration, measurements: Measurements) -> None:
+        self.configuration = configuration
+        self._measurements = measurements
+
+    def value(self, phenomenon: Phenomenon) -> tuple[float | None, str]:
+        """Return the value with the worst set of contact constants, and a remark."""
+        subject = subject_of(self._measurements, self.configuration, phenomenon)
+        if subject.inapplicable:
+            return None, subject.inapplicable
+        try:
+            worst = subject.worst()
+        except TimeLimitError:
+            return None, "not measured within the time limit"
+        return worst.value, worst.remark
+
+    def step_s(self) -> float | None:
+        """Return the step for a cube on a board [s]; None when the backend declines the scene."""
+        scenario = phenomenon("slide-wood").scenario
+        try:
+            force = self._measurements.in_force(scenario, next(iter(self.configuration.contact_sets.values())))
+        except DeclinedError:
+            return None
+        step = force.get("timestep_s")
+        return None if step is None else float(step)
+
+    def gravity(self) -> tuple[float, np.ndarray]:
+        """Return the size of gravity, and its components along and across the ground, shape [2]."""
+        gravity = self.configuration.gravity_m_per_s2
+        if Need.GRAVITY in self.configuration.inapplicable:
+            return 0.0, np.zeros(2)
+        if gravity is None:
+            return GRAVITY_M_PER_S2, np.array([-GRAVITY_M_PER_S2, 0.0])
+        vector, up = np.asarray(gravity), np.asarray(self.configuration.up)
+        along = float(vector @ up)
+        return float(np.linalg.norm(vector)), np.array([along, float(np.linalg.norm(vector - along * up))])
+
+    def stated_friction(self) -> float | None:
+        """Return the sliding friction of a foot on the ground; None when the target states none."""
+        if self.configuration.foot_contact is not None:
+            return self.configuration.foot_contact.mean_friction
+        used = [group.constants for group in self.configuration.contact_groups if group.is_used]
+        return float(used[0]["friction"][0]) if used else None
+
+    def restitution(self, rebound: float | None, real: float) -> float | None:
+        """Return the restitution that a foot meets, by the rebounds of a ball and of a real one; None if unknown."""
+        foot = self.configuration.foot_contact
+        if foot is None:
+            return None
+        if not any(foot.restitution):
+            return 0.0
+        return None if rebound is None else foot.mean_restitution * rebound / real
+
+
+# --- rows ------------------------------------------------------------------------------------------------------------
+
+
+def _row(
+    name: str, title: str, unit: str, values: Sequence[float | None], tolerance: float, remarks: Sequence[str] = ()
+) -> ChangeRow:
+    """Return the row on a value where the policy was trained, and where it runs."""
+    trained, deployed = values
+    shown = [f"{where}: {text}" for where, text in zip(("trained", "deployed"), remarks, strict=False) if text]
+    return ChangeRow(
+        id=name,
+        title=title,
+        unit=unit,
+        trained=trained,
+        deployed=deployed,
+        tolerance=tolerance,
+        change=_change(trained, deployed, tolerance),
+        remark="; ".join(shown),
+    )
+
+
+def _measured_row(one: Phenomenon, sides: Sequence[_Side]) -> ChangeRow:
+    values, remarks = zip(*(side.value(one) for side in sides), strict=True)
+    return _row(one.id, one.title, one.unit, values, one.reality.tolerance, remarks)
+
+
+def _step_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on the step. A difference is visible at most, since it may do no harm."""
+    steps = [side.step_s() for side in sides]
+    row = _row("step", "step of the engine", "s", steps, STEP_RATIO * max(abs(step or 0.0) for step in steps))
+    return replace(row, change=Change.VISIBLE) if row.change is Change.LARGE else row
+
+
+def _gravity_row(sides: Sequence[_Side]) -> ChangeRow:
+    """Return the row on gravity, by the length of the difference of both."""
+    (trained, first), (deployed, second) = (side.gravity() for side in sides)
+    apart, tolerance = float(np.linalg.norm(first - second)), GRAVITY_ROW.reality.tolerance
+    remark = "the directions differ" if apart > abs(trained - deployed) + tolerance else ""
+    row = _row(GRAVITY_ID, GRAVITY_ROW.title, GRAVITY_ROW.unit, (trained, deployed), tolerance)
+    return replace(row, change=_change(0.0, apart, tolerance), remark=remark)
+
+
+def _friction_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the friction that a foot meets: the stated coefficient times what a cube meets of its own."""
+    found: list[ChangeRow] = []
+    stated = [side.stated_friction() for side in sides]
+    has_both = None not in stated
+    known = [1.0 if mu is None or not has_both else mu for mu in stated]
+    feet = [side.configuration.foot_contact for side in sides]
+    for name, direction in FRICTION_SLIDES.items():
+        if name not in rows:
+            continue
+        slide = phenomenon(name)
+        real = _friction(slide.reality.value)
+        measured = (rows[name].trained, rows[name].deployed)
+        values = [None if a is None else _friction(a) / real * mu for a, mu in zip(measured, known, strict=True)]
+        tolerance = slide.reality.tolerance / (GRAVITY_M_PER_S2 * math.cos(math.radians(SLOPE_DEG))) / real * max(known)
+        title = f"friction that a {'foot' if has_both else 'cube'} meets, {direction}"
+        title += "" if has_both else ", over the stated one"
+        remarks = ["" if foot is None else foot.text for foot in feet] if has_both and not found else []
+        found.append(_row(f"foot-{direction.split(' ')[0]}", title, "1", values, tolerance, remarks))
+    return found
+
+
+def _restitution_rows(sides: Sequence[_Side], rows: Mapping[str, ChangeRow]) -> list[ChangeRow]:
+    """Return the restitution that a foot meets: the stated one times what a ball keeps of its own."""
+    row = rows.get(REBOUND)
+    if row is None:
+        return []
+    reality, measured = phenomenon(REBOUND).reality, (row.trained, row.deployed)
+    values = [side.restitution(value, reality.value) for side, value in zip(sides, measured, strict=True)]
+    if None in values:
+        return []
+    return [_row("foot-restitution", "restitution that a foot meets", "1", values, reality.tolerance)]
+
+
+def _change(trained: float | None, deployed: float | None, tolerance: float) -> Change:
+    if trained is None or deployed is None:
+        return Change.UNKNOWN
+    difference = abs(trained - deployed)
+    if difference <= tolerance:
+        return Change.NONE
+    return Change.VISIBLE if difference <= VISIBLE_WITHIN * tolerance else Change.LARGE
+
+
+def _size(row: ChangeRow) -> float:
+    assert row.trained is not None and row.deployed is not None, "only known rows change"
+    return abs(row.trained - row.deployed) / row.tolerance
+
+
+def _friction(acceleration_m_per_s2: float) -> float:
+    """Return the friction with which a cube slides with an acceleration on the slope."""
+    slope = math.radians(SLOPE_DEG)
+    return math.tan(slope) - acceleration_m_per_s2 / (GRAVITY_M_PER_S2 * math.cos(slope))

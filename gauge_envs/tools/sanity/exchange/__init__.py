@@ -1,1 +1,0 @@
-"""Scenes of a sanity check for other simulators, and the motion that comes back."""

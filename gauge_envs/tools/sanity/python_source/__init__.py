@@ -1,1 +1,0 @@
-"""Values that packages state in their Python source, read without importing the packages."""

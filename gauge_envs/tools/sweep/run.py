@@ -1,0 +1,58 @@
+"""The run of what is left of a sweep, on workers."""
+
+from __future__ import annotations
+
+from collections.abc import Generator, Iterable, Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from gauge_envs.runs.pool import TaskWorker, run_tasks
+from gauge_envs.runs.result import Outcome, Result
+from gauge_envs.tools.sweep.folder import create_folder, write_episode
+from gauge_envs.tools.sweep.plan import SweepTask
+
+
+def run_sweep(
+    tasks: Iterable[SweepTask], workers: Sequence[TaskWorker], folder: Path
+) -> Generator[list[Result], None, None]:
+    """Run tasks on workers at once, and yield the results of each after they are written.
+
+    Args:
+        tasks: The tasks.
+        workers: The workers, which are closed at the end.
+        folder: Folder of the result files, created if it does not exist.
+
+    Example:
+        >>> from tempfile import TemporaryDirectory
+        >>> from gauge_envs.runs.pool import Limits, ProcessWorker
+        >>> from gauge_envs.tools.sweep.plan import plan_sweep, remaining_tasks
+        >>> from gauge_envs.tools.sweep.spec import sweep_spec
+        >>> plan = plan_sweep(sweep_spec({"variants": ["SlopeSlider-2-*"], "settings": {"timestep_s": [1 / 1800]}}))
+        >>> with TemporaryDirectory() as folder:
+        ...     done = list(run_sweep(remaining_tasks(plan, ()), [ProcessWorker(Limits())], Path(folder)))
+        >>> [result.outcome.value for results in done for result in results]
+        ['finished', 'finished', 'finished']
+    """
+    create_folder(folder)
+    return run_tasks(tasks, workers, partial(_perform, folder=folder))
+
+
+def _perform(worker: TaskWorker, task: SweepTask, *, folder: Path) -> list[Result]:
+    """Run a task and write its results."""
+    results = [_verified(task, result) for result in worker.run(task.request)]
+    for result, name in zip(results, task.file_names, strict=True):
+        write_episode(folder, result, name)
+    return results
+
+
+def _verified(task: SweepTask, result: Result) -> Result:
+    """Return a result, or a failure if other versions made it than the plan states."""
+    if result.trajectory is None:
+        return result
+    for package, planned in task.run.versions.items():
+        found = result.versions.get(package)
+        if found != planned:
+            reason = f"made with {package} {found}, planned with {planned}: install the same versions on every machine"
+            return replace(result, outcome=Outcome.FAILED, error=reason, trajectory=None)
+    return result

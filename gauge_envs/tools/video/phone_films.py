@@ -1,0 +1,401 @@
+"""Judge a film of a phone: a frontal picture of the plane of motion, made by a camera file or a board in the film.
+
+With a ChArUco board in every frame the camera may be held by hand: its lens follows from the film, and its pose from
+each frame. What is judged is the object in a box of the first frame.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image
+
+from gauge_envs.errors import ParameterError, UnknownNameError, VideoError
+from gauge_envs.evaluation.estimators import restitution_of_flights, slide_friction
+from gauge_envs.files import os_errors
+from gauge_envs.scene.geometry import FloatArray
+from gauge_envs.tools.video import laws
+from gauge_envs.tools.video.frames import Frames, Picture, cv2
+from gauge_envs.tools.video.plane import Board, Lens, PlaneView, PointPairs, frontal_task, frontal_track
+from gauge_envs.tools.video.scoring import Grade, VideoScore, noise_px, score_track
+from gauge_envs.tools.video.tasks import REFERENCE_SIZE_PX, Motion, VideoTask, video_task
+from gauge_envs.tools.video.track import Track
+from gauge_envs.tools.video.tracker import track_object
+
+SLOPE = "SlopeSlider-2-wood"
+MOTIONS = {"slide": SLOPE, "roll": SLOPE, "fall": "BouncingBall-rubber", "pendulum": "Pendulum-metal"}
+"""Tasks whose laws judge films of a phone, by the name of the motion."""
+
+SQUARES = np.array([7, 5])
+"""Squares of the board across and down."""
+
+DPI = 300
+"""Least resolution of the printed board [dots per inch]."""
+
+LEAST_CORNERS, MOST_UNSEEN = 8, 0.3
+"""Fewest corners of the board by which a frame is placed, and largest share of frames without them."""
+
+MOST_CALIBRATED = 30
+"""Most frames from which the lens is found."""
+
+MOST_COARSE = 1.5
+"""Largest size of a pixel of the frontal picture, in pixels of the reference grid at the middle of the film."""
+
+LEVEL_SIGMA_RAD = math.radians(0.3)
+"""Standard uncertainty of the slope of a slide: that of a level, or of the upper edge of the board."""
+
+LEAST_FALL, REACH = 0.05, 4
+"""Share of the drop that a fall and a rebound have at least, and frames beside an impact in which it shows."""
+
+DRAWS = 40
+"""Simulated tracks from which the interval of a material's constant is taken."""
+
+MOST_GRAVITY = 0.2
+"""Largest share by which the gravity of a fall or a swing differs: a swing of a radian takes 0.12."""
+
+LEAST_FLIGHT = 5
+"""Fewest frames of a flight between two impacts."""
+
+
+def charuco() -> Any:
+    """Return OpenCV's board with squares of length 1."""
+    words = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    return cv2.aruco.CharucoBoard(tuple(map(int, SQUARES)), 1.0, 0.75, words)
+
+
+def save_board(path: Path, square_mm: float) -> Path:
+    """Write the board with a bar of 100 mm, PNG or PDF in its true size, and return its path."""
+    if path.suffix not in (".png", ".pdf") or not 5.0 <= square_mm <= 200.0:
+        raise ParameterError(f"{path}, square_mm={square_mm:g}: give a .png or .pdf, and squares of 5 to 200 mm")
+    side = math.ceil(DPI * square_mm / 25.4)
+    sheet = cv2.copyMakeBorder(charuco().generateImage(tuple(map(int, SQUARES * side))), *[side // 2] * 4, 0, value=255)
+    low, bar = sheet.shape[0] - side // 3, round(100.0 * side / square_mm)
+    sheet[low : low + side // 12, side // 2 : side // 2 + bar] = 0
+    text = f"100 mm; squares {square_mm:g} mm"
+    cv2.putText(sheet, text, (side // 2, sheet.shape[0] - side // 12), 0, side / 250.0, 0, max(1, side // 120))
+    dpi = 25.4 * side / square_mm
+    with os_errors(lambda cause: VideoError(f"{path}: cannot be written: {cause}")):
+        Image.fromarray(sheet).save(path, dpi=(dpi, dpi), resolution=dpi)
+    return path
+
+
+class FrontalFilm(Frames):
+    """Frontal picture of the plane of motion in a film, on the reference grid.
+
+    Args:
+        source: The film.
+        view: How it sees the plane; by a board, the pose is found in each frame.
+
+    Attributes:
+        camera: How the first frame sees the plane, with the uncertainty of the calibration.
+    """
+
+    def __init__(self, source: Frames, view: PlaneView) -> None:
+        if source.size_px != view.size_px:
+            raise VideoError(
+                f"{source.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}"
+            )
+        self.name = source.name
+        self.fps = source.fps
+        self.size_px = REFERENCE_SIZE_PX
+        self._source = source
+        self.camera = view
+        self._views: list[PlaneView | None] | None = None
+        if isinstance(view.source, Board):
+            self._views = _board_views(source, view, view.source)
+            self.camera = self._views[0] or view
+        width, height = source.size_px
+        border = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]) * (width, height)
+        places_m = self.camera.to_plane_m(border)
+        extent_m = places_m.max(axis=0) - places_m.min(axis=0)
+        # What a slanted view shows far away would leave few pixels for the rest.
+        finest_m_per_px = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
+        whole_m_per_px = float((extent_m / REFERENCE_SIZE_PX).max())
+        self.scale = min(whole_m_per_px, MOST_COARSE * finest_m_per_px)
+        self._blur_px = 0.4 * self.scale / finest_m_per_px * width / REFERENCE_SIZE_PX[0]
+        middle_m = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
+        self._origin_px = 0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
+        self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
+        # What a moving camera uncovers is seen from the start, so that the scene stays the same.
+        for _ in self.native():
+            pass
+
+    @property
+    def times_s(self) -> FloatArray | None:
+        """Times of the frames that show the board [s]; None when they follow from the rate."""
+        times = self._source.times_s
+        if self._views is None or None not in self._views:
+            return times
+        kept = np.array([one is not None for one in self._views])
+        return (np.arange(len(kept)) / self.fps if times is None else times)[kept]
+
+    def native(self) -> Iterator[Picture]:
+        """Yield the frontal pictures of the frames that show the board; what a frame does not show stays."""
+        frontal = np.array(
+            [[1.0 / self.scale, 0.0, self._origin_px[0]], [0.0, -1.0 / self.scale, self._origin_px[1]], [0, 0, 1]]
+        )
+        maps: Any = None
+        for number, picture in enumerate(self._source.native()):
+            view = self.camera if self._views is None else self._views[number]
+            if view is None:
+                continue
+            if maps is None or self._views is not None:
+                lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
+                plane = view.source.to_plane(view.lens)
+                maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
+            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur_px) if self._blur_px > 0.5 else picture
+            cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
+            yield self._canvas.copy()
+
+    def to_grid_px(self, points_px: FloatArray) -> FloatArray:
+        """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
+        return self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale + self._origin_px
+
+    def seen(self, track: Track) -> Track:
+        """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
+        places = np.full(track.points_px.shape, np.nan)
+        plane_m = (track.points_px[track.is_found] - self._origin_px) * (self.scale, -self.scale)
+        shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
+        places[track.is_found] = self.camera.to_picture_px(plane_m) * shrinkage
+        return replace(track, points_px=places, size_ratio=np.full(len(places), np.nan), registration=None)
+
+    def task(self, motion: str, box_px: Sequence[float]) -> VideoTask:
+        """Return the task of an object in a box of the first frame: left, top, width and height [px]."""
+        if motion not in MOTIONS:
+            raise UnknownNameError("motion of a film", motion, list(MOTIONS))
+        left, top, width, height = box_px
+        corners = np.array([[left, top], [left + width, top], [left + width, top + height], [left, top + height]])
+        places = self.to_grid_px(corners)
+        size = math.sqrt(cv2.contourArea(places.astype(np.float32)))
+        centre, pivot = places.mean(axis=0), self.camera.pivot_m
+        return replace(
+            video_task(MOTIONS[motion]),
+            id=motion,
+            size_m=size * self.scale,
+            size_px=size,
+            centre_px=(float(centre[0]), float(centre[1])),
+            pivot_px=None if pivot is None else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
+            real={},
+        )
+
+
+Corners: TypeAlias = tuple[FloatArray, FloatArray]
+"""Corners of the board in a frame: places on the board [m], shape [count, 3], and in the picture [px], [count, 2]."""
+
+
+def _board_views(source: Frames, view: PlaneView, board: Board) -> list[PlaneView | None]:
+    """Return how each frame sees the plane, with the uncertainty of the first; None without a board."""
+    # To the right and up from the middle of the board, and towards the camera.
+    middle = np.array([*(0.5 * SQUARES), 0.0])
+    corners_m = (charuco().getChessboardCorners() - middle) * [1.0, -1.0, 0.0] * board.square_m
+    found = _board_corners(source, corners_m)
+    seen = [corners for corners in found if corners is not None]
+    lens = view.lens or _calibrated(seen, source.size_px)
+    outer_m = corners_m[[0, SQUARES[0] - 2, -1, 1 - SQUARES[0]]]
+    plane_m = outer_m + np.array([0.0, 0.0, board.offset_m])
+    uncertainty: dict[str, float] = {}
+    views: list[PlaneView | None] = []
+    for corners in found:
+        if corners is None:
+            views.append(None)
+            continue
+        places_m, places_px = corners
+        # The pose of the board in the frame of the camera: a rotation vector and a translation.
+        _, turn, away = cv2.solvePnP(places_m, places_px, *lens.coefficients)
+        if not uncertainty:
+            missed_px = _projected_px(places_m, turn, away, lens) - places_px
+            tilt = board.offset_sigma_m / float(np.linalg.norm(away))
+            # Each of four points is drawn on its own, so an error that all share is counted twice as large.
+            sigma_m = 2.0 * math.hypot(board.sigma_m, tilt * np.linalg.norm(outer_m[0]))
+            uncertainty = {"sigma_px": float(missed_px.std()), "sigma_m": sigma_m}
+        plane_px = _projected_px(plane_m, turn, away, lens)
+        pairs = PointPairs(px=plane_px.tolist(), m=outer_m[:, :2].tolist(), **uncertainty)
+        views.append(replace(view, lens=lens, source=pairs))
+    return views
+
+
+def _board_corners(source: Frames, corners_m: FloatArray) -> list[Corners | None]:
+    """Return the corners of the board in each frame; None where too few are seen."""
+    detector = cv2.aruco.CharucoDetector(charuco())
+    found: list[Corners | None] = []
+    for picture in source.native():
+        places, ids, *_ = detector.detectBoard(cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY))
+        if ids is None or len(ids) < LEAST_CORNERS:
+            found.append(None)
+        else:
+            found.append((corners_m[ids.ravel()], places.reshape(-1, 2).astype(float)))
+    unseen = [str(number) for number, corners in enumerate(found) if corners is None]
+    if found[0] is None or len(unseen) > MOST_UNSEEN * len(found):
+        raise VideoError(
+            f"{source.name}: {LEAST_CORNERS} corners of the board must be seen in the first frame and in "
+            f"{1.0 - MOST_UNSEEN:.0%} of all; {len(unseen)} of {len(found)} lack them: {', '.join(unseen[:9])}"
+        )
+    return found
+
+
+def _projected_px(places_m: FloatArray, turn: Any, away: Any, lens: Lens) -> FloatArray:
+    """Return where the camera sees places on the board [px], shape [count, 2]."""
+    places_px, _ = cv2.projectPoints(places_m, turn, away, *lens.coefficients)
+    return np.asarray(places_px[:, 0])
+
+
+def _calibrated(seen: list[Corners], size_px: tuple[int, int]) -> Lens:
+    """Return the lens by which a film sees the board: its focal length and one coefficient of distortion."""
+    chosen = seen[:: math.ceil(len(seen) / MOST_CALIBRATED)]
+    start = np.array([[size_px[0], 0.0, 0.5 * size_px[0]], [0.0, size_px[0], 0.5 * size_px[1]], [0.0, 0.0, 1.0]])
+    names = ("USE_INTRINSIC_GUESS", "FIX_PRINCIPAL_POINT", "FIX_ASPECT_RATIO", "ZERO_TANGENT_DIST", "FIX_K2", "FIX_K3")
+    fixed = sum(getattr(cv2, f"CALIB_{name}") for name in names)
+    objects, pictures = ([one[part].astype(np.float32) for one in chosen] for part in (0, 1))
+    _, matrix, bent, *_ = cv2.calibrateCamera(objects, pictures, size_px, start, None, flags=fixed)
+    return Lens(matrix=matrix.tolist(), distortion=(float(bent.flat[0]), 0.0))
+
+
+def score_phone_film(
+    film: FrontalFilm, motion: str, box_px: Sequence[float], *, angle_deg: float | None = None
+) -> VideoScore:
+    """Follow the object in a box of the first frame, and judge its motion with what it says of the material.
+
+    Args:
+        film: The film.
+        motion: `slide`, `roll`, `fall` or `pendulum`.
+        box_px: Left, top, width and height of the box [px].
+        angle_deg: Slope of a slide or roll [degrees]; that of its motion in the plane if None.
+
+    Returns:
+        The result; its track is on the grid of the frontal film. It is invalid if it has another gravity than the
+        Earth's, or a constant that no material has.
+    """
+    task = film.task(motion, box_px)
+    inertia = film.camera.inertia_factor
+    if (motion == "roll") != (inertia is not None):
+        raise VideoError(f"{film.name}: a roll, and no other motion, needs motion.inertia_factor in the camera file")
+    track = track_object(film, task)
+    seen = film.seen(track)
+    result = score_track(seen, task, name=film.name, camera=film.camera)
+    if result.interval_frames is None:
+        return replace(result, track=track)
+    plane = frontal_task(film.camera, seen, task)
+    if task.motion is Motion.SLIDE:
+        name = "friction" if inertia is None else "rolling_resistance"
+        value, interval = resistance(result, plane, angle_deg, inertia or 0.0)
+    else:
+        name = "restitution" if task.motion is Motion.FALL else "damping_per_s"
+        value, interval = _drawn(seen, task, film.camera, result)
+    gravity = result.metrics["a_m_s2"] if task.motion is Motion.FALL else laws.GRAVITY_M_PER_S2
+    if plane.pivot_px is not None and (period_s := result.metrics["pd_s"]):
+        arms_px = np.subtract(frontal_track(film.camera, seen, plane).points_px[seen.is_found], plane.pivot_px)
+        gravity = (2.0 * math.pi / period_s) ** 2 * plane.scale_m_per_px * float(np.linalg.norm(arms_px, axis=1).mean())
+    faults = [f"{name} is below 0"] if interval and interval[1] < 0.0 else []
+    if gravity is not None and abs(gravity / laws.GRAVITY_M_PER_S2 - 1.0) > MOST_GRAVITY:
+        faults.append(f"gravity is {gravity:.3g} m/s^2")
+    reasons = [
+        f"{one}: give fps= of the camera if the film is in slow motion, and check the camera file" for one in faults
+    ]
+    return replace(
+        result,
+        track=track,
+        grade=Grade.INVALID if faults else result.grade,
+        reasons=(*reasons, *result.reasons),
+        metrics={**result.metrics, name: value},
+        uncertainty={**result.uncertainty, name: interval},
+    )
+
+
+def swing_log(film: FrontalFilm, result: VideoScore) -> str:
+    """Return the swing of a scored film as a log of `gauge recipe joint`: CSV of times and angles from the release."""
+    first = 0 if result.interval_frames is None else result.interval_frames[0]
+    seen = film.seen(result.track)
+    task = frontal_task(film.camera, seen, video_task(MOTIONS["pendulum"]))
+    track = frontal_track(film.camera, seen, task)
+    used = track.is_found & (track.frames >= first)
+    clock, angles = track.times_s[used], laws.swing_angles_rad(track, task)[used]
+    rows = [f"{time:.6f},{angle:.6f}" for time, angle in zip(clock - clock[0], angles, strict=True)]
+    return "\n".join(["time_s,position_rad", *rows, ""])
+
+
+Estimate: TypeAlias = tuple[float | None, tuple[float, float] | None]
+"""A value and its interval of 95 %; None where the film does not show it."""
+
+
+def resistance(result: VideoScore, task: VideoTask, angle_deg: float | None, inertia_factor: float) -> Estimate:
+    """Return the friction of a slide, or the rolling resistance of a body that rolls without slip, on its slope."""
+    assert task.direction is not None
+    a, ends = result.metrics["a_m_s2"], result.uncertainty["a_m_s2"]
+    if a is None or ends is None:
+        return None, None
+    angle = math.atan2(task.direction[1], abs(task.direction[0])) if angle_deg is None else math.radians(angle_deg)
+
+    # A body that rolls has the inertia m (1 + k): it slides like one under the gravity g / (1 + k).
+    gravity = laws.GRAVITY_M_PER_S2 / (1.0 + inertia_factor)
+
+    def friction(a_m_s2: float, more_rad: float = 0.0) -> float:
+        return slide_friction(a_m_s2, angle + more_rad, gravity_m_per_s2=gravity)
+
+    tilt = 1.96 * abs(friction(a, LEVEL_SIGMA_RAD) - friction(a))
+    below, above = friction(a) - friction(ends[1]), friction(ends[0]) - friction(a)
+    return friction(a), (friction(a) - math.hypot(below, tilt), friction(a) + math.hypot(above, tilt))
+
+
+def _drawn(seen: Track, task: VideoTask, camera: PlaneView, result: VideoScore) -> Estimate:
+    """Return the restitution of a drop or the damping of a swing over simulated noise and calibrations."""
+    assert result.interval_frames is not None
+    first, last = np.searchsorted(seen.frames, result.interval_frames)
+    rng, noise = np.random.default_rng(0), noise_px(seen, (first, last))
+    rows = np.flatnonzero(seen.is_found[: last + 1])
+    period, damping = result.metrics["pd_s"], result.details.get("damping_per_s", 0.0)
+
+    def judged(view: PlaneView, sample: Track) -> float:
+        frontal = frontal_task(view, sample, task)
+        track = frontal_track(view, sample, frontal)
+        if period is None:
+            return restitution(track, frontal)
+        angles = laws.swing_angles_rad(track, frontal)
+        guess = (damping, 2.0 * math.pi / period)
+        swung = rows[rows >= first]
+        return laws.fit_damped_oscillation(track.times_s[swung], angles[swung], guess=guess).damping_per_s
+
+    try:
+        values = [judged(camera, seen)]
+        for _ in range(DRAWS):
+            moved = replace(seen, points_px=seen.points_px + rng.normal(0.0, noise, seen.points_px.shape))
+            values.append(judged(camera.drawn(rng), moved))
+    except ParameterError:
+        return None, None
+    half = 1.96 * float(np.std(values[1:], ddof=1))
+    return values[0], (values[0] - half, values[0] + half)
+
+
+def restitution(track: Track, task: VideoTask) -> float:
+    """Return the mean ratio of the speeds after and before the impacts of a ball; see `restitution_of_flights`."""
+    rows = np.flatnonzero(track.is_found)
+    heights_m = -task.scale_m_per_px * track.points_px[rows, 1]
+    flights = _flights(heights_m)
+    if len(flights) < 2:
+        raise ParameterError(f"restitution: two flights of {LEAST_FLIGHT} frames are needed")
+    return restitution_of_flights(track.times_s[rows], heights_m, flights)
+
+
+def _flights(heights_m: FloatArray) -> list[NDArray[np.intp]]:
+    """Return the samples of each flight of a ball between its impacts, up to the first flight that is too short."""
+    drop_m = float(np.ptp(heights_m))
+    start = int(np.flatnonzero(heights_m < heights_m[0] - LEAST_FALL * drop_m)[0])
+    cuts = [start - 2]
+    for row in range(start + 1, len(heights_m) - 1):
+        is_lowest = heights_m[row] < heights_m[row - 1] and heights_m[row] <= heights_m[row + 1]
+        beside_m = heights_m[max(0, row - REACH) : row + REACH + 1]
+        if is_lowest and np.ptp(beside_m) > LEAST_FALL * drop_m:
+            cuts.append(row)
+    cuts.append(len(heights_m) + 1)
+    flights = []
+    for low, high in pairwise(cuts):
+        # The frames beside an impact may be exposed across it.
+        flight = np.arange(low + 2, high - 1)
+        if len(flight) < LEAST_FLIGHT:
+            break
+        flights.append(flight)
+    return flights

@@ -1,0 +1,121 @@
+"""The figure of error over cost shows every engine, its limits, and hostile names as text."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter
+
+pytest.importorskip("matplotlib")
+
+from lessons import DATA, LessonError, lessons
+from pareto_model import Family, Phenomenon, Point, Tradeoff
+from pareto_words import draw_pareto
+
+from gauge_envs.pages.figures import save_png
+
+
+def family(backend: str, *, preset: str = "default", floor: float | None = 0.3) -> Family:
+    points = [
+        Point(
+            effort={"timestep_s": step_s},
+            settings_given={},
+            step_s=step_s,
+            cost=1e-4 / step_s,
+            cost_most=1e-4 / step_s,
+            cost_ratio=None,
+            repeats=1,
+            diverged=False,
+            numerical=100.0 * step_s,
+            to_reality=0.5,
+            is_reference=step_s == 1e-4,
+        )
+        for step_s in (1e-2, 1e-3, 1e-4)
+    ]
+    return Family(
+        backend=backend,
+        preset=preset,
+        is_default=preset == "default",
+        given={},
+        versions={},
+        points=tuple(points),
+        resolution=0.1,
+        model=None,
+        floor=floor,
+        floor_source="",
+        sufficient_step_s=1e-3,
+    )
+
+
+def made(*families: Family, unit: str = "scatter") -> Tradeoff:
+    slide = Phenomenon(
+        name="Slide $x$", ids=("GAUGE/Slide-wood",), metric="rmse", unit=unit, scatter={}, families=families
+    )
+    return Tradeoff(cost="cpu", reference="mujoco", phenomena=(slide,), versions={}, notes=())
+
+
+def test_the_legend_names_every_family_and_limit() -> None:
+    figure = draw_pareto(made(family("mujoco"), family("mujoco", preset="out_of_box"), family("my_engine")))
+    (legend,) = figure.legends
+    names = [text.get_text() for text in legend.get_texts()]
+    assert names == ["mujoco", "mujoco out_of_box", "my_engine", "scatter of real trials", "parametric floor"]
+
+
+def test_the_converged_motion_has_no_point_of_numerical_error() -> None:
+    left = draw_pareto(made(family("mujoco"))).axes[0]
+    line = max(left.get_lines(), key=lambda one: len(one.get_xdata()))
+    assert list(line.get_xdata()) == pytest.approx([1e-2, 1e-1])
+
+
+def test_a_picture_is_written(tmp_path: Path) -> None:
+    assert (
+        save_png(draw_pareto(made(family("mujoco", floor=None), unit="mm")), tmp_path / "pareto.png").stat().st_size
+        > 10_000
+    )
+
+
+@pytest.fixture(scope="module")
+def measured() -> Tradeoff:
+    values = json.loads(DATA.read_text(encoding="utf-8"))
+    return TypeAdapter(Tradeoff).validate_python(values["tradeoff"])
+
+
+def changed(found: Tradeoff, name: str, backend: str, **values: Any) -> Tradeoff:
+    """The data with other values at the coarsest step of one engine."""
+    phenomena = []
+    for phenomenon in found.phenomena:
+        families = []
+        for one in phenomenon.families:
+            if (phenomenon.name, one.name) == (name, backend):
+                coarsest = max(point.step_s or 0.0 for point in one.points)
+                points = [replace(p, **values) if p.step_s == coarsest else p for p in one.points]
+                families.append(replace(one, points=tuple(points)))
+            else:
+                families.append(one)
+        phenomena.append(replace(phenomenon, families=tuple(families)))
+    return replace(found, phenomena=tuple(phenomena))
+
+
+@pytest.mark.parametrize(
+    ("name", "backend", "values", "claim"),
+    [
+        ("SlopeSlider-2", "rapier", {"numerical": 0.5}, "needs no finer step"),
+        ("SlopeSlider-2", "rapier", {"to_reality": 0.5}, "as near as a trial"),
+        ("Turntable-3", "mujoco out_of_box", {"to_reality": 3.0}, "grows worse"),
+        ("BouncingBall", "physx", {"to_reality": 0.5}, "no step brings"),
+    ],
+)
+def test_a_lesson_that_the_data_contradict_is_an_error(
+    measured: Tradeoff, name: str, backend: str, values: dict[str, float], claim: str
+) -> None:
+    with pytest.raises(LessonError, match=claim):
+        lessons(changed(measured, name, backend, **values))
+
+
+def test_costs_state_their_repeats_and_spread(measured: Tradeoff) -> None:
+    points = [p for phenomenon in measured.phenomena for family in phenomenon.families for p in family.points]
+    assert all(p.cost_most >= p.cost > 0.0 for p in points)

@@ -1,0 +1,53 @@
+"""What differs between experiments is data: the core treats none specially, and a backend does not even see a name."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import gauge_envs
+from gauge_envs.experiments.variants import beyond_variants, task_files, variants
+
+PACKAGE = Path(gauge_envs.__file__).parent
+FAMILIES = sorted({variant.family for variant in (*variants(), *beyond_variants())})
+NAMES = sorted({*FAMILIES, *(path.stem for path in task_files() if "_" in path.stem)})
+"""Families, and the names of their files unless they are single English words."""
+
+BACKENDS = sorted((PACKAGE / "backends").rglob("*.py"))
+CORE_ROOMS = ("scene", "references", "observables", "experiments", "evaluation", "envs", "runs", "pages", "cli")
+CORE = sorted(file for room in CORE_ROOMS for file in (PACKAGE / room).rglob("*.py"))
+ID = re.compile(rf"(GAUGE/)?({'|'.join(FAMILIES)})(-[\w*-]*)?")
+
+
+def named(text: str) -> list[str]:
+    return [name for name in NAMES if re.search(rf"\b{name}\b", text)]
+
+
+def ids_in_code(text: str) -> Iterator[str]:
+    """Strings that are the name of a family or an id. Those inside a sentence are examples of messages."""
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and ID.fullmatch(node.value):
+            yield node.value
+
+
+def test_the_searches_find_a_name() -> None:
+    assert len(NAMES) > 20 and len(BACKENDS) > 30 and len(CORE) > 60
+    assert named("if scene.name == 'SlopeSlider-2-wood':") == ["SlopeSlider"]
+    assert list(ids_in_code("if name in ('Pendulum', 'GAUGE/SlopeSlider-*', 'as Funnel'): pass")) == [
+        "Pendulum",
+        "GAUGE/SlopeSlider-*",
+    ]
+
+
+@pytest.mark.parametrize("path", BACKENDS, ids=lambda path: path.relative_to(PACKAGE).as_posix())
+def test_no_backend_names_a_task(path: Path) -> None:
+    assert named(path.read_text(encoding="utf-8")) == []
+
+
+def test_the_core_treats_no_task_specially() -> None:
+    found = {path.name: list(ids_in_code(path.read_text(encoding="utf-8"))) for path in CORE}
+    assert {name: ids for name, ids in found.items() if ids} == {}
