@@ -38,8 +38,8 @@ if TYPE_CHECKING:
         load_experiment_from_asset as load_experiment_from_asset,
     )
     from gauge_envs.experiments.task_files import load_task as load_task
-    from gauge_envs.experiments.user_file import load_experiment_file as load_experiment_file
     from gauge_envs.scene.jitter import Jitter as Jitter
+    from gauge_envs.tools.usd.experiment_file import load_experiment_file as load_experiment_file
 else:
     __getattr__, __all__ = door(__name__)
     __all__ = sorted(["GaugeError", "Variant", "beyond_variants", "find_variant", "register_all", "variants", *__all__])

@@ -20,7 +20,8 @@ The file has these keys, all optional but `position`:
     [groups]                            # first word of commands of two words
     data = "Real trials and scenes."
 
-    [scene_files]                       # module with `read_scene`, `read_points` and `write_scene`
+    [scene_files]                       # module with `read_scene`, `write_scene` and those for experiment files,
+                                        # see `gauge_envs/tools/usd/files.py`
     module = "layers"
     suffixes = [".usda"]
 
@@ -55,7 +56,7 @@ class SceneFiles:
     """Scene files that an instrument reads and writes.
 
     Attributes:
-        module: Name of the module with `read_scene`, `read_points` and `write_scene`.
+        module: Name of the module, whose functions are those of `gauge_envs/tools/usd/files.py`.
         suffixes: Suffixes of the files, as `.usda`.
     """
 

@@ -21,6 +21,7 @@ from generated import write_or_check
 from numpy.typing import NDArray
 
 from gauge_envs import load_experiment
+from gauge_envs.evaluation.estimators import slide_friction
 from gauge_envs.evaluation.metrics.trajectory import trajectory_dtw, trajectory_rmse
 from gauge_envs.references.published import published_baselines
 
@@ -263,7 +264,7 @@ def slides_summary_toml(slides: dict[str, list[Slide]]) -> str:
     lines = [GENERATED, f"# Over the trials of each material of SlopeSlider-2; g = {GRAVITY_M_S2} m/s^2."]
     for material, trials in slides.items():
         acceleration = np.array([slide.quadratic()[0] / 1000 for slide in trials])
-        friction = (GRAVITY_M_S2 * math.sin(SLOPE_RAD) - acceleration) / (GRAVITY_M_S2 * math.cos(SLOPE_RAD))
+        friction = [slide_friction(one, SLOPE_RAD, gravity_m_per_s2=GRAVITY_M_S2) for one in acceleration]
         lines += ["", f"[{material}]", f"trial_count = {len(trials)}"]
         lines += [f"acceleration_m_s2 = {inline_statistics(acceleration)}", f"friction = {inline_statistics(friction)}"]
     return "\n".join(lines) + "\n"

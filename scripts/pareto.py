@@ -37,7 +37,6 @@ from gauge_envs.tools.compare.cost import (
     ErrorMeasure,
     SettingCost,
     cost_curves,
-    cost_kind,
     other_settings,
 )
 
@@ -193,14 +192,13 @@ def tradeoff(results: Iterable[Result]) -> Tradeoff:
     """
     notes: list[str] = []
     curves = cost_curves(results, notes)
-    kind = cost_kind(curves)
     groups: dict[str, list[Member]] = {}
     for curve in curves:
         groups.setdefault(_phenomenon_name(curve.first), []).append(Member.of(curve))
-    phenomena = [_phenomenon(name, group, kind, notes) for name, group in groups.items()]
+    phenomena = [_phenomenon(name, group, notes) for name, group in groups.items()]
     versions = curves[0].first.versions
     return Tradeoff(
-        cost=kind,
+        cost=curves[0].time,
         reference=f"{REFERENCE_ENGINE} with its default settings, on the same experiments",
         phenomena=tuple(phenomena),
         versions={name: versions[name] for name in ("gauge-envs", "python") if name in versions},
@@ -215,7 +213,7 @@ def _phenomenon_name(result: Result) -> str:
     return f"{name}, {result.parameters if isinstance(result.parameters, str) else 'custom'}"
 
 
-def _phenomenon(name: str, members: Sequence[Member], kind: str, notes: list[str]) -> Phenomenon:
+def _phenomenon(name: str, members: Sequence[Member], notes: list[str]) -> Phenomenon:
     """Return the families that ran all experiments of a phenomenon."""
     first = members[0].curve.measure
     ids = sorted({member.id for member in members})
@@ -231,8 +229,8 @@ def _phenomenon(name: str, members: Sequence[Member], kind: str, notes: list[str
             which = f"{one.backend} with {other_settings(one) or 'its presets'}"
             notes.append(f"{name}: {which} is left out, as it did not run {', '.join(sorted(missing))}")
             del by_key[key]
-    unit_cost = _reference_cost(by_key.values(), kind)
-    families = [_family(group, kind, unit_cost, over_scatter=over_scatter) for group in by_key.values()]
+    unit_cost = _reference_cost(by_key.values())
+    families = [_family(group, unit_cost, over_scatter=over_scatter) for group in by_key.values()]
     return Phenomenon(
         name=name,
         ids=tuple(ids),
@@ -243,7 +241,7 @@ def _phenomenon(name: str, members: Sequence[Member], kind: str, notes: list[str
     )
 
 
-def _reference_cost(groups: Iterable[Sequence[Member]], kind: str) -> float | None:
+def _reference_cost(groups: Iterable[Sequence[Member]]) -> float | None:
     """Return the cost of the reference engine with default settings; None if it did not run."""
     for group in groups:
         chosen = [
@@ -253,19 +251,19 @@ def _reference_cost(groups: Iterable[Sequence[Member]], kind: str) -> float | No
             if any(one.backend == REFERENCE_ENGINE and not one.settings_given for one in setting.results)
         ]
         if len(chosen) == len(group):
-            return _common_costs(chosen, kind)[0]
+            return _common_costs(chosen)[0]
     return None
 
 
-def _common_costs(settings: Sequence[SettingCost], kind: str) -> tuple[float, float]:
+def _common_costs(settings: Sequence[SettingCost]) -> tuple[float, float]:
     """Return the least and the most cost of settings of several experiments, over their common time."""
     spans_s = np.array([one.results[0].sim_s for one in settings])
-    costs = np.array([(min(one.costs(kind)), max(one.costs(kind))) for one in settings])
+    costs = np.array([(one.cost, max(one.costs)) for one in settings])
     least, most = spans_s @ costs / max(spans_s.sum(), 1e-9)
     return float(least), float(most)
 
 
-def _family(group: Sequence[Member], kind: str, unit_cost: float | None, *, over_scatter: bool) -> Family:
+def _family(group: Sequence[Member], unit_cost: float | None, *, over_scatter: bool) -> Family:
     """Return a family over all experiments of a phenomenon."""
     curves = [member.curve for member in group]
     first = curves[0].first
@@ -274,7 +272,7 @@ def _family(group: Sequence[Member], kind: str, unit_cost: float | None, *, over
     for one in curves[0].settings:
         found = [(member, number) for member in group for number in _numbers(member.curve, one.effort)]
         if len(found) == len(group):
-            points.append(_point(found, units, kind, unit_cost))
+            points.append(_point(found, units, unit_cost))
     presets = dict.fromkeys(str(one.results[0].settings.get("preset", "")) for c in curves for one in c.settings)
     given = other_settings(first)
     family = Family(
@@ -309,9 +307,9 @@ def with_floor(family: Family, measures: Sequence[ErrorMeasure], *, over_scatter
     )
 
 
-def _point(found: Sequence[tuple[Member, int]], units: Sequence[float], kind: str, unit_cost: float | None) -> Point:
+def _point(found: Sequence[tuple[Member, int]], units: Sequence[float], unit_cost: float | None) -> Point:
     settings = [member.curve.settings[number] for member, number in found]
-    cost, cost_most = _common_costs(settings, kind)
+    cost, cost_most = _common_costs(settings)
     # The shortest request for the setting is that of a user.
     given = min((one.settings_given for one in settings[0].results), key=len)
     return Point(

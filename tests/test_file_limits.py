@@ -21,7 +21,6 @@ from gauge_envs.errors import AssetError, GaugeError, ReferenceFileError, TaskFi
 from gauge_envs.evaluation import trajectory_file
 from gauge_envs.evaluation.trajectory_file import read_trajectory
 from gauge_envs.experiments.resolve import load_experiment_from_asset
-from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.files import MEGABYTE, json_document, npz_arrays, read_regular, toml_document, write_whole
 from gauge_envs.references.convergence import read_convergence
 from gauge_envs.references.sensitivities import _read as read_sensitivities
@@ -29,6 +28,7 @@ from gauge_envs.references.tables import csv_header
 from gauge_envs.runs.result_file import load_result
 from gauge_envs.tools.sanity.stacks import configuration
 from gauge_envs.tools.usd import source
+from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 
 NAME = "SlopeSlider-2-wood"

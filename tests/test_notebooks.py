@@ -61,8 +61,8 @@ def test_training_setup() -> None:
 
 def test_trials_to_settings() -> None:
     found = run(ROOT / "examples" / "notebooks" / "trials_to_settings.ipynb")
-    # 0.2575 is the mean of all twenty in scoring/facts/slope_slider_30deg_summary.toml, made by another program.
-    assert found["friction"] == pytest.approx(0.2575, abs=3 * found["error"])
+    # 0.2571 is the mean of all twenty in scoring/facts/slope_slider_30deg_summary.toml, made by another program.
+    assert found["friction"] == pytest.approx(0.2571, abs=3 * found["error"])
     apart = {name: abs(value - found["real"].mean()) for name, value in found["accelerations"].items()}
     assert apart["yours"] < apart["published"]
     assert found["recipe"].reached["friction"] == pytest.approx(found["aim"].friction, abs=0.002)

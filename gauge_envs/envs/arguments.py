@@ -279,14 +279,12 @@ def _no_reward_message(experiment: Experiment) -> str:
     missing = f"{experiment.id} has no reference in use, so every reward is 0."
     if experiment.asset is not None and experiment.reference is not None:
         return f"{missing} Add a table 'band' to {experiment.asset.path.name}."
-    ways = []
+    remedies = ["import its real trials with 'gauge data import', then pass reference='imported'"]
     if has_import(experiment.name):
-        ways.append("pass reference='imported', as its real trials are imported")
-    else:
-        ways.append("import its real trials with 'gauge data import', then pass reference='imported'")
+        remedies = ["pass reference='imported', as its real trials are imported"]
     stored = load_band(experiment.name, experiment.reference_source)
     if stored is not None and stored.withheld is not None:
         name = experiment.name
-        ways.append(f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld")
-    ways.append("choose an id that 'gauge list --scored' shows")
-    return f"{missing} To get one, {'; or '.join(ways)}."
+        remedies.append(f"pass use_withheld=True to use a withheld band; 'gauge show {name}' says why it is withheld")
+    remedies.append("choose an id that 'gauge list --scored' shows")
+    return f"{missing} To get one, {'; or '.join(remedies)}."

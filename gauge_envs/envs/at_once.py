@@ -294,7 +294,7 @@ class _BatchReward:
         self.has_points = band is not None and band.points is not None
         projection = None if self._terms is None else self._terms[0]
         # A product with the identity changes no bit of what is finite.
-        is_identity = projection is not None and np.array_equal(projection, np.eye(*projection.shape))
+        is_identity = projection is not None and np.array_equal(projection, np.eye(projection.shape[1]))
         self._projection = None if is_identity else projection
 
     def of(self, g: FloatArray, frame: int) -> FloatArray:

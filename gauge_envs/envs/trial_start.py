@@ -34,19 +34,27 @@ class _DrivenTrials(FileModel):
 
 def driven_trial(experiment: AnyExperiment, trial: int) -> AnyExperiment | None:
     """Return an experiment with the start and driven path of a bundled trial, which scores it; None without such."""
-    file, imported = scoring_folder("trials") / f"{experiment.name}.toml", DataSource.IMPORTED
-    if experiment.edited or imported in (experiment.drivers, experiment.reference_source) or not file.is_file():
+    file = scoring_folder("trials") / f"{experiment.name}.toml"
+    is_imported = DataSource.IMPORTED in (experiment.drivers, experiment.reference_source)
+    if experiment.edited or is_imported or not file.is_file():
         return None
-    known, scene, drivers = read_toml(file, _DrivenTrials), experiment.scene, []
+    known = read_toml(file, _DrivenTrials)
+    scene = experiment.scene
     count = min(map(len, known.start_m.values()))
     if not 0 <= trial < count:
         raise ParameterError(f"{experiment.id}: trial {trial} does not exist: choose 0 to {count - 1}")
-    starts = {name: replace(scene.body(name).pose, position_m=own[trial]) for name, own in known.start_m.items()}
+    starts = {
+        name: replace(scene.body(name).pose, position_m=positions_m[trial])
+        for name, positions_m in known.start_m.items()
+    }
+    drivers = []
     for driver in scene.drivers:
-        paths = [SampledProfile(times_s=known.times_s, values=values) for values in known.motions[driver.body][trial]]
-        pairs, point_m = zip(driver.motions, paths, strict=True), starts[driver.body].position_m
-        moved = tuple(replace(motion, point_m=point_m, profiles=(path,)) for motion, path in pairs)
-        drivers.append(replace(driver, motions=moved))
+        point_m = starts[driver.body].position_m
+        motions = []
+        for motion, values in zip(driver.motions, known.motions[driver.body][trial], strict=True):
+            path = SampledProfile(times_s=known.times_s, values=values)
+            motions.append(replace(motion, point_m=point_m, profiles=(path,)))
+        drivers.append(replace(driver, motions=tuple(motions)))
     bodies = tuple(replace(body, pose=starts.get(body.name, body.pose)) for body in scene.bodies)
     return replace(experiment, scene=replace(scene, bodies=bodies, drivers=tuple(drivers)), trial=trial)
 

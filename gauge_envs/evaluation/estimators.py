@@ -142,16 +142,10 @@ def rest_depth(times_s: FloatArray, depth_m: FloatArray, *, settled_s: float) ->
 # --- oscillations ----------------------------------------------------------------------------------------------------
 
 
-def upward_crossings_s(times_s: FloatArray, values: FloatArray) -> FloatArray:
-    """Return the times at which values pass 0 upward, by linear interpolation [s], shape [crossing_count]."""
-    _checked(times_s, values, 2)
-    before = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
-    share = values[before] / (values[before] - values[before + 1])
-    return np.asarray(times_s[before] + share * np.diff(times_s)[before])
-
-
 def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     """Return the mean period of an oscillation about 0: the mean time between passes through 0 upward.
+
+    Linear interpolation between two samples gives the time of a pass.
 
     Args:
         times_s: Times [s], shape [sample_count].
@@ -160,7 +154,10 @@ def mean_period_s(times_s: FloatArray, values: FloatArray) -> float:
     Returns:
         Period [s]; NaN for fewer than two passes.
     """
-    crossings_s = upward_crossings_s(times_s, values)
+    _checked(times_s, values, 2)
+    before = np.flatnonzero((values[:-1] < 0.0) & (values[1:] >= 0.0))
+    share = values[before] / (values[before] - values[before + 1])
+    crossings_s = times_s[before] + share * np.diff(times_s)[before]
     if len(crossings_s) < 2:
         return math.nan
     return float(crossings_s[-1] - crossings_s[0]) / (len(crossings_s) - 1)
@@ -264,21 +261,6 @@ def first_bounce(
         speed_out_m_per_s=speed_at_contact_m_per_s(hop_m - contact_m, gravity_m_per_s2),
         misfit=max((one.misfit for one in (flight_in, flight_out) if one is not None), default=0.0),
     )
-
-
-def restitution_of_bounce(
-    times_s: FloatArray,
-    heights_m: FloatArray,
-    *,
-    gravity_m_per_s2: float,
-    contact_m: float = 0.0,
-    released_m: float | None = None,
-) -> float:
-    """Return the restitution of `first_bounce`; NaN of a body that does not fall to the contact."""
-    found = first_bounce(
-        times_s, heights_m, gravity_m_per_s2=gravity_m_per_s2, contact_m=contact_m, released_m=released_m
-    )
-    return math.nan if found is None else found.restitution
 
 
 def restitution_of_flights(times_s: FloatArray, heights_m: FloatArray, flights: Sequence[NDArray[np.intp]]) -> float:

@@ -219,20 +219,18 @@ def distance_to_contact_m(moving: RigidBody, other: RigidBody, direction: FloatA
         lowest = float(((_corners_m(moving) - np.array(other.pose.position_m)) @ normal).min())
         return lowest / rate if rate > 0.0 else math.inf
     return min(
-        _piece_distance_m(piece, against, direction) for piece in _pieces_m(moving) for against in _pieces_m(other)
+        _piece_distance_m(piece, obstacle, direction) for piece in _pieces_m(moving) for obstacle in _pieces_m(other)
     )
 
 
-def _piece_distance_m(piece: FloatArray, against: FloatArray, direction: FloatArray) -> float:
+def _piece_distance_m(piece: FloatArray, obstacle: FloatArray, direction: FloatArray) -> float:
     """Return the least d >= 0 for which a point of one hull, moved by d, is a point of the other; infinity without."""
-    count, other_count = len(piece), len(against)
-    points = np.concatenate([piece.T, -against.T, direction[:, None]], axis=1)
+    count, other_count = len(piece), len(obstacle)
+    points = np.concatenate([piece.T, -obstacle.T, direction[:, None]], axis=1)
     sums = np.zeros((2, count + other_count + 1))
     sums[0, :count] = sums[1, count:-1] = 1.0
     cost = np.zeros(count + other_count + 1)
     cost[-1] = 1.0
-    # Lists of experiments solve nothing, and the import takes a tenth of a second.
-
     found = linprog(cost, A_eq=np.concatenate([points, sums]), b_eq=[0.0, 0.0, 0.0, 1.0, 1.0])
     return float(found.x[-1]) if found.success else math.inf
 

@@ -193,8 +193,8 @@ def event_intervals(
             continue
         other = notes.get(alternative)
         choice = 0.0 if other is None else abs(other - value) / math.sqrt(3.0)
-        own = math.hypot(choice, counted_s / math.sqrt(3.0)) / line.mean
+        of_estimator = math.hypot(choice, counted_s / math.sqrt(3.0)) / line.mean
         relative = line.std / line.mean / math.sqrt(input_uncertainties().trials.count)
-        half = NORMAL_95 * math.hypot(own, relative * value / line.mean)
+        half = NORMAL_95 * math.hypot(of_estimator, relative * value / line.mean)
         intervals[f"{metric}_normalized_95"] = max(value / line.mean - half, 0.0), value / line.mean + half
     return intervals

@@ -59,6 +59,10 @@ ASSET_NAME = "Asset"
 """Name of experiment files; their Gymnasium id is `GAUGE/Asset`."""
 
 
+EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
+"""Pattern of the name of an experiment file, which is part of ids and of file names."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
     """One experiment: its scene, and how it is observed and scored.

@@ -8,14 +8,14 @@ from typing import TypeVar
 from gauge_envs.errors import ParameterError, chosen
 from gauge_envs.experiments.experiment import ASSET_NAME, Experiment, TaskExperiment, driver_provenance
 from gauge_envs.experiments.scene_builder import Parameters, SceneBuilder, parameter_overrides
-from gauge_envs.experiments.scene_source import with_asset
+from gauge_envs.experiments.scene_source import RECORDED_SUFFIX, with_asset
 from gauge_envs.experiments.task_files import task_sha256, task_spec
 from gauge_envs.experiments.task_format import Placement
-from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import Variant, find_variant, is_experiment_file, task_path
 from gauge_envs.references.imported import load_imported, recorded_drivers
 from gauge_envs.references.single_shot import SingleShots, single_shots
 from gauge_envs.references.user_data import DataSource
+from gauge_envs.registry import scene_files
 from gauge_envs.scene import BodyHinge, Hinge, Pose, Scene, Tether
 from gauge_envs.scene.geometry import vector
 from gauge_envs.scene.hinged import carried
@@ -200,7 +200,7 @@ def resolve_experiment(
         _check_stated(Path(subject), parameters, drivers)
         if chosen(DataSource, reference, "reference") is not DataSource.BUNDLED:
             raise ParameterError(f"reference {str(reference)!r} with {subject}: the file states its own band")
-        return load_experiment_file(subject)
+        return scene_files(RECORDED_SUFFIX).load_experiment_file(subject)
     if path is None:
         return load_experiment(subject, parameters, drivers=drivers, reference=reference)
     _check_stated(path, parameters, drivers)

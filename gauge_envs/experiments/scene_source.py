@@ -24,6 +24,9 @@ from gauge_envs.scene.diff import scene_changes
 if TYPE_CHECKING:
     from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 
+RECORDED_SUFFIX = ".usda"
+"""Suffix of the scene file in a result; its instrument also reads experiment files, which name a scene file."""
+
 MOST_ASSET_BYTES = 256 * MEGABYTE
 """Largest size of an asset or of a file that it refers to."""
 

@@ -7,7 +7,6 @@ from gauge_envs.evaluation.score import Score
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.observables.observer import MarkerProxy
 from gauge_envs.pages.text import quantity_text, score_text, short_id, value_text, with_unit
-from gauge_envs.references.convergence import RefinedSetting, convergence_of
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS, Metric
 from gauge_envs.runs.configuration import RunConfiguration
@@ -188,19 +187,14 @@ def reality_lines(name: str, score: Score, backend: str | None = None) -> Iterat
 
 # --- convergence ---
 
-NAMES: dict[RefinedSetting, str] = {"timestep_s": "half step", "cell_m": "half cell", "training": "preset training"}
-
-
-def convergence_rows(engine: str, variant: str) -> dict[str, dict[str, Any]]:
-    """Return the measured convergence of a variant on an engine, JSON-ready, by the setting that differs."""
-    return {setting: row.model_dump() for setting, row in convergence_of(engine, variant).items()}
+NAMES = {"timestep_s": "half step", "cell_m": "half cell", "training": "preset training"}
 
 
 def convergence_text(rows: Mapping[str, Mapping[str, Any]], *, has_cells: bool, with_unit: bool = False) -> str:
     """Return what half the step, half the cell and the preset `training` change, in one line.
 
     Args:
-        rows: Rows of `convergence_rows`.
+        rows: Rows of `references.convergence.convergence_rows`.
         has_cells: Whether the experiment has deformable bodies, whose cells can be halved.
         with_unit: Whether to add the root mean square and the maximum over frames in the unit of g(t), and the preset
             `training`: nobody asks for it beside a result.
@@ -251,10 +245,14 @@ def percent_text(share: float) -> str:
     return "less than 0.01" if percent < 0.01 else f"{percent:.0f}" if percent >= 99.5 else f"{percent:.2g}"
 
 
-def discretization_text(result: Result) -> str | None:
-    """Return what half the step and half the cell change, or None for other settings or another scene."""
+def discretization_text(result: Result, rows: Mapping[str, Mapping[str, Any]]) -> str | None:
+    """Return what half the step and half the cell change, or None for other settings or another scene.
+
+    Args:
+        result: The result.
+        rows: Rows of `references.convergence.convergence_rows` for its engine and its variant.
+    """
     if result.backend is None or result.settings_given or result.is_edited or result.has_experiment_file:
         return None
-    name = short_id(result.id)
-    has_cells = bool(load_experiment(name).scene.deformables)
-    return convergence_text(convergence_rows(result.backend, name), has_cells=has_cells)
+    has_cells = bool(load_experiment(short_id(result.id)).scene.deformables)
+    return convergence_text(rows, has_cells=has_cells)

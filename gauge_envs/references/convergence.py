@@ -6,7 +6,7 @@ measured.
 
 from functools import cache
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 from pydantic import NonNegativeFloat, PositiveFloat
 
@@ -68,3 +68,16 @@ def convergence_of(engine: str, variant: str) -> dict[RefinedSetting, Convergenc
     file = scoring_folder("convergence") / f"{engine}.csv"
     rows = read_convergence(file) if file.is_file() else {}
     return {setting: row for setting in REFINED_SETTINGS if (row := rows.get((variant, setting)))}
+
+
+def convergence_rows(engine: str | None, name: str) -> dict[str, dict[str, Any]]:
+    """Return the measured convergence of an experiment on an engine, JSON-ready, by the setting that differs.
+
+    Args:
+        engine: Name of the engine; None for a trajectory from a file, which has no rows.
+        name: Id or name of the experiment.
+    """
+    if engine is None:
+        return {}
+    measured = convergence_of(engine, name.removeprefix("GAUGE/"))
+    return {setting: row.model_dump() for setting, row in measured.items()}

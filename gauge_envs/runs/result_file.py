@@ -17,8 +17,16 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from gauge_envs.errors import GaugeError, ResultFileError, UnknownNameError, first_fault
 from gauge_envs.evaluation.trajectory_file import LARGEST
-from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.experiment import (
+    ASSET_NAME,
+    EXPERIMENT_NAME,
+    Asset,
+    AssetKind,
+    Experiment,
+    driver_provenance,
+)
 from gauge_envs.experiments.resolve import load_experiment
+from gauge_envs.experiments.scene_source import RECORDED_SUFFIX
 from gauge_envs.experiments.task_files import task_spec
 from gauge_envs.experiments.variants import find_variant
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, write_whole
@@ -114,8 +122,6 @@ def _check(result: Result) -> None:
     if result.asset:
         _AssetRecord.model_validate(result.asset)
     if result.has_experiment_file:
-        from gauge_envs.experiments.user_file import EXPERIMENT_NAME
-
         if not re.fullmatch(f"GAUGE/{ASSET_NAME}-{EXPERIMENT_NAME}", result.id):
             raise ValueError(f"id is {result.id!r}, expected 'GAUGE/{ASSET_NAME}-' and a name of letters and digits")
     else:
@@ -162,13 +168,10 @@ def asset_record(experiment: Experiment) -> dict[str, Any]:
     if asset.kind is AssetKind.EXPERIMENT or (asset.kind is AssetKind.USD and asset.edited):
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
-            scene_files(path.suffix).write_scene(experiment.scene, path)
+            scene_files(RECORDED_SUFFIX).write_scene(experiment.scene, path)
             record["scene"] = path.read_text(encoding="utf-8")
     if asset.kind is AssetKind.EXPERIMENT:
-        from gauge_envs.experiments.user_file import FileExperiment, experiment_record
-
-        assert isinstance(experiment, FileExperiment)
-        record["experiment"] = experiment_record(experiment)
+        record["experiment"] = scene_files(RECORDED_SUFFIX).experiment_record(experiment)
     return record
 
 
@@ -186,13 +189,13 @@ def recorded_experiment(result: Result) -> Experiment:
         return load_experiment(
             result.id, result.parameters, drivers=result.dataset["drivers"], reference=result.dataset["reference"]
         )
-    from gauge_envs.experiments.user_file import recorded_experiment_file
+    files = scene_files(RECORDED_SUFFIX)
 
     try:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "scene.usda"
             path.write_text(record["scene"], encoding="utf-8")
-            scene = scene_files(path.suffix).read_scene(path).scene
+            scene = files.read_scene(path).scene
         asset = Asset(
             path=Path(record["file"]),
             kind=AssetKind(record["kind"]),
@@ -201,7 +204,9 @@ def recorded_experiment(result: Result) -> Experiment:
             changes=tuple(record["changes"]),
         )
         if result.has_experiment_file:
-            return recorded_experiment_file(record["experiment"], scene, asset=asset, file_sha256=result.task_sha256)
+            return files.recorded_experiment_file(
+                record["experiment"], scene, asset=asset, file_sha256=result.task_sha256
+            )
     except (KeyError, TypeError, ValueError) as error:
         if isinstance(error, GaugeError):
             raise

@@ -26,7 +26,6 @@ from gauge_envs.errors import GaugeError
 from gauge_envs.evaluation.trajectory_file import read_trajectory, stated_origin
 from gauge_envs.experiments.resolve import load_experiment_from_asset
 from gauge_envs.experiments.task_files import load_task
-from gauge_envs.experiments.user_file import load_experiment_file
 from gauge_envs.experiments.variants import task_path, variants
 from gauge_envs.files import data_folder
 from gauge_envs.pages.document import as_markdown
@@ -61,6 +60,7 @@ from gauge_envs.tools.sanity.run import read_baseline
 from gauge_envs.tools.sweep.spec import load_sweep_file, sweep_spec
 from gauge_envs.tools.transfer.policies.load import load_policy
 from gauge_envs.tools.transfer.policies.sb3 import load_sb3
+from gauge_envs.tools.usd.experiment_file import load_experiment_file
 from gauge_envs.tools.usd.reader import from_usd
 from gauge_envs.tools.video import FileFrames, read_camera, read_track
 

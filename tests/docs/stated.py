@@ -322,7 +322,7 @@ def control() -> list[str]:
         f"over {of('tools.control.friction.HOLD_S'):g} s without a slip",
         f"moves at {1e3 * slip:g} mm/s on it",
         f"within {1e3 * tolerance_m:g} mm, {tolerance_rad / DEGREE:.0f} degrees and {1e3 * rest:g} mm/s of a goal",
-        f"lifts it by {1e3 * of('tools.control.least_time.LIFTED_M'):g} mm",
+        f"lifts it by {1e3 * of('tools.control.push.LIFTED_M'):g} mm",
         f"less than {1e2 * of('tools.control.throw.EDGE_M'):g} cm from its edge",
         f"{100 * uncertain.std(1.0, 'wood'):.1f} % (wood), {100 * uncertain.std(1.0, 'plastic'):.1f} % (plastic), "
         f"{100 * uncertain.std(1.0, 'metal'):.1f} %",

@@ -104,7 +104,7 @@ def test_worlds_at_once_are_single_environments_bit_for_bit(name: str, together:
 
 
 @pytest.mark.parametrize(
-    "name", ["Turntable-1-wood", "SlopeSlider-3-metal", "FoamShearing-soft", "TextileBending-satin"]
+    "name", ["Turntable-1-wood", "SlopeSlider-3-metal", "CubePush-light", "FoamShearing-soft", "TextileBending-satin"]
 )
 def test_driven_and_deformable_worlds_at_once_are_single_environments(name: str, together: None) -> None:
     """Also with actions, which differ between the worlds."""

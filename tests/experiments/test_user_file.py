@@ -27,7 +27,6 @@ from gauge_envs.cli.app import app
 from gauge_envs.errors import AssetError, ParameterError, ReferenceFileError, ShapeError, TaskFileError
 from gauge_envs.evaluation.reference import reference_band
 from gauge_envs.experiments.resolve import resolve_experiment
-from gauge_envs.experiments.user_file import experiment_record
 from gauge_envs.references.bands import Band
 from gauge_envs.rendering.camera import experiment_view
 from gauge_envs.runs.batch import run_many
@@ -40,6 +39,7 @@ from gauge_envs.tools.assets.build import assets_folder
 from gauge_envs.tools.compare.comparison import compare
 from gauge_envs.tools.compare.experiment_figure import save_figures
 from gauge_envs.tools.diagnose.error_budget import diagnose
+from gauge_envs.tools.usd.experiment_file import experiment_record
 from gauge_envs.tools.usd.reader import read_points
 
 EXAMPLE = ROOT / "examples" / "usd_experiment"
@@ -588,7 +588,7 @@ def test_the_guide_names_markers_as_they_are_read(flung: Callable[..., Path]) ->
 
 def test_the_guide_names_every_key() -> None:
     table = GUIDE.read_text(encoding="utf-8").rpartition("| key | what |")[2]
-    from gauge_envs.experiments.user_file import ExperimentFile
+    from gauge_envs.tools.usd.experiment_file import ExperimentFile
 
     for key in ExperimentFile.model_fields:
         assert re.search(rf"`\[*{key}[\].`]", table), key

@@ -26,7 +26,7 @@ OBJECT = box("object", (0.0, 0.0, 1.0), SIZE_M, mass_kg=MASS_KG)
 
 
 def grasp_scene(
-    force_n: float, seconds: float, *, pad: Shape = PAD, held: RigidBody = OBJECT, gravity: float = G
+    force_n: float, seconds: float, *, pad: Shape = PAD, grasped: RigidBody = OBJECT, gravity: float = G
 ) -> Scene:
     """Return an object between two pads that press with a force [N] each."""
     pads, hinges = [], []
@@ -36,7 +36,7 @@ def grasp_scene(
         pads.append(body(name, pad, Pose(position_m=(face_m + 0.5 * side * THICK_M, 0.0, 1.0))))
         hinges.append(Hinge(body=name, anchor_m=(face_m, -JAW_M, 1.0), axis=(0.0, 0.0, 1.0), motor=motor))
     return Scene(
-        bodies=(held, *pads),
+        bodies=(grasped, *pads),
         joints=tuple(hinges),
         contacts=(contact("object", ("left", "right"), friction=FRICTION),),
         duration_s=seconds,
@@ -45,7 +45,7 @@ def grasp_scene(
 
 
 _spun = replace(OBJECT, angular_velocity_rad_per_s=(20.0, 0.0, 0.0))
-HELD, TURNED = grasp_scene(2.0 * WEIGHT_N, 1.5), grasp_scene(2.0 * WEIGHT_N, 0.15, held=_spun, gravity=0.0)
+HELD, TURNED = grasp_scene(2.0 * WEIGHT_N, 1.5), grasp_scene(2.0 * WEIGHT_N, 0.15, grasped=_spun, gravity=0.0)
 """The box at rest, and with a spin about the axis of its pads, which Coulomb's law stops after 0.18 s or later."""
 
 _asked, _at = ramp(0.3, start_s=0.0, duration_s=1e-6, ramp_s=0.0), 0.017 + 0.5 * THICK_M

@@ -16,9 +16,8 @@ from gauge_envs.evaluation.reference import load_band, reference_band, reward_ba
 from gauge_envs.experiments.experiment import Experiment, TaskExperiment
 from gauge_envs.experiments.resolve import load_experiment
 from gauge_envs.experiments.task_format import Substituted
-from gauge_envs.experiments.user_file import FileExperiment
 from gauge_envs.files import data_folder, json_ready
-from gauge_envs.pages.results import convergence_rows
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.imported import DriverRecord, load_imported
 from gauge_envs.references.models import unsolved_scenes
@@ -92,7 +91,7 @@ def description(experiment: Experiment) -> dict[str, Any]:
         {
             "id": experiment.id,
             "title": experiment.title,
-            **(_of_file(experiment) if isinstance(experiment, FileExperiment) else _of_task(experiment)),
+            **(_of_task(experiment) if isinstance(experiment, TaskExperiment) else _of_file(experiment)),
             "asset": None if experiment.asset is None else experiment.asset.to_dict(),
             "frames": experiment.frame_count,
             "duration_s": scene.duration_s,
@@ -139,9 +138,8 @@ def _engines(experiment: Experiment) -> list[dict[str, Any]]:
     return rows
 
 
-def _of_task(experiment: Experiment) -> dict[str, Any]:
+def _of_task(experiment: TaskExperiment) -> dict[str, Any]:
     """Return what a task file states beside the scene."""
-    assert isinstance(experiment, TaskExperiment)
     spec, variant = experiment.spec, experiment.variant
     return {
         "summary": spec.summary,
@@ -188,7 +186,7 @@ def _constants(experiment: TaskExperiment, name: str) -> dict[str, dict[str, Any
     return described
 
 
-def _of_file(experiment: FileExperiment) -> dict[str, Any]:
+def _of_file(experiment: Any) -> dict[str, Any]:
     """Return what an experiment file states beside the scene."""
     definition = experiment.definition
     return {

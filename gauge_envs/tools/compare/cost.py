@@ -156,6 +156,7 @@ class SettingCost:
 
     Attributes:
         effort: Settings of `EFFORT` in force.
+        time: What the cost counts, `cpu` or `wall`.
         results: Its repeats.
         frames: g(t) at the frames, shape [T, D]; None if it did not run to its end.
         numerical: Numerical error.
@@ -165,7 +166,8 @@ class SettingCost:
     """
 
     effort: dict[str, float]
-    results: list[Result]
+    time: str
+    results: list[Result] = field(default_factory=list)
     frames: FloatArray | None = None
     numerical: float | None = None
     real: float | None = None
@@ -177,10 +179,16 @@ class SettingCost:
         """Time step [s]; 0 for an engine without one."""
         return self.effort.get(STEP, 0.0)
 
-    def costs(self, kind: str) -> list[float]:
-        """Return the seconds of each repeat per simulated second; `kind` is `cpu` or `wall`."""
-        spent_s = [(one.cpu_s if kind == "cpu" else one.wall_s) or 0.0 for one in self.results]
+    @property
+    def costs(self) -> list[float]:
+        """Seconds of each repeat per simulated second."""
+        spent_s = [(one.cpu_s if self.time == "cpu" else one.wall_s) or 0.0 for one in self.results]
         return [one / max(self.results[0].sim_s, 1e-9) for one in spent_s]
+
+    @property
+    def cost(self) -> float:
+        """Least of the costs."""
+        return min(self.costs)
 
 
 @dataclass
@@ -204,6 +212,11 @@ class CostCurve:
     def first(self) -> Result:
         """A result of the curve."""
         return self.settings[0].results[0]
+
+    @property
+    def time(self) -> str:
+        """What the costs count, `cpu` or `wall`."""
+        return self.settings[0].time
 
     @property
     def id(self) -> str:
@@ -248,11 +261,11 @@ class CostCurve:
         enough = takewhile(lambda one: one.numerical is not None and one.numerical <= limit, self.main_line)
         return max(enough, key=lambda one: one.step_s, default=None)
 
-    def cheapest(self, kind: str) -> SettingCost | None:
+    def cheapest(self) -> SettingCost | None:
         """Return the cheapest setting whose error against reality is at most the real scatter; None without one."""
         limit = self.measure.scatter or 0.0
         within = [one for one in self.settings if one.real is not None and one.real <= limit]
-        return min(within, key=lambda one: min(one.costs(kind)), default=None)
+        return min(within, key=lambda one: one.cost, default=None)
 
 
 def other_settings(result: Result) -> dict[str, Any]:
@@ -268,15 +281,18 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
             those that did not run, are left out.
         notes: Receives a sentence for each that is left out.
     """
-    curves: dict[str, CostCurve] = {}
-    measures: dict[str, ErrorMeasure] = {}
+    usable = []
     for result in results:
         if result.error is not None or result.trajectory is None or not result.wall_s:
             notes.append(f"{result.id} on {result.backend}: left out, it has no time or did not run")
-            continue
-        if result.jitter:
+        elif result.jitter:
             notes.append(f"{result.id} on {result.backend}: left out, its start is jittered")
-            continue
+        else:
+            usable.append(result)
+    time = "cpu" if all(one.cpu_s is not None for one in usable) else "wall"
+    curves: dict[str, CostCurve] = {}
+    measures: dict[str, ErrorMeasure] = {}
+    for result in usable:
         subject = [result.id, result.parameters, result.asset.get("sha256"), result.dataset]
         place = json.dumps(subject, sort_keys=True)
         try:
@@ -294,20 +310,14 @@ def cost_curves(results: Iterable[Result], notes: list[str]) -> list[CostCurve]:
         }
         setting = next((one for one in curve.settings if one.effort == effort), None)
         if setting is None:
-            curve.settings.append(SettingCost(effort, [result]))
-        else:
-            setting.results.append(result)
+            setting = SettingCost(effort, time)
+            curve.settings.append(setting)
+        setting.results.append(result)
     if not curves:
         raise ShapeError("no result has a time and a calibrated start: run gauge run with several --set timestep_s=...")
     for curve in curves.values():
         _find_errors(curve, notes)
     return list(curves.values())
-
-
-def cost_kind(curves: Iterable[CostCurve]) -> str:
-    """Return `cpu` if all results state their CPU time, else `wall`."""
-    results = (result for curve in curves for setting in curve.settings for result in setting.results)
-    return "cpu" if all(result.cpu_s is not None for result in results) else "wall"
 
 
 def _find_errors(curve: CostCurve, notes: list[str]) -> None:
@@ -365,20 +375,18 @@ def _converged(curve: CostCurve) -> SettingCost | None:
 
 def cost_document(curves: Sequence[CostCurve]) -> Document:
     """Return a table with a row for each curve; its JSON has a row for each setting."""
-    kind = cost_kind(curves)
     # The cost of the reference engine with default settings, by experiment.
     units: dict[str, float] = {}
     for curve in curves:
         for setting in curve.settings:
             if curve.first.backend == REFERENCE_ENGINE and any(not one.settings_given for one in setting.results):
-                units[curve.id] = min(setting.costs(kind))
+                units[curve.id] = setting.cost
 
     def cost(curve: CostCurve, setting: SettingCost | None) -> str:
         if setting is None:
             return "-"
-        seconds = min(setting.costs(kind))
-        ratio = f", {seconds / units[curve.id]:.2g}" if curve.id in units else ""
-        return f"{step_text(setting.step_s)}: {seconds:.2g} s{ratio}"
+        ratio = f", {setting.cost / units[curve.id]:.2g}" if curve.id in units else ""
+        return f"{step_text(setting.step_s)}: {setting.cost:.2g} s{ratio}"
 
     table = Table(
         columns=(
@@ -388,22 +396,21 @@ def cost_document(curves: Sequence[CostCurve]) -> Document:
             Column("", "resolution", lambda one: _error_text(one.over_scatter(one.resolution)), is_number=True),
             Column("unit", "unit"),
             Column("", "sufficient step", lambda one: cost(one, one.sufficient())),
-            Column("", "cheapest within real scatter", lambda one: cost(one, one.cheapest(kind))),
+            Column("", "cheapest within real scatter", lambda one: cost(one, one.cheapest())),
             Column("", "default step", lambda one: cost(one, one.default())),
         ),
         rows=curves,
         notes=(
-            f"Behind a step: {'CPU' if kind == 'cpu' else kind} time per simulated second, and its ratio to that of "
+            f"Behind a step: {curves[0].time} time per simulated second, and its ratio to that of "
             f"{REFERENCE_ENGINE} with its default settings.",
         ),
     )
-    rows = [_row(curve, setting, kind, units.get(curve.id)) for curve in curves for setting in curve.settings]
+    rows = [_row(curve, setting, units.get(curve.id)) for curve in curves for setting in curve.settings]
     return Document(parts=(table,), rows=rows)
 
 
-def _row(curve: CostCurve, setting: SettingCost, kind: str, unit_cost: float | None) -> dict[str, Any]:
+def _row(curve: CostCurve, setting: SettingCost, unit_cost: float | None) -> dict[str, Any]:
     """Return the numbers of a setting."""
-    costs = setting.costs(kind)
     return {
         "id": curve.id,
         "parameters": curve.first.parameters,
@@ -412,11 +419,11 @@ def _row(curve: CostCurve, setting: SettingCost, kind: str, unit_cost: float | N
         "effort": setting.effort,
         # The shortest request for the setting is that of a user.
         "settings_given": min((one.settings_given for one in setting.results), key=len),
-        "time": kind,
-        "cost": min(costs),
-        "cost_max": max(costs),
-        "cost_ratio": min(costs) / unit_cost if unit_cost else None,
-        "repeats": len(costs),
+        "time": setting.time,
+        "cost": setting.cost,
+        "cost_max": max(setting.costs),
+        "cost_ratio": setting.cost / unit_cost if unit_cost else None,
+        "repeats": len(setting.results),
         "diverged": setting.frames is None,
         "unit": curve.unit,
         "numerical": curve.over_scatter(setting.numerical),
@@ -451,18 +458,17 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     groups: dict[tuple[str, str], list[CostCurve]] = {}
     for curve in curves:
         groups.setdefault((short_id(curve.id), str(curve.first.parameters)), []).append(curve)
-    kind = cost_kind(curves)
     figure = new_figure(10.0, ROW_IN * len(groups) + 1.3)
     grid = figure.subplots(len(groups), 2, squeeze=False, sharex="row")
     for (left, right), ((name, parameters), members) in zip(grid, groups.items(), strict=True):
-        _draw_errors(left, members, "numerical", kind)
+        _draw_errors(left, members, "numerical")
         left.set_ylabel(f"numerical error\n[{members[0].unit}]", fontsize=8.5)
-        _draw_errors(right, members, "real", kind)
+        _draw_errors(right, members, "real")
         right.set_ylabel(f"error against reality\n[{members[0].unit}]", fontsize=8.5)
         changed = "" if parameters == "calibrated" else f", {parameters}"
         left.set_title(f"{name}{changed}", loc="left", fontsize=11, fontweight="bold")
     for axis in grid[-1]:
-        axis.set_xlabel(f"{kind} seconds per simulated second", fontsize=9)
+        axis.set_xlabel(f"{curves[0].time} seconds per simulated second", fontsize=9)
     labels: dict[str, Any] = {}
     for axis in figure.axes:
         labels |= dict(zip(*reversed(axis.get_legend_handles_labels()), strict=True))
@@ -470,7 +476,7 @@ def draw_costs(curves: Sequence[CostCurve]) -> Figure:
     return figure
 
 
-def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str, kind: str) -> None:
+def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str) -> None:
     """Draw one error of all curves over their cost: lines for the step, crosses for other iterations."""
     tidy_axis(axis)
     axis.set_xscale("log")
@@ -486,7 +492,7 @@ def _draw_errors(axis: Axes, curves: Sequence[CostCurve], error: str, kind: str)
         for settings, looks in ((curve.main_line, style | {"label": curve.name}), (crossed, cross)):
             # The converged motion has no numerical error of its own.
             shown = [one for one in settings if not (error == "numerical" and one.is_converged)]
-            points = [(min(one.costs(kind)), curve.over_scatter(getattr(one, error))) for one in shown]
+            points = [(one.cost, curve.over_scatter(getattr(one, error))) for one in shown]
             known = [(cost, max(value, MIN_SHOWN)) for cost, value in points if value is not None]
             axis.plot([cost for cost, _ in known], [value for _, value in known], **looks)
     if curves[0].measure.scatter:

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+ONE_SIGMA = "#c4c4c4"
+TWO_SIGMA = "#e3e3e3"
 LINE_STYLES = ("-", "--", ":", "-.")
 HATCH: dict[str, Any] = {"hatch": "////", "edgecolor": "white", "linewidth": 0.0}
 WHISKER: dict[str, Any] = {"ecolor": REAL, "elinewidth": 1.0, "capsize": 2.0}
@@ -142,17 +144,18 @@ def _notes(experiment: Experiment, band: Band | None, *, has_bars: bool) -> str:
 def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]:
     groups = group_by_configuration(among)
     labels = configuration_labels([configuration for configuration, _ in groups])
-    here = {id(result) for result in results}
-    present = [
-        (label, OURS[index % len(OURS)], mine)
-        for index, (label, (_, members)) in enumerate(zip(labels, groups, strict=True))
-        if (mine := tuple(result for result in members if id(result) in here))
-    ]
-    return [
+    shown = {id(result) for result in results}
+    present = []
+    for index, (_, members) in enumerate(groups):
+        drawn = tuple(result for result in members if id(result) in shown)
+        if drawn:
+            present.append((index, drawn))
+    series = []
+    for order, (index, drawn) in enumerate(present):
         # The later ones are thinner, so that one that lies on another does not hide it; repeats are thin anyway.
-        _Series(label, color, 0.8 if len(mine) > 1 else max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order), mine)
-        for order, (label, color, mine) in enumerate(present)
-    ]
+        width = max(1.2, 1.8 + 0.4 * (len(present) - 1) - 0.6 * order) if len(drawn) == 1 else 0.8
+        series.append(_Series(labels[index], OURS[index % len(OURS)], width, drawn))
+    return series
 
 
 # --- curves ----------------------------------------------------------------------------------------------------------
@@ -161,38 +164,44 @@ def _series(results: Iterable[Result], among: Sequence[Result]) -> list[_Series]
 def _draw_band(axis: Axes, band: Band, column: int) -> None:
     """Draw the mean with one and two sigma; extrapolated parts are hatched and dotted."""
     times = np.arange(len(band.mean)) / FRAME_RATE_HZ
-    mean, sigma = band.mean[:, column], band.sigma[:, column]
+    mean = band.mean[:, column]
+    sigma = band.sigma[:, column]
     # Simulations lie on the line of a law or a model: wide and below them. A measured mean is dots, and above them.
     is_exact = not band.grade.is_real
-    width, order = (3.0, 2) if is_exact else (1.1, 5)
+    width = 3.0 if is_exact else 1.1
     # A segment belongs to what is measured when both of its ends are; drawn piece by piece, they do not overlap.
     segments = band.measured[:-1] & band.measured[1:]
-    for flags, measured in ((segments, True), (~segments, False)):
+    for flags, line, hatch in ((segments, "-", {}), (~segments, ":", HATCH)):
         for start, end in runs(flags):
             piece = slice(start, end + 1)
-            hatch = {} if measured else HATCH
-            for reach, shade in ((2.0, "#e3e3e3"), (1.0, "#c4c4c4")):
-                low, high = mean[piece] - reach * sigma[piece], mean[piece] + reach * sigma[piece]
+            for reach, shade in ((2.0, TWO_SIGMA), (1.0, ONE_SIGMA)):
+                low = mean[piece] - reach * sigma[piece]
+                high = mean[piece] + reach * sigma[piece]
                 axis.fill_between(times[piece], low, high, facecolor=shade, zorder=1, **hatch)
-            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls="-" if measured else ":", zorder=order)
+            axis.plot(times[piece], mean[piece], color=REAL, lw=width, ls=line, zorder=2 if is_exact else 5)
     if not is_exact:
         for flags, face in ((band.measured, REAL), (~band.measured, "white")):
             axis.plot(times[flags], mean[flags], "o", ms=3.0, mew=0.8, mec=REAL, mfc=face, zorder=6)
     if column == 0:
-        names = {
-            BandGrade.LAW: "law",
-            BandGrade.MODEL: "solved model, not real",
-            BandGrade.RECORDING: "real, one trial",
-        }
-        name = names.get(band.grade, "real, mean" + (f" ({band.trial_count} trials)" if band.trial_count else ""))
-        axis.plot([], [], "-" if is_exact else "o-", ms=3.0, color=REAL, lw=width, label=name)
-        whose = "real, published" if band.grade is BandGrade.MODEL else "law" if is_exact else "real"
-        axis.fill_between([], [], facecolor="#c4c4c4", label=f"{whose}, 1 sigma")
-        axis.fill_between([], [], facecolor="#e3e3e3", label=f"{whose}, 2 sigma")
-        if (~band.measured & np.isfinite(mean)).any():
-            axis.fill_between([], [], facecolor="#c4c4c4", label="extrapolated, not measured", **HATCH)
+        _name_band(axis, band, width)
     axis.set_ylabel(f"{band.coordinates[column]} [{band.unit}]")
     tidy_axis(axis)
+
+
+def _name_band(axis: Axes, band: Band, width: float) -> None:
+    """Add the entries of a band to the legend."""
+    trials = f" ({band.trial_count} trials)" if band.trial_count else ""
+    names = {
+        BandGrade.LAW: ("law", "law"),
+        BandGrade.MODEL: ("solved model, not real", "real, published"),
+        BandGrade.RECORDING: ("real, one trial", "real"),
+    }
+    mean, spread = names.get(band.grade, (f"real, mean{trials}", "real"))
+    axis.plot([], [], "o-" if band.grade.is_real else "-", ms=3.0, color=REAL, lw=width, label=mean)
+    axis.fill_between([], [], facecolor=ONE_SIGMA, label=f"{spread}, 1 sigma")
+    axis.fill_between([], [], facecolor=TWO_SIGMA, label=f"{spread}, 2 sigma")
+    if (~band.measured & np.isfinite(band.mean[:, 0])).any():
+        axis.fill_between([], [], facecolor=ONE_SIGMA, label="extrapolated, not measured", **HATCH)
 
 
 def _draw_results(axis: Axes, series: Sequence[_Series], band: Band, column: int) -> None:

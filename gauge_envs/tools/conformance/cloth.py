@@ -152,8 +152,8 @@ _cantilever = rollout_of(
 @_cantilever.check("cloth-clamp")
 def _cloth_clamp(rollout: Rollout) -> Measurement:
     local, cloth = local_nodes(rollout), strip_of(rollout)
-    held = np.linalg.norm(local - local[0], axis=2).max(axis=0) < HELD_M
-    deepest_m = float((local[0, held, 0] + 0.5 * cloth.size_m[0]).max(initial=0.0))
+    still = np.linalg.norm(local - local[0], axis=2).max(axis=0) < HELD_M
+    deepest_m = float((local[0, still, 0] + 0.5 * cloth.size_m[0]).max(initial=0.0))
     return Measurement(measured=1e3 * max(0.0, deepest_m - CLAMP_SHARE * BENT_FREE_M))
 
 

@@ -100,8 +100,8 @@ def _slide_between(lab: Lab) -> Measurement:
 @Check("spin-on-point")
 def _spin_on_point(lab: Lab) -> Measurement:
     top = replace(ball("top", (0.0, 0.0, RADIUS_M)), angular_velocity_rad_per_s=(0.0, 0.0, 20.0))
-    held = contact("top", "ground", friction=0.5)
-    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(held,), duration_s=0.5))
+    touch = contact("top", "ground", friction=0.5)
+    rollout = lab.rollout(Scene(bodies=(top, ground()), contacts=(touch,), duration_s=0.5))
     return Measurement(measured=float(rollout.angular_velocity("top")[-1, 2]), expected=20.0)
 
 

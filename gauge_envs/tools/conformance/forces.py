@@ -198,20 +198,21 @@ def _inertia_check(kind: str) -> None:
         inertia = np.linalg.inv(rates / found.wrenches[3, 3])
         error = inertia - found.inertia
         turned = TURNED.as_matrix()
-        own, expected = turned.T @ inertia @ turned, turned.T @ found.inertia @ turned
-        x, y, z = np.diag(own) / np.diag(expected)
+        in_body = turned.T @ inertia @ turned
+        expected = turned.T @ found.inertia @ turned
+        x, y, z = np.diag(in_body) / np.diag(expected)
         hint = f"its inertia about body x, y, z is {x:.3g}, {y:.3g} and {z:.3g} times what it should be"
-        hint = _frame_hint(inertia, expected) or hint + _size_hint(SHAPES[kind], own)
+        hint = _frame_hint(inertia, expected) or hint + _size_hint(SHAPES[kind], in_body)
         worst = float(error.flat[int(np.abs(error).argmax())])
         return Measurement(measured=worst / largest, hint=hint)
 
 
-def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
+def _frame_hint(inertia: NDArray[np.float64], expected: NDArray[np.float64]) -> str:
     """Return the wrong frame in which an engine takes an inertia; empty if it is none of the known ones.
 
     Args:
         inertia: Inertia in the world, as measured [kg m^2], shape [3, 3].
-        own: Inertia in the body frame, as it should be [kg m^2], shape [3, 3].
+        expected: Inertia in the body frame, as it should be [kg m^2], shape [3, 3].
     """
     x, y, z, w = TURNED.as_quat()
     frames = {
@@ -221,7 +222,7 @@ def _frame_hint(inertia: NDArray[np.float64], own: NDArray[np.float64]) -> str:
         "its inertia is that of a body whose x, y, z, w was read as w, x, y, z": Rotation.from_quat([y, z, w, x]),
     }
     for text, frame in frames.items():
-        other = frame.as_matrix() @ own @ frame.as_matrix().T
+        other = frame.as_matrix() @ expected @ frame.as_matrix().T
         if np.abs(inertia - other).max() < 0.02 * np.abs(other).max():
             return text
     return ""
@@ -282,12 +283,12 @@ def _period_ratio(lab: Lab, shape: Shape, axis: str) -> float:
     The hinge is 50 mm from the centre of mass, whose horizontal place gives the period.
     """
     centre_m, inertia = mass_properties(shape, MASS_KG)
-    own = np.eye(3)["xyz".index(axis)]
+    hinge_axis = np.eye(3)["xyz".index(axis)]
     arm = np.asarray(AXES[axis])
     # World axes of the body: its hinge axis along y, its arm downward and then tilted by the amplitude.
     down = np.array([np.sin(AMPLITUDE_RAD), 0.0, -np.cos(AMPLITUDE_RAD)])
     level = np.array([0.0, 1.0, 0.0])
-    from_body = np.column_stack([own, arm, np.cross(own, arm)])
+    from_body = np.column_stack([hinge_axis, arm, np.cross(hinge_axis, arm)])
     to_world = np.column_stack([level, down, np.cross(level, down)]) @ from_body.T
     anchor = np.array([0.1, 0.2, 1.0])
     origin = anchor + ARM_M * down - to_world @ centre_m
@@ -298,7 +299,7 @@ def _period_ratio(lab: Lab, shape: Shape, axis: str) -> float:
         duration_s=2.0,
     )
     rollout = lab.rollout(scene)
-    gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
+    gyration = float(np.sqrt(hinge_axis @ inertia @ hinge_axis / MASS_KG))
     expected = pendulum_period_s(length_m=ARM_M, gyration_m=gyration, amplitude_rad=AMPLITUDE_RAD, gravity_m_per_s2=G)
     places = rollout.position("solid") + rollout.rotation("solid").apply(centre_m)
     return mean_period_s(rollout.times_s, places[:, 0] - 0.1) / expected
@@ -310,12 +311,12 @@ def _wrong_centre(ratios: Mapping[str, float]) -> str:
     for text, place_m in WRONG_CENTRES_M.items():
         errors = []
         for axis, ratio in ratios.items():
-            own, arm = np.eye(3)["xyz".index(axis)], np.asarray(AXES[axis])
+            hinge_axis, arm = np.eye(3)["xyz".index(axis)], np.asarray(AXES[axis])
             lever = ARM_M * arm + place_m - centre_m
-            lever -= own * (own @ lever)
+            lever -= hinge_axis * (hinge_axis @ lever)
             length = float(np.linalg.norm(lever))
-            gyration = float(np.sqrt(own @ inertia @ own / MASS_KG))
-            turned = np.arctan2(np.cross(arm, lever) @ own, arm @ lever)
+            gyration = float(np.sqrt(hinge_axis @ inertia @ hinge_axis / MASS_KG))
+            turned = np.arctan2(np.cross(arm, lever) @ hinge_axis, arm @ lever)
             common = {"gyration_m": gyration, "gravity_m_per_s2": G}
             right = pendulum_period_s(length_m=ARM_M, amplitude_rad=AMPLITUDE_RAD, **common)
             wrong = [

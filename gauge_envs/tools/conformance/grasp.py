@@ -112,7 +112,7 @@ _off_centre = replace(OBJECT, pose=Pose.from_rotation(vector(MIDDLE_M + _tilt.ap
 @rollout_of(
     "the same box between balls of 5 mm radius that press with five times its weight 50 mm above its centre, released "
     "at 0.7 rad",
-    grasp_scene(5.0 * WEIGHT_N, 2.0, pad=TIP, held=_off_centre),
+    grasp_scene(5.0 * WEIGHT_N, 2.0, pad=TIP, grasped=_off_centre),
 ).check("grasp-swing")
 def _grasp_swing(rollout: Rollout) -> Measurement:
     angles = rollout.rotation("object").as_rotvec()[:, 0]

@@ -19,12 +19,6 @@ PLACE_TOLERANCE_M = 1e-5
 """Distance within which a node is on a line; single precision rounds positions to about 0.1 um at 1 m."""
 
 
-def world_inertia_kg_m2(moments: NDArray[np.float64], rotation: Rotation) -> NDArray[np.float64]:
-    """Return the inertia tensor in the world frame [kg m^2], shape [..., 3, 3], of principal moments."""
-    matrix = rotation.as_matrix()
-    return np.asarray(np.einsum("...ij,j,...kj->...ik", matrix, moments, matrix))
-
-
 def torque_free_orientation(
     *, start: Rotation, spin_rad_per_s: NDArray[np.float64], moments: NDArray[np.float64], seconds: float
 ) -> Rotation:
@@ -108,7 +102,9 @@ def largest_mm(vectors_m: NDArray[np.float64]) -> float:
 
 def inertia_kg_m2(rollout: Rollout, name: str) -> NDArray[np.float64]:
     """Return the inertia tensor of a box in the world [kg m^2], shape [sample_count, 3, 3]."""
-    return world_inertia_kg_m2(box_inertia_kg_m2(rollout.scene.body(name)), rollout.rotation(name))
+    axes = rollout.rotation(name).as_matrix()
+    moments = box_inertia_kg_m2(rollout.scene.body(name))
+    return np.asarray(np.einsum("tij,j,tkj->tik", axes, moments, axes))
 
 
 def slide_acceleration(measured: float, friction: float) -> Measurement:

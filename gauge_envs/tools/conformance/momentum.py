@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import cumulative_trapezoid
 
+from gauge_envs.evaluation.estimators import acceleration_m_per_s2
 from gauge_envs.runs.rollout import Rollout
 from gauge_envs.scene import GRAVITY_M_PER_S2 as G, BodyHinge, Box, Pose, RigidBody, Scene
 from gauge_envs.scene.geometry import vector
@@ -129,7 +130,7 @@ def _hinged_closed(rollout: Rollout) -> Measurement:
     tolerance=Tolerance("a fall has no model error, as for a single body (free-fall)", absolute=1e-3 * G),
 )
 def _hinged_fall(rollout: Rollout) -> Measurement:
-    acceleration = 2.0 * np.polyfit(rollout.times_s, _centre(rollout)[:, :3], 2)[0]
+    acceleration = [acceleration_m_per_s2(rollout.times_s, path_m) for path_m in _centre(rollout)[:, :3].T]
     return Measurement(measured=float(np.linalg.norm(np.add(acceleration, [0.0, 0.0, G]))))
 
 

@@ -132,9 +132,9 @@ def _notes(findings: Sequence[CheckResult]) -> Iterator[tuple[str, list[str]]]:
     if declined := _checks_by(left, lambda one: "; ".join(one.missing)):
         yield "Declined", [f"{name}: {reason} ({', '.join(ids)})" for (name, reason), ids in declined.items()]
     for name in _backends(findings):
-        own = [finding for finding in findings if finding.backend == name]
-        versions = ", ".join(f"{key} {value}" for key, value in own[0].versions.items())
-        yield f"{name}: {versions}; settings in force", list(_settings_lines(own))
+        of_backend = [finding for finding in findings if finding.backend == name]
+        versions = ", ".join(f"{key} {value}" for key, value in of_backend[0].versions.items())
+        yield f"{name}: {versions}; settings in force", list(_settings_lines(of_backend))
     bad = [finding for finding in findings if finding.is_bad]
     if bad:
         told = _checks_by([one for one in bad if not one.reported_by], lambda one: f"{_what(one)}{one.diagnosis}")
@@ -175,8 +175,8 @@ def _settings_lines(findings: Sequence[CheckResult]) -> Iterator[str]:
     shared = {key: value for key, value in first.items() if all(key in s and s[key] == value for s, _ in groups)}
     yield f"all: {pairs_text(shared) or 'nothing in common'}"
     for settings, ids in groups:
-        if own := pairs_text(settings, skip=tuple(shared)):
-            yield f"{', '.join(ids)}: {own}"
+        if differing := pairs_text(settings, skip=tuple(shared)):
+            yield f"{', '.join(ids)}: {differing}"
 
 
 # --- one result ------------------------------------------------------------------------------------------------------
@@ -389,7 +389,7 @@ def conformance_page(columns: Sequence[MatrixColumn], checks: Sequence[Check], *
         Heading("Checks"),
         *(_section(check, ran) for check in checks),
         Heading("Configurations"),
-        _configurations(ran),
+        _columns_table(ran),
         Heading("Provenance"),
         Paragraph(origin),
         element("p", element("code", command)),
@@ -441,20 +441,3 @@ def _section(check: Check, columns: Sequence[MatrixColumn]) -> Html:
     described = listed(f"{name}: {text}" for name, text in facts.items())
     repeated = folded(f"{len(found)} results with their commands", results.html())
     return element("section", title, described, repeated, id=check.id)
-
-
-def _configurations(columns: Sequence[MatrixColumn]) -> Table:
-    def origin(column: MatrixColumn) -> str:
-        """Return when and with which version a column ran, and which of its results are not counted."""
-        outdated = (f"{name}: {reason}" for name, reason in column.outdated.items())
-        return "; ".join([f"{column.made}, gauge-envs {column.gauge_envs}", *outdated])
-
-    return Table(
-        columns=(
-            Column("title", "engine"),
-            Column("settings", "settings", lambda settings: pairs_text(settings) or "the presets of the engine"),
-            Column("versions", "versions", pairs_text),
-            Column("", "run", origin),
-        ),
-        rows=columns,
-    )

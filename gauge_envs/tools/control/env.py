@@ -161,7 +161,9 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
     def _begin(self) -> None:
         """Record the start of an episode; the simulation is at it."""
 
-    @abstractmethod
+    def _start_frame(self, command: FloatArray) -> None:
+        """Set what an action changes for the whole frame."""
+
     def _drive(self, command: FloatArray) -> None:
         """Drive the world with an action in the next 1/180 s."""
 
@@ -250,6 +252,7 @@ class ControlEnv(SimulationEnvironment[FloatArray, NDArray[np.float32]], ABC):
 
     def _run(self, command: FloatArray) -> Generator[None, None, Step]:
         ending = None
+        self._start_frame(command)
         for _ in range(SAMPLES_PER_FRAME):
             self._drive(command)
             yield

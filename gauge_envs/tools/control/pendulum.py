@@ -115,7 +115,7 @@ class PendulumLimit(ControlEnv):
 
     # --- physics ---
 
-    def _drive(self, command: FloatArray) -> None:
+    def _start_frame(self, command: FloatArray) -> None:
         self._torque_n_m = float(command[0]) * self._largest_torque_n_m
         self.world.apply_wrench(BALL, np.array([0.0, 0.0, 0.0, *(self._torque_n_m * self._axis)]))
 

@@ -86,9 +86,9 @@ def diagnose(
     if band is None:
         band = reference_band(experiment, use_withheld=use_withheld or result.score.withheld is not None)
     times_s, values = result.trajectory.arrays(later=True)
-    if band is not None and (own := values.shape[1]) != (taken := band.projection.shape[1]):
+    if band is not None and (width := values.shape[1]) != (taken := band.projection.shape[1]):
         raise DiagnosisError(
-            f"{result.id}: its trajectory has {own} coordinates, the band needs {taken}. It was made with another "
+            f"{result.id}: its trajectory has {width} coordinates, the band needs {taken}. It was made with another "
             "version of the task file: run it again."
         )
     diagnosis = diagnose_trajectory(
@@ -98,8 +98,8 @@ def diagnose(
     if measured_only:
         return diagnosis
     if rmse is None or not math.isclose(rmse, diagnosis.rmse, rel_tol=1e-6, abs_tol=1e-9):
-        stated = "without an RMSE" if rmse is None else f"an RMSE of {rmse:.4g} {diagnosis.unit}"
-        note = f"the score in the result, {stated}, was not made against this band (its grade: {result.score.grade})"
+        scored = "without an RMSE" if rmse is None else f"an RMSE of {rmse:.4g} {diagnosis.unit}"
+        note = f"the score in the result, {scored}, was not made against this band (its grade: {result.score.grade})"
         return replace(diagnosis, notes=(*diagnosis.notes, note))
     return replace(diagnosis, dtw_over_rmse=None if dtw is None or rmse == 0.0 else dtw / rmse)
 
@@ -184,11 +184,11 @@ def _missing(band: Band, simulated: FloatArray) -> dict[BudgetStage, str]:
         # As in the score: a shift could only hide a drift.
         missing[BudgetStage.RELEASE] = f"a {band.grade} has no release: it holds from frame 0 on"
     real = float(np.sqrt(np.nanmean(np.square(band.mean - np.nanmean(band.mean, axis=0)))))
-    own = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
+    simulated_size = float(np.sqrt(np.mean(np.square(simulated - simulated[0]))))
     scatter = float(np.sqrt(np.nanmean(np.square(band.sigma))))
     if real <= STILL_SHARE * scatter:
         missing[BudgetStage.RATE] = "the real mean does not move by more than a tenth of its scatter, so it has no rate"
-    elif own <= 1e-3 * real:
+    elif simulated_size <= 1e-3 * real:
         missing[BudgetStage.RATE] = "the simulation does not move, so it has no rate"
     return missing
 

@@ -143,8 +143,8 @@ def _budget_notes(diagnosis: Diagnosis) -> Iterator[str]:
         texts = [f"{title} {value:.2f}" for title, value in values.items() if value is not None]
         engines += [f"{PUBLISHED_ENGINES[name]} {', '.join(texts)}"] if texts else []
     if engines:
-        own = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
-        yield f"Published{own}: {'; '.join(engines)}."
+        here = "" if diagnosis.dtw_over_rmse is None else f" (here DTW/RMSE {diagnosis.dtw_over_rmse:.2f})"
+        yield f"Published{here}: {'; '.join(engines)}."
 
 
 NOTABLE_SHARE = 0.01
@@ -169,13 +169,13 @@ def _finding(diagnosis: Diagnosis, part: StagePart) -> str:
     first = all(other is part or other.missing for other in diagnosis.parts[: diagnosis.parts.index(part) + 1])
     # Those of the stage itself, among all that are in force after it.
     quantities = {change.quantity for change in part.alone_changes}
-    own = [change for change in part.changes if change.quantity in quantities]
+    of_stage = [change for change in part.changes if change.quantity in quantities]
     rmses = _rmse_text(diagnosis, part.rmse_before, part.rmse_after)
-    bound = " (the limit of what was tried: it may be more)" if any(change.at_bound for change in own) else ""
+    bound = " (the limit of what was tried: it may be more)" if any(change.at_bound for change in of_stage) else ""
     also = "" if first else " as well"
     return (
         f"{_percent(part.share)} of the squared error is gone ({rmses}) if "
-        f"{_change_text(diagnosis, part.stage, own)}{also}{bound}."
+        f"{_change_text(diagnosis, part.stage, of_stage)}{also}{bound}."
     )
 
 
@@ -189,11 +189,11 @@ def _change_text(diagnosis: Diagnosis, stage: BudgetStage, changes: Sequence[Cha
             return f"the simulation starts {when}"
         return f"{subject} {verb} let go {when}"
     if stage is BudgetStage.OFFSET:
-        most = max(changes, key=lambda change: abs(change.fitted))
+        largest = max(changes, key=lambda change: abs(change.fitted))
         if len(changes) > MOST_OFFSETS:
             return (
                 f"each of {len(changes)} coordinates has a constant added, {_rms(changes):.3g} {diagnosis.unit} root "
-                f"mean square ({most.fitted:+.3g} at most, {most.coordinate})"
+                f"mean square ({largest.fitted:+.3g} at most, {largest.coordinate})"
             )
         offsets = ", ".join(f"{change.fitted:+.3g} {diagnosis.unit} along {change.coordinate}" for change in changes)
         return f"{subject} {verb} moved by {offsets}"
@@ -223,10 +223,10 @@ def findings(diagnosis: Diagnosis) -> tuple[str, ...]:
     left = _rmse_text(diagnosis, diagnosis.rest.rmse)
     lines.append(f"{_percent(diagnosis.rest.share)} of the squared error is none of these: {left} is left.")
     applied = [part for part in diagnosis.parts if part.missing is None]
-    most = max(applied, key=lambda part: part.alone_share, default=None)
-    if most is not None and most.alone_share > applied[0].alone_share + NOTABLE_SHARE:
-        text = _change_text(diagnosis, most.stage, most.alone_changes)
-        lines.append(f"The order matters: {_percent(most.alone_share)} is gone already if {text}, and nothing else.")
+    best = max(applied, key=lambda part: part.alone_share, default=None)
+    if best is not None and best.alone_share > applied[0].alone_share + NOTABLE_SHARE:
+        text = _change_text(diagnosis, best.stage, best.alone_changes)
+        lines.append(f"The order matters: {_percent(best.alone_share)} is gone already if {text}, and nothing else.")
     return tuple(lines)
 
 

@@ -103,11 +103,11 @@ class FilmOptions:
     recording: Recording | None = None
 
     def __post_init__(self) -> None:
-        for name, (least, most, unit) in LIMITS.items():
+        for name, (smallest, largest, unit) in LIMITS.items():
             value = getattr(self, name)
             # A comparison with NaN is false.
-            if value is not None and not least <= value <= most:
-                raise ParameterError(f"{name} is {value:g}, expected {least:g} to {most:g}{unit}")
+            if value is not None and not smallest <= value <= largest:
+                raise ParameterError(f"{name} is {value:g}, expected {smallest:g} to {largest:g}{unit}")
         if not 0.0 <= self.from_s < math.inf:
             raise ParameterError(f"from_s is {self.from_s:g}, expected 0 or more")
         if self.to_s is not None and not self.from_s <= self.to_s < math.inf:
@@ -167,12 +167,12 @@ def save_film(
         times_s = film_times(options, max(panel.last_s for panel in panels))
         size = {"width": options.width, "height": options.height}
         layout = FilmLayout([panel.text for panel in panels], _caption(takes, options), columns=options.columns, **size)
-        held = round(options.hold_s * options.fps)
+        last_frames = round(options.hold_s * options.fps)
         writer = stack.enter_context(film_writer(out, size=layout.size, fps=options.fps))
         for number, time_s in enumerate(times_s):
             pictures = [panel.picture(float(time_s)) for panel in panels]
             frame = layout.frame(pictures, f"t = {time_s:.3f} s")
-            writer.add(frame, times=1 + held if number == len(times_s) - 1 else 1)
+            writer.add(frame, times=1 + last_frames if number == len(times_s) - 1 else 1)
             progress(number + 1, len(times_s))
     return left_out
 

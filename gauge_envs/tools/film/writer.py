@@ -56,9 +56,9 @@ def film_writer(file: Path, *, size: tuple[int, int], fps: float) -> Iterator[Fi
             with _mp4_writer(part, size, fps) as writer:
                 yield writer
         else:
-            held = _HeldWriter(file.suffix.lower() == ".gif", fps)
-            yield held
-            held.save(part)
+            writer = _PictureWriter(file.suffix.lower() == ".gif", fps)
+            yield writer
+            writer.save(part)
 
 
 def save_still(picture: NDArray[np.uint8], file: Path) -> Path:
@@ -146,7 +146,7 @@ class _StreamWriter:
                 raise VideoError(f"ffmpeg has stopped: {error}") from error
 
 
-class _HeldWriter:
+class _PictureWriter:
     """Writer of WebP and GIF, whose frames are written together."""
 
     def __init__(self, is_gif: bool, fps: float) -> None:

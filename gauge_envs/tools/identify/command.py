@@ -75,11 +75,10 @@ def _scene(scene: str | None = None, **load: float) -> Scene:
     """Return the scene of an id or a file, or one joint with a load."""
     from gauge_envs.experiments.scene_builder import SceneBuilder
     from gauge_envs.experiments.task_files import task_spec
-    from gauge_envs.experiments.user_file import load_experiment_file
     from gauge_envs.experiments.variants import find_variant, is_experiment_file, task_path
     from gauge_envs.registry import scene_suffixes
     from gauge_envs.tools.identify import one_joint
-    from gauge_envs.tools.usd import read_usd
+    from gauge_envs.tools.usd import load_experiment_file, read_usd
 
     if scene is not None:
         if load:

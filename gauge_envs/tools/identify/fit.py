@@ -125,12 +125,12 @@ class _Problem:
 
     def unknowns(self, scaled: FloatArray) -> tuple[list[Terms], FloatArray, FloatArray]:
         """Return numbers of each joint, angles at rest [J], and changes of the starts, shape [part_count, 2, J]."""
-        own = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
-        values = own[: len(self.names)] * self.sizes
+        of_joints = scaled[: self.kinds * self.joints].reshape(self.kinds, self.joints)
+        values = of_joints[: len(self.names)] * self.sizes
         terms: list[Terms] = [dict(zip(self.names, column.tolist(), strict=True)) for column in values.T]
-        moved = scaled[own.size :].reshape(-1, 2, self.joints) if self.free_starts else None
+        moved = scaled[of_joints.size :].reshape(-1, 2, self.joints) if self.free_starts else None
         still = np.zeros((len(self.parts), 2, self.joints))
-        return terms, own[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
+        return terms, of_joints[-1] if self.zero else np.zeros(self.joints), still if moved is None else moved
 
     def errors(self, scaled: FloatArray, *, may_diverge: bool = False) -> list[FloatArray]:
         """Return simulated less measured angles of each part [rad], shape [N, J] each."""
@@ -156,7 +156,7 @@ class _Problem:
         """Return forward differences. One number of all joints changes at once: that of one moves the others little."""
         before = self.residuals(scaled)
         jacobian = np.zeros((before.size, scaled.size))
-        rows, own = self._rows(), self.kinds * self.joints
+        rows, first_start = self._rows(), self.kinds * self.joints
         for kind in range(self.kinds):
             columns = kind * self.joints + np.arange(self.joints)
             step = DELAY_STEP if self.names[kind : kind + 1] == ("delay_s",) else STEP
@@ -165,7 +165,7 @@ class _Problem:
                 inside = rows[:, 1] == joint
                 jacobian[inside, column] = change[inside]
         for kind in range(2 if self.free_starts else 0):
-            places = own + np.arange(len(self.parts) * 2 * self.joints).reshape(-1, 2, self.joints)[:, kind]
+            places = first_start + np.arange(len(self.parts) * 2 * self.joints).reshape(-1, 2, self.joints)[:, kind]
             change = self._changed(scaled, places.ravel(), before, STEP)
             for number, joint in np.ndindex(places.shape):
                 inside = (rows == (number, joint)).all(axis=1)
@@ -192,8 +192,10 @@ class _Problem:
         guesses = []
         middle = float(np.mean(np.concatenate([part.position_rad for part in self.parts])))
         for scale in (1.0, 0.03, 0.1, 0.3, 3.0, 10.0, 30.0) if SERVO[0] in self.names else (1.0,):
-            own = [{SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0) for name in self.names]
-            guesses += [np.repeat([*own, *zero], self.joints) for zero in ([[0.0], [middle]] if self.zero else [[]])]
+            joint_guess = [{SERVO[0]: scale, SERVO[1]: np.sqrt(scale)}.get(name, 1.0) for name in self.names]
+            guesses += [
+                np.repeat([*joint_guess, *zero], self.joints) for zero in ([[0.0], [middle]] if self.zero else [[]])
+            ]
         return min(guesses, key=lambda guess: float((self.residuals(guess) ** 2).sum()))
 
     def solved(self, first: FloatArray, tolerance: float) -> tuple[FloatArray, FloatArray]:
@@ -372,8 +374,8 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
     """
     bodies, anchor_m = scene.dynamic_bodies, scene.hinges[0].anchor_m
     load = [(body, np.linalg.norm(np.subtract(body.pose.position_m, anchor_m))) for body in bodies]
-    own = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies)
-    inertia = own + sum(body.mass_kg * float(arm_m) ** 2 for body, arm_m in load)
+    about_centres = sum(float(np.trace(body_mass_properties(body)[1])) / 3.0 for body in bodies)
+    inertia = about_centres + sum(body.mass_kg * float(arm_m) ** 2 for body, arm_m in load)
     weight = max(scene.gravity_m_per_s2 * sum(body.mass_kg * float(arm_m) for body, arm_m in load), 40.0 * inertia)
     rate = float(np.sqrt(weight / inertia))
     guesses = {
@@ -384,21 +386,21 @@ def guessed(scene: Scene, names: Sequence[str]) -> list[Terms]:
         "kv_n_m_s_per_rad": weight / rate,
         "delay_s": 0.02,
     }
-    return [{name: own[name] or guesses[name] for name in names} for own in numbers(scene)]
+    return [{name: known[name] or guesses[name] for name in names} for known in numbers(scene)]
 
 
 def _settings(problem: _Problem, unknowns: FloatArray, covariance: FloatArray) -> tuple[Setting, ...]:
     std = np.sqrt(np.diag(covariance))
     found = []
     for joint in range(problem.joints):
-        own = [kind * problem.joints + joint for kind in range(len(problem.names))]
-        block = covariance[np.ix_(own, own)]
+        columns = [kind * problem.joints + joint for kind in range(len(problem.names))]
+        block = covariance[np.ix_(columns, columns)]
         sizes = np.sqrt(np.diag(block))
         alike = block / np.maximum(np.outer(sizes, sizes), 1e-300)
         torques = [kind for kind, name in enumerate(problem.names) if name != SERVO[2]]
         is_scale = len(torques) > 2 and bool((alike[np.ix_(torques, torques)] > ALIKE).all())
         for kind, name in enumerate(problem.names):
-            value, half = unknowns[own[kind]], 1.96 * std[own[kind]]
+            value, half = unknowns[columns[kind]], 1.96 * std[columns[kind]]
             twins = [other for k, other in enumerate(problem.names) if k != kind and abs(alike[kind, k]) > ALIKE]
             unknown = f"goes with {' and '.join(twins)}" if twins and half > 0.1 * value else ""
             if is_scale and unknown and kind in torques:
@@ -426,20 +428,20 @@ def _held_out(
 
     Each part has a start of its own, which is fitted where the joint has no servo.
     """
-    own = unknowns[: fitted.kinds * fitted.joints]
+    of_joints = unknowns[: fitted.kinds * fitted.joints]
     errors: dict[str, FloatArray] = {}
     for log in logs:
         parts = list(log.pieces(longest_s))
         other = problem(parts, [part.start() for part in parts], free_starts=fitted.free_starts)
         if not fitted.free_starts:
-            errors |= _errors(other, own)
+            errors |= _errors(other, of_joints)
             continue
         starts = least_squares(
-            lambda starts, one=other: one.residuals(np.concatenate([own, starts])),
+            lambda starts, one=other: one.residuals(np.concatenate([of_joints, starts])),
             np.zeros(2 * len(parts) * fitted.joints),
             diff_step=STEP,
             x_scale=0.01,
             xtol=1e-5,
         ).x
-        errors |= _errors(other, np.concatenate([own, starts]))
+        errors |= _errors(other, np.concatenate([of_joints, starts]))
     return errors

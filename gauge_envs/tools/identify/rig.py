@@ -105,10 +105,10 @@ def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatA
     """
 
     def changed(place: int, hinge: AnyHinge) -> AnyHinge:
-        own = terms[place]
-        dynamics = replace(hinge.dynamics, **{name: own[name] for name in DYNAMICS if name in own})
+        given = terms[place]
+        dynamics = replace(hinge.dynamics, **{name: given[name] for name in DYNAMICS if name in given})
         motor, profile = hinge.motor, partial(_profile, log, place)
-        gains: dict[str, Any] = {name: own[name] for name in SERVO if name in own}
+        gains: dict[str, Any] = {name: given[name] for name in SERVO if name in given}
         if log.command_rad is not None:
             command = profile(log.command_rad, float(start_rad[place]))
             if isinstance(motor, Servo):
@@ -116,7 +116,7 @@ def with_terms(scene: Scene, terms: Sequence[Terms], log: Log, start_rad: FloatA
             else:
                 motor = replace(Servo(command=command, kp_n_m_per_rad=1.0), **gains)
         elif log.torque_n_m is not None:
-            motor = TorqueMotor(command=profile(log.torque_n_m, 0.0), delay_s=own.get("delay_s", 0.0))
+            motor = TorqueMotor(command=profile(log.torque_n_m, 0.0), delay_s=given.get("delay_s", 0.0))
         return replace(hinge, dynamics=dynamics, motor=motor)
 
     places = {id(hinge): place for place, hinge in enumerate(scene.hinges)}
@@ -178,8 +178,8 @@ def _angle_rad(rollout: Rollout, hinge: Hinge | BodyHinge) -> FloatArray:
 
 def numbers(scene: Scene) -> list[dict[str, float]]:
     """Return the numbers of each hinge by name, in the order of `Scene.hinges`; 0 is none."""
-    stated = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
-    return [{name: float(own.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)} for own in stated]
+    known = [vars(hinge.dynamics) | (vars(hinge.motor) if hinge.motor else {}) for hinge in scene.hinges]
+    return [{name: float(one.get(name) or 0.0) for name in (*DYNAMICS, *SERVO, LIMIT)} for one in known]
 
 
 def check_joints(scene: Scene, log: Log) -> None:

@@ -27,6 +27,7 @@ from gauge_envs.pages.text import (
     shortened,
     with_unit,
 )
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.metrics import METRICS
 from gauge_envs.references.published import PUBLISHED_ENGINES, published_baselines
@@ -119,7 +120,7 @@ def _score_rows(result: Result) -> list[dict[str, Any]]:
         }
         if key == "rmse":
             row |= {"z": score.mean_abs_z, "extrapolated": score.extrapolated_share}
-            row["convergence"] = discretization_text(result)
+            row["convergence"] = discretization_text(result, convergence_rows(result.backend, result.id))
         elif metric is ALIGNED:
             row["shift"] = score.release_offset_s
         rows.append(row)

@@ -86,8 +86,8 @@ class _Search:
 
     def _explains(self, changed: Measured) -> bool:
         """Return whether a change brings the phenomenon into the interval of reality, or halves the error."""
-        most = max(INSIDE_WITHIN, 0.5 * self.configured.deviation)
-        return math.isfinite(changed.deviation) and changed.deviation <= most
+        largest = max(INSIDE_WITHIN, 0.5 * self.configured.deviation)
+        return math.isfinite(changed.deviation) and changed.deviation <= largest
 
     def put_back_one(self) -> Cause | None:
         """Put back each setting alone and return the one that comes closest to reality, if it explains the error."""
@@ -190,7 +190,7 @@ class _Search:
     def _of_preset(self, name: str) -> Alternative:
         """Return the value of a setting in this package's preset of the scene."""
         preset = self.measurements.in_force(self.phenomenon.scenario, {})
-        value = _comparable(name, _stated(name, preset, None))
+        value = _comparable(name, _reference_value(name, preset, None))
         return replace(self._best[name], value=value, source=preset_label(preset))
 
     # --- changes ---
@@ -349,13 +349,15 @@ def _values(
     name: str, configured: Mapping[str, Any], references: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> Iterator[Alternative]:
     """Yield each other value of a setting once."""
-    was = _comparable(name, _stated(name, configured, None) if configured.get("newton_material") else configured[name])
+    was = _comparable(
+        name, _reference_value(name, configured, None) if configured.get("newton_material") else configured[name]
+    )
     seen = [was]
     step_s = configured.get("timestep_s")
     for label, force in references:
         if name not in force:
             continue
-        value = _comparable(name, _stated(name, force, step_s))
+        value = _comparable(name, _reference_value(name, force, step_s))
         is_absent = value is None and name not in MAY_BE_ABSENT
         if is_absent or value in seen or (name == "timestep_s" and label != DOCUMENTED):
             continue
@@ -368,7 +370,7 @@ def _values(
                 yield Alternative(name=name, value=value, was=was, source=label)
 
 
-def _stated(name: str, force: Mapping[str, Any], step_s: float | None) -> Any:
+def _reference_value(name: str, force: Mapping[str, Any], step_s: float | None) -> Any:
     """Return the value of a reference; for contact constants of a recipe, those of its lasting contacts."""
     value = force[name]
     if value is None and force.get("newton_material"):

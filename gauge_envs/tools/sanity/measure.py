@@ -90,7 +90,7 @@ class Engine:
         if self._backend is not None:
             return function(self._backend, scenario, settings)
         try:
-            value, missing, divergence = self._worker.call(_there, function, self.name, scenario, settings)
+            value, missing, divergence = self._worker.call(_outcome_of, function, self.name, scenario, settings)
         except GaugeError as error:
             raise EngineDiedError(str(error)) from None
         if missing is not None:
@@ -100,7 +100,7 @@ class Engine:
         return value
 
 
-def _there(
+def _outcome_of(
     function: _Run, name: str, scenario: Scenario, settings: Mapping[str, Any]
 ) -> tuple[Any, tuple[str, ...] | None, str | None]:
     """Return the value of a function of a backend and a scenario, or why it declined or diverged."""
@@ -321,10 +321,12 @@ def subject_of(measurements: Measurements, configuration: TrainingConfiguration,
     for need in phenomenon.needs:
         if need in configuration.inapplicable:
             return replace(subject, inapplicable=configuration.inapplicable[need])
-    held = configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion") if phenomenon.id in GRASP else configuration
-    if held is None:
+    judged_contacts = (
+        configuration.of_hand(is_flat=phenomenon.id == "grasp-torsion") if phenomenon.id in GRASP else configuration
+    )
+    if judged_contacts is None:
         return replace(subject, inapplicable="round fingertips: their torsional friction alone holds a torque")
-    sets: dict[str, Mapping[str, Any]] = dict(held.contact_sets)
+    sets: dict[str, Mapping[str, Any]] = dict(judged_contacts.contact_sets)
     if phenomenon.needs_foot:
         geometry = configuration.foot_geometry
         if geometry is None:

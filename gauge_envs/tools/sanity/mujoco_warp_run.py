@@ -46,8 +46,10 @@ class BackendMuJoCoWarp(BackendMuJoCo):
 
     def supports(self, scene: Scene) -> Support:
         """Return the unsupported features: deformable bodies, and what MuJoCo does not support."""
-        own = ("deformable bodies run on MuJoCo's C engine alone",) if scene.deformables else ()
-        return Support((*own, *super().supports(scene).missing))
+        missing = super().supports(scene).missing
+        if scene.deformables:
+            missing = ("deformable bodies run on MuJoCo's C engine alone", *missing)
+        return Support(missing)
 
     def build(self, scene: Scene, settings: Mapping[str, Any] | None = None) -> SimulationMuJoCoWarp:
         """Build a scene; settings are the fields of `SettingsMuJoCo`."""
@@ -61,18 +63,19 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
     def __init__(self, scene: Scene, settings: Mapping[str, Any], *built: Any) -> None:
         super().__init__(scene, settings, *built)
         self._most_contacts = FEWEST_CONTACTS + CONTACTS_OF_BODY * len(scene.bodies)
-        self._there: tuple[Callable[[], None], Any] | None = None
+        self._captured: tuple[Callable[[], None], Any] | None = None
 
     def reset(self, seed: int) -> None:
         """Return to the scene's start; the seed has no effect."""
         super().reset(seed)
-        self._there = None
+        self._captured = None
 
     def _step(self, count: int) -> None:
-        if self._there is None:
-            most = self._most_contacts
-            self._there = _captured(self.model, self.data, njmax=ROWS_OF_CONTACT * most, naconmax=most)
-        step, state = self._there
+        if self._captured is None:
+            naconmax = self._most_contacts
+            njmax = ROWS_OF_CONTACT * naconmax
+            self._captured = _capture_step(self.model, self.data, njmax=njmax, naconmax=naconmax)
+        step, state = self._captured
         for name in ("qpos", "qvel", "xfrc_applied"):
             values = getattr(self.data, name)
             getattr(state, name).assign(values.reshape(1, *values.shape))
@@ -85,7 +88,7 @@ class SimulationMuJoCoWarp(SimulationMuJoCo):
             raise BackendError(f"{TOO_LARGE}: {self._most_contacts} contacts")
 
 
-def _captured(
+def _capture_step(
     model: mujoco.MjModel, data: mujoco.MjData, *, njmax: int, naconmax: int
 ) -> tuple[Callable[[], None], Any]:
     """Return a function that steps a model on mujoco_warp, and its data, with memory for so many rows and contacts.

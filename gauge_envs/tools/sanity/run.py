@@ -9,7 +9,7 @@ from contextlib import closing
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gauge_envs.errors import GaugeError, ParameterError, TargetError
 from gauge_envs.files import MEGABYTE, json_document, os_errors, read_regular, versions
@@ -40,9 +40,6 @@ from gauge_envs.tools.sanity.stacks import configuration as configuration_of, di
 from gauge_envs.tools.sanity.stacks.dialect import Dialect
 from gauge_envs.tools.sanity.target_checks import target_fixes, target_rows
 
-if TYPE_CHECKING:
-    from gauge_envs.tools.sanity.robot.robot import Robot
-
 WARP_S = 1.1
 """Longest scene that is run on mujoco_warp on a CPU [s], which takes a second for each."""
 
@@ -64,7 +61,7 @@ def applied(
     """
     limits = {name: value for name, value in changes.items() if name in LIMITS}
     others = {name: value for name, value in changes.items() if name not in LIMITS}
-    robot, own = configuration.robot, {}
+    robot, geoms_by_setting = configuration.robot, {}
     if robot is None or configuration.backend != "mujoco":
         gravity = {"gravity_m_per_s2": others.pop("gravity")} if "gravity" in others else {}
         groups = tuple(replace(g, settings={**g.settings, **others}) for g in configuration.contact_groups)
@@ -75,7 +72,8 @@ def applied(
         from gauge_envs.tools.sanity.robot.mujoco_model import mujoco_configuration
 
         model, geoms = robot.changed(others)
-        own = {name: [geom_name(robot.model, geom) for geom in several] for name, several in geoms.items()}
+        for name, several in geoms.items():
+            geoms_by_setting[name] = [geom_name(robot.model, geom) for geom in several]
         read = mujoco_configuration(
             model,
             name=configuration.name,
@@ -89,7 +87,7 @@ def applied(
     if limits and read.capacity is not None:
         larger = replace(read.capacity.limits, **limits)
         read = replace(read, capacity=replace(read.capacity, limits=larger))
-    return read, own
+    return read, geoms_by_setting
 
 
 def find_cure(
@@ -110,78 +108,107 @@ def find_cure(
         texts: What belongs to all of them and is no setting, in words that can be pasted.
         rows: Ids of the rows that count, and whether they are flagged.
     """
-    verdicts, engine = _where_it_trains(configuration, dialect, measurements, rows)
-    flags = [name for name, is_flag in rows.items() if is_flag and verdicts(configuration, name) is not Verdict.INSIDE]
-    best: tuple[tuple[float, ...], Cure] | None = None
+    verdict_of, engine = _training_verdicts(configuration, dialect, measurements, rows)
+    flags = []
+    for name, is_flag in rows.items():
+        if is_flag and verdict_of(configuration, name) is not Verdict.INSIDE:
+            flags.append(name)
+    cures: list[Cure] = []
     for changes in candidates:
         try:
-            cured, own = applied(configuration, changes)
+            cured, geoms_by_setting = applied(configuration, changes)
         except GaugeError:
             continue
-        mended = [name for name in flags if verdicts(cured, name) is Verdict.INSIDE]
-        new = tuple(n for n, was in rows.items() if not was and verdicts(cured, n).is_off) if mended else ()
-        if len(mended) <= len(new):
+        mended = [name for name in flags if verdict_of(cured, name) is Verdict.INSIDE]
+        new_flags: list[str] = []
+        if mended:
+            new_flags = [name for name, is_flag in rows.items() if not is_flag and verdict_of(cured, name).is_off]
+        if len(mended) <= len(new_flags):
             continue
-        count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
-        left = [name for name in flags if name not in mended]
-        said, settings = " ".join(texts), {n: v for n, v in changes.items() if "[" not in n and n != "gravity"}
-        unsaid = {n: v for n, v in settings.items() if n in own or dialect.assignment(n, v) not in said}
-        shown = " and ".join([*_pasted(dialect, unsaid, own, configuration.robot), *texts])
-        parts = [f"{shown}: {count}{engine}"]
-        parts += [f"left: {', '.join(left)}"] * bool(left) + [f"new flags: {', '.join(new)}"] * bool(new)
+        pasted = _pasted(configuration, dialect, changes, geoms_by_setting, texts)
         cure = Cure(
-            changes=changes, line="; ".join(parts), flag_count=len(flags), mended_count=len(mended), new_flags=new
+            changes=changes,
+            line=f"{pasted}: {_effect(flags, mended, new_flags, engine)}",
+            flag_count=len(flags),
+            mended_count=len(mended),
+            new_flags=tuple(new_flags),
         )
-        worth = (float(len(mended) - len(new)), -float(len(changes)))
-        if best is None or worth > best[0]:
-            best = worth, cure
-        if not left and not new:
+        cures.append(cure)
+        if len(mended) == len(flags) and not new_flags:
             break
-    return None if best is None else best[1]
+    # Of equal cures, the first is the preferred one.
+    return max(cures, key=lambda one: (one.mended_count - len(one.new_flags), -len(one.changes)), default=None)
+
+
+def _effect(flags: Sequence[str], mended: Sequence[str], new_flags: Sequence[str], engine: str) -> str:
+    """Return what a change does to the flags, in words."""
+    count = f"{len(mended)} of {len(flags)} flags go" if len(flags) > 1 else "the one flag goes"
+    parts = [count + engine]
+    left = [name for name in flags if name not in mended]
+    if left:
+        parts.append(f"left: {', '.join(left)}")
+    if new_flags:
+        parts.append(f"new flags: {', '.join(new_flags)}")
+    return "; ".join(parts)
 
 
 def _pasted(
-    dialect: Dialect, settings: Mapping[str, Any], own: Mapping[str, Sequence[str]], robot: Robot | None
-) -> list[str]:
-    """Return the parts of a change as it is pasted; geoms that state an attribute themselves are named."""
-    default = {n: v for n, v in settings.items() if n not in own or robot is None or robot.needs_default(n, v)}
+    configuration: TrainingConfiguration,
+    dialect: Dialect,
+    changes: Mapping[str, Any],
+    geoms_by_setting: Mapping[str, Sequence[str]],
+    texts: Sequence[str],
+) -> str:
+    """Return changes as text to paste, before further texts; geoms that state an attribute themselves are named."""
+    robot, default = configuration.robot, {}
+    for name, value in changes.items():
+        if "[" in name or name == "gravity":
+            # A row of an array, or gravity: the texts say it.
+            continue
+        if name in geoms_by_setting:
+            is_default = robot is None or robot.needs_default(name, value)
+        else:
+            is_default = dialect.assignment(name, value) not in " ".join(texts)
+        if is_default:
+            default[name] = value
     parts = [dialect.paste_text(default)] if default else []
-    for name, geoms in own.items():
-        shown = ", ".join(geoms[:3]) + (f" and {len(geoms) - 3} more" if len(geoms) > 3 else "")
-        parts.append(f"{dialect.assignment(name, settings[name])} in {shown}, which the default does not reach")
-    return parts
+    for name, geoms in geoms_by_setting.items():
+        more = f" and {len(geoms) - 3} more" if len(geoms) > 3 else ""
+        assignment = dialect.assignment(name, changes[name])
+        parts.append(f"{assignment} in {', '.join(geoms[:3])}{more}, which the default does not reach")
+    return " and ".join([*parts, *texts])
 
 
-def _where_it_trains(
+def _training_verdicts(
     configuration: TrainingConfiguration, dialect: Dialect, measurements: Measurements, rows: Mapping[str, bool]
 ) -> tuple[Callable[[TrainingConfiguration, str], Verdict], str]:
     """Return a function from a configuration and a row to its verdict, and the engine of training in words.
 
     Rows that are flagged are measured on the engine of training, others on that of the rows.
     """
-    there, engine = measurements, ""
+    training, engine = measurements, ""
     flagged = [phenomenon(name) for name, is_flag in rows.items() if is_flag and name in (*RIGID, *GRASP)]
-    runs_there = any(one.scenario.seconds <= WARP_S for one in flagged)
-    if configuration.trains_on == "mujoco_warp" and runs_there:
+    is_short = any(one.scenario.seconds <= WARP_S for one in flagged)
+    if configuration.trains_on == "mujoco_warp" and is_short:
         try:
             from gauge_envs.tools.sanity.mujoco_warp_run import BackendMuJoCoWarp
 
-            there, engine = Measurements(BackendMuJoCoWarp()), " on mujoco_warp, where it trains"
+            training, engine = Measurements(BackendMuJoCoWarp()), " on mujoco_warp, where it trains"
         except GaugeError:
             engine = " on MuJoCo's C engine; mujoco_warp, on which it trains, is not installed"
 
-    def verdict(cured: TrainingConfiguration, name: str) -> Verdict:
-        stated = target_rows(cured, dialect, [name])
-        if stated:
-            return stated[0].verdict
+    def verdict_of(cured: TrainingConfiguration, name: str) -> Verdict:
+        checked = target_rows(cured, dialect, [name])
+        if checked:
+            return checked[0].verdict
         one = phenomenon(name)
-        is_there = rows[name] and one.scenario.seconds <= WARP_S
-        subject = subject_of(there if is_there else measurements, cured, one)
+        is_training = rows[name] and one.scenario.seconds <= WARP_S
+        subject = subject_of(training if is_training else measurements, cured, one)
         if not subject.sets:
             return Verdict.DECLINED
         return worst_of(subject.measured())[1].verdict
 
-    return verdict, engine
+    return verdict_of, engine
 
 
 def check(

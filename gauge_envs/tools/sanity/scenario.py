@@ -117,9 +117,11 @@ def _built(backend: Backend, scenario: Scenario, settings: Mapping[str, Any]) ->
     support = scene_support(backend, scenario.scene)
     if not support:
         raise DeclinedError(support.missing)
-    own = scenario.engine_settings.get(backend.name, {})
+    scene_settings = scenario.engine_settings.get(backend.name, {})
     try:
-        return backend.build(scenario.scene_with(settings), {**own, **_with_interval(settings, scenario.interval_s)})
+        return backend.build(
+            scenario.scene_with(settings), {**scene_settings, **_with_interval(settings, scenario.interval_s)}
+        )
     except ParameterError as error:
         raise DeclinedError((str(error),)) from error
     # Engines refuse combinations of settings by exceptions of any kind; another scene may accept them.

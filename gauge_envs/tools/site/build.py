@@ -31,6 +31,7 @@ from gauge_envs.pages.results import discretization_text
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import COST_TITLE, shortened
 from gauge_envs.references.bands import Band
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.rendering.camera import FIELD_OF_VIEW_DEG, experiment_view
 from gauge_envs.rendering.materials import USUAL
@@ -254,7 +255,9 @@ def _scores(site: Site, index: int) -> Table:
         cell = one.cells[index]
         if cell is not None:
             result = first_result(cell)
-            convergence = None if result is None else discretization_text(result)
+            convergence = None
+            if result is not None:
+                convergence = discretization_text(result, convergence_rows(result.backend, result.id))
             name, score = site.experiment_link(one, site.family(one)[0]), score_cell(one, cell, one.primary)
             rows.append((name, one.grade_name, score, cell_cost(cell), convergence or "-"))
     return grid(("experiment", "grade", "score [95 %]", COST_TITLE, "discretization"), rows)

@@ -14,6 +14,7 @@ from gauge_envs.pages.svg import CurvePanel, ForestRow, curve_panel, forest
 from gauge_envs.pages.table import Table, grid
 from gauge_envs.pages.text import GRADE_NOTES, interval_text, quantity_text, score_text, with_unit
 from gauge_envs.references.bands import Band
+from gauge_envs.references.convergence import convergence_rows
 from gauge_envs.references.grades import BandGrade
 from gauge_envs.references.published import PUBLISHED_ENGINES
 from gauge_envs.runs.result import Result
@@ -261,8 +262,12 @@ def _budget(site: Site, index: int, diagnosis: Diagnosis) -> Html:
 
 
 def _convergence(site: Site, results: Results) -> Table:
-    texts = ((site.links[index], discretization_text(result)) for index, result in results.items())
-    return grid(("engine", "half step, half cell"), [(link, text) for link, text in texts if text is not None])
+    rows = []
+    for index, result in results.items():
+        text = discretization_text(result, convergence_rows(result.backend, result.id))
+        if text is not None:
+            rows.append((site.links[index], text))
+    return grid(("engine", "half step, half cell"), rows)
 
 
 def _uncertainty(site: Site, results: Results) -> Parts:

@@ -212,14 +212,14 @@ def control_envelope(
     with closing(make_control_env(task, backend=backend, settings=settings)) as env:
         parameters = task_uncertainties(env)
     sigmas = _points(f"GAUGE/{task.removeprefix('GAUGE/')}", parameters, samples, seed)
-    actions: list[NDArray[np.float32]] = []
     with closing(ControlWorlds(task, [{}], backend=backend, settings=settings)) as worlds:
-        ((calibrated, report),) = _episodes(worlds, _recorded(worlds, policy, actions))
-    found: list[tuple[float, LimitReport]] = []
+        (calibrated,) = _episodes(worlds, _acting(worlds, policy))
+    found: list[_Played] = []
     for first in range(0, samples, _checked_batch(batch)):
         constants = [overrides_at(parameters, row.tolist()) for row in sigmas[first : first + batch]]
         with closing(ControlWorlds(task, constants, backend=backend, settings=settings)) as worlds:
-            found += _episodes(worlds, _acting(worlds, policy, actions))
+            is_blind = isinstance(policy, LawPolicy) and not policy.informed
+            found += _episodes(worlds, _repeating(calibrated.actions) if is_blind else _acting(worlds, policy))
         notify(len(found))
     return Envelope(
         id=f"GAUGE/{task.removeprefix('GAUGE/')}",
@@ -229,11 +229,11 @@ def control_envelope(
         policy=policy.title if isinstance(policy, LawPolicy) else "given policy",
         parameters=parameters,
         sigmas=sigmas,
-        values=np.array([paid for paid, _ in found]),
-        calibrated=calibrated,
-        endings=tuple(one.ending.value for _, one in found),
-        calibrated_ending=report.ending.value,
-        ratios=np.array([one.ratio for _, one in found]),
+        values=np.array([one.reward for one in found]),
+        calibrated=calibrated.reward,
+        endings=tuple(one.report.ending.value for one in found),
+        calibrated_ending=calibrated.report.ending.value,
+        ratios=np.array([one.report.ratio for one in found]),
     )
 
 
@@ -253,38 +253,43 @@ Act = Callable[[int, int, FloatArray], NDArray[np.floating]]
 """Action of a world, by its number, for the number of a frame and the observation."""
 
 
-def _episodes(worlds: ControlWorlds, act: Act) -> list[tuple[float, LimitReport]]:
-    """Run an episode in each world; return the sum of its rewards and its report."""
-    begun = worlds.begin(dict.fromkeys(range(len(worlds.envs)), 0))
+@dataclass(frozen=True)
+class _Played:
+    """An episode: the sum of its rewards, its report, and its actions."""
+
+    reward: float
+    report: LimitReport
+    actions: Sequence[NDArray[np.floating]]
+
+
+def _episodes(worlds: ControlWorlds, act: Act) -> list[_Played]:
+    """Run an episode in each world."""
+    count = len(worlds.envs)
+    begun = worlds.begin(dict.fromkeys(range(count), 0))
     observations = {number: observation for number, (observation, _) in begun.items()}
-    paid, frame = [0.0] * len(worlds.envs), 0
+    rewards = [0.0] * count
+    actions: list[list[NDArray[np.floating]]] = [[] for _ in range(count)]
     while observations:
-        steps = worlds.step({number: act(number, frame, one) for number, one in observations.items()})
-        for number, (_, reward, *_) in steps.items():
-            paid[number] += reward
-        observations = {number: step[0] for number, step in steps.items() if not (step[2] or step[3])}
-        frame += 1
-    return [(one, env.report()) for one, env in zip(paid, worlds.envs, strict=True)]
+        for number, observation in observations.items():
+            actions[number].append(act(number, len(actions[number]), observation))
+        steps = worlds.step({number: actions[number][-1] for number in observations})
+        observations = {}
+        for number, (observation, reward, terminated, truncated, _) in steps.items():
+            rewards[number] += reward
+            if not (terminated or truncated):
+                observations[number] = observation
+    return [_Played(rewards[number], env.report(), actions[number]) for number, env in enumerate(worlds.envs)]
 
 
-def _recorded(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: list[NDArray[np.float32]]) -> Act:
-    """Return the policy in the calibrated world; the actions of the law's are recorded."""
-    if not isinstance(policy, LawPolicy):
-        return lambda _, __, observation: policy(observation)
-
-    def act(number: int, _: int, __: FloatArray) -> NDArray[np.floating]:
-        actions.append(worlds.envs[number].law_action(policy.fraction))
-        return actions[-1]
-
-    return act
-
-
-def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy, actions: Sequence[NDArray[np.float32]]) -> Act:
-    """Return the policy in other worlds; a law's that is not informed takes the recorded actions, and then none."""
-    if not isinstance(policy, LawPolicy):
-        return lambda _, __, observation: policy(observation)
-    if policy.informed:
+def _acting(worlds: ControlWorlds, policy: Policy | LawPolicy) -> Act:
+    """Return a policy, or that of the law with the constants of each world."""
+    if isinstance(policy, LawPolicy):
         return lambda number, _, __: worlds.envs[number].law_action(policy.fraction)
+    return lambda _, __, observation: policy(observation)
+
+
+def _repeating(actions: Sequence[NDArray[np.floating]]) -> Act:
+    """Return the actions of another episode, and zero after its end."""
     none = np.zeros_like(actions[-1])
     return lambda _, frame, __: actions[frame] if frame < len(actions) else none
 

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from gauge_envs.registry import door
 
 if TYPE_CHECKING:
+    from gauge_envs.tools.usd.experiment_file import load_experiment_file as load_experiment_file
     from gauge_envs.tools.usd.isaac_fabric import surface_constants as surface_constants
     from gauge_envs.tools.usd.layer import record_follower as record_follower
     from gauge_envs.tools.usd.reader import (

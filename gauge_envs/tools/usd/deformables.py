@@ -52,14 +52,14 @@ def read_deformable(source: Source, prim: Usd.Prim, name: str) -> Deformable:
 
 def _constant(source: Source, prim: Usd.Prim, material: Usd.Prim, name: str) -> float:
     """Read a constant of a body from its `gauge:` double and from the standard attribute, if it has one."""
-    own = prim.GetAttribute(f"gauge:{name}")
+    double = prim.GetAttribute(f"gauge:{name}")
     if name == "radius_m":
         reading = source.reading(prim.GetAttribute("widths"), (1,), lambda width: 0.5 * width[0])
-        value = source.counted(own, [reading], rounded=lambda radius: 0.5 * single(2.0 * radius))
+        value = source.counted(double, [reading], rounded=lambda radius: 0.5 * single(2.0 * radius))
     else:
         holder, standard = (prim, "mass") if name == "mass_kg" else (material, OMNI_MATERIAL.get(name))
         reading = source.reading(holder.GetAttribute(f"omniphysics:{standard}")) if holder and standard else None
-        value = source.counted(own, [reading])
+        value = source.counted(double, [reading])
     low, high, expected = (0.0, np.inf, "a positive number")
     if name == "poisson_ratio":
         low, high, expected = (-1.0, 0.5, "more than -1 and less than 0.5")

@@ -176,7 +176,7 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         prim: The joint.
         bodies: Rigid bodies, by path of the prim.
     """
-    world, held = _world_joint(source, prim)
+    world, moving = _world_joint(source, prim)
     kind = str(prim.GetTypeName())
     if kind == "PhysicsFixedJoint":
         return None
@@ -184,20 +184,20 @@ def read_joint(source: Source, prim: Usd.Prim, bodies: Mapping[Sdf.Path, RigidBo
         raise source.fault(
             prim, f"unsupported joint: {kind}; revolute, distance and fixed joints to the world are read"
         )
-    assert held.body is not None
-    body = bodies[held.body.GetPath()]
+    assert moving.body is not None
+    body = bodies[moving.body.GetPath()]
     if body.motion is not Motion.DYNAMIC:
         raise source.fault(prim, f"unsupported joint: a {kind} of a {body.motion} body")
     _check_plain(source, prim)
-    own = prim.GetAttribute("gauge:anchor_m")
-    anchor = source.counted(own, [world.reading()], (3,))
+    double = prim.GetAttribute("gauge:anchor_m")
+    anchor = source.counted(double, [world.reading()], (3,))
     if anchor is None:
         anchor = world.place()
     if kind == "PhysicsDistanceJoint":
-        return _tether(source, prim, body, anchor, held.place())
+        return _tether(source, prim, body, anchor, moving.place())
     # If only the body was moved, the anchor stays.
-    is_free = bool(own and own.HasAuthoredValue()) and not _is_edited(held.position)
-    return _hinge(source, prim, body, anchor, world, held, is_free=is_free)
+    is_free = bool(double and double.HasAuthoredValue()) and not _is_edited(moving.position)
+    return _hinge(source, prim, body, anchor, world, moving, is_free=is_free)
 
 
 def _world_joint(source: Source, prim: Usd.Prim) -> tuple[_End, _End]:
@@ -240,10 +240,10 @@ def _check_plain(source: Source, prim: Usd.Prim) -> None:
             raise source.fault(attribute, f"unsupported joint: it is {value}, but joints of a scene have no limits")
 
 
-def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, held: FloatArray) -> Tether:
+def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, end_m: FloatArray) -> Tether:
     joint = UsdPhysics.DistanceJoint(prim)
-    if np.linalg.norm(held - body.pose.position_m) > GAP_M:
-        raise source.fault(prim, f"ends at {held.tolist()} m, not at the origin of {body.name!r}, where strings end")
+    if np.linalg.norm(end_m - body.pose.position_m) > GAP_M:
+        raise source.fault(prim, f"ends at {end_m.tolist()} m, not at the origin of {body.name!r}, where strings end")
     shortest = source.number(joint.GetMinDistanceAttr())
     if shortest is not None and shortest > 0.0:
         raise source.fault(joint.GetMinDistanceAttr(), f"unsupported joint: it is {shortest}, and a string only pulls")
@@ -255,21 +255,21 @@ def _tether(source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray,
 
 
 def _hinge(
-    source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, world: _End, held: _End, *, is_free: bool
+    source: Source, prim: Usd.Prim, body: RigidBody, anchor: FloatArray, world: _End, moving: _End, *, is_free: bool
 ) -> Hinge:
     """Return the hinge; the place of a free one in its body does not count."""
     letter = _letter(source, prim)
     stated = world.axis(letter)
     standard = StoredValue(place=str(world.rotation.GetPath()), raw=stated, value=stated)
-    own = prim.GetAttribute("gauge:axis")
-    axis = source.counted(own, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
+    double = prim.GetAttribute("gauge:axis")
+    axis = source.counted(double, [standard], (3,), rounded=lambda a: hinge_axis(wxyz(hinge_frame(vector(a)))))
     assert axis is not None
     if abs(float(np.linalg.norm(axis)) - 1.0) > UNIT:
         raise source.fault(prim, f"its axis {axis.tolist()} is not a unit vector: normalize it")
     axis = _normalized(axis)
-    if not is_free or _is_edited(held.rotation):
-        gap = 0.0 if is_free else float(np.linalg.norm(held.place() - anchor))
-        askew = float(np.linalg.norm(held.axis(letter) - axis))
+    if not is_free or _is_edited(moving.rotation):
+        gap = 0.0 if is_free else float(np.linalg.norm(moving.place() - anchor))
+        askew = float(np.linalg.norm(moving.axis(letter) - axis))
         if max(gap, askew) > GAP_M:
             raise source.fault(
                 prim,

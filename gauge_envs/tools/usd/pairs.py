@@ -82,17 +82,17 @@ def contacts_of(
     pairs. A file without `gauge:first` has the pairs of UsdPhysics: all enabled colliders except filtered pairs.
     """
     prims = [prim for prim in source.prims() if prim.HasRelationship("gauge:first")]
-    own = [_gauge_contact(source, prim, parties) for prim in prims]
-    _check_bindings(source, prims, own, parties)
+    kept = [_gauge_contact(source, prim, parties) for prim in prims]
+    _check_bindings(source, prims, kept, parties)
     moving = {party.name for party in parties if party.moves}
     solid = {party.name for party in parties if party.colliders}
-    listed = {pair for contact in own for pair in _pairs(contact) if pair & moving and pair <= solid}
+    listed = {pair for contact in kept for pair in _pairs(contact) if pair & moving and pair <= solid}
     allowed = _colliding(source, parties)
     given = {pair for contact in options.contacts for pair in _pairs(contact)}
     if prims and listed != allowed:
         written = source.text(physics.GetAttribute("gauge:colliding_pairs"))
         if names_digest(listed) == written:
-            own = [part for contact in own for part in _without(contact, listed - allowed)]
+            kept = [part for contact in kept for part in _without(contact, listed - allowed)]
         elif names_digest(allowed) != written:
             one = min(listed ^ allowed, key=sorted)
             where = "collide" if one in allowed else "pass through each other"
@@ -103,8 +103,8 @@ def contacts_of(
             )
         else:
             allowed = listed
-    own = [part for contact in own for part in _without(contact, given)]
-    return (*own, *_from_materials(source, parties, allowed - listed - given, options), *options.contacts)
+    kept = [part for contact in kept for part in _without(contact, given)]
+    return (*kept, *_from_materials(source, parties, allowed - listed - given, options), *options.contacts)
 
 
 # --- contacts that this package wrote --------------------------------------------------------------------------------
@@ -143,13 +143,13 @@ def _linked_materials(source: Source, prim: Usd.Prim, name: str = "gauge:materia
 
 
 def _check_bindings(
-    source: Source, prims: Sequence[Usd.Prim], own: Sequence[Contact], parties: Sequence[Party]
+    source: Source, prims: Sequence[Usd.Prim], kept: Sequence[Contact], parties: Sequence[Party]
 ) -> None:
     """Check that no body of a contact is bound to a material that belongs to none of its contacts."""
     kinds = ("gauge:materials", "gauge:derived_materials")
     linked = [{one.GetPath() for kind in kinds for one in _linked_materials(source, prim, kind)} for prim in prims]
     for party in parties:
-        known = [paths for paths, c in zip(linked, own, strict=True) if party.name in (*c.first, *c.second)]
+        known = [paths for paths, c in zip(linked, kept, strict=True) if party.name in (*c.first, *c.second)]
         bound = {material.GetPath() for material in map(source.material, party.colliders) if material}
         strange = bound.difference(*known)
         if known and strange:

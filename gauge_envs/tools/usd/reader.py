@@ -223,8 +223,8 @@ class _Reader:
         if stage.HasAuthoredTimeCodeRange():
             length = np.array(source.seconds(stage.GetEndTimeCode()))
             stated = StoredValue(place="endTimeCode", raw=length, value=length)
-        own = attribute.HasAuthoredValue() if attribute else False
-        if self.duration_s is not None and not own:
+        exact = attribute.HasAuthoredValue() if attribute else False
+        if self.duration_s is not None and not exact:
             stated = None
         value = source.counted(attribute, [stated], rounded=lambda t: np.round(t * source.rate) / source.rate)
         duration = float(value) if value is not None else self.duration_s
@@ -319,12 +319,12 @@ class _Reader:
             if any(is_welded(source, joint, prim) for joint in self.joints):
                 standard = Motion.FIXED
         attribute = prim.GetAttribute("gauge:motion")
-        own = source.text(attribute, tuple(Motion))
-        if own is None or own == standard:
+        exact = source.text(attribute, tuple(Motion))
+        if exact is None or exact == standard:
             return standard
         written = attribute.GetCustomDataByKey(WRITTEN)
         if standard == written:
-            return Motion(own)
-        if own == written:
+            return Motion(exact)
+        if exact == written:
             return standard
-        raise source.fault(attribute, f"is {own}, but UsdPhysics makes the body {standard}: make them agree")
+        raise source.fault(attribute, f"is {exact}, but UsdPhysics makes the body {standard}: make them agree")

@@ -254,9 +254,9 @@ def _authored(source: Source, attribute: Usd.Attribute, unit: float) -> StoredVa
 def _from_density(source: Source, body: Usd.Prim, colliders: Sequence[Usd.Prim], shape: Shape) -> float | None:
     """Return the mass from collider masses or densities, in the precedence of UsdPhysics."""
     unit = source.kilograms / source.metres**3
-    own = _authored(source, UsdPhysics.MassAPI(body).GetDensityAttr(), unit)
-    if own is not None:
-        return float(own.value) * shape.volume_m3
+    body_density = _authored(source, UsdPhysics.MassAPI(body).GetDensityAttr(), unit)
+    if body_density is not None:
+        return float(body_density.value) * shape.volume_m3
     apis = [UsdPhysics.MassAPI(collider) for collider in colliders if collider != body]
     masses = [_authored(source, api.GetMassAttr(), source.kilograms) for api in apis]
     if len(masses) == 1 and masses[0] is not None:

@@ -197,11 +197,11 @@ class Source:
 
     def used_files(self) -> tuple[Path, ...]:
         """Return the other files of the stage, sorted by their path relative to the main file."""
-        own = self.file.resolve()
+        main = self.file.resolve()
         layers = [layer for layer in self.stage.GetUsedLayers() if not layer.anonymous]
         # A layer in a package belongs to the package's file.
-        files = {Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve() for layer in layers} - {own}
-        return tuple(sorted(files, key=lambda file: os.path.relpath(file, own.parent)))
+        files = {Path(Ar.SplitPackageRelativePathOuter(layer.realPath)[0]).resolve() for layer in layers} - {main}
+        return tuple(sorted(files, key=lambda file: os.path.relpath(file, main.parent)))
 
     def prims(self) -> Iterator[Usd.Prim]:
         """Return an iterator over all active, defined prims in the stage's order, including prims in instances."""
@@ -306,32 +306,36 @@ class Source:
         Returns:
             The value, or None if neither exists.
         """
-        own, present = self.numbers(gauge, shape), [reading for reading in readings if reading is not None]
-        if own is None or not present:
-            return own if own is not None else self._agreed(present).value if present else None
+        double = self.numbers(gauge, shape)
+        present = [reading for reading in readings if reading is not None]
+        if not present:
+            return double
+        if double is None:
+            return self._agreed(present).value
+        as_single = rounded(double)
         written = gauge.GetCustomDataByKey(WRITTEN)
         if written is None:
-            disagree = next((one for one in present if not _agree(rounded(own), one.raw)), None)
-            if disagree is not None:
-                raise self._both(gauge, own, disagree, "it is unknown which of them was edited")
-            return own
+            for reading in present:
+                self._check_agree(gauge, double, as_single, reading, "it is unknown which of them was edited")
+            return double
         edited = [reading for reading in present if not _is(reading.raw, written)]
         if not edited:
-            return own
+            return double
         standard = self._agreed(edited)
-        if not _is(rounded(own), written, nearly=True):
-            if not _agree(rounded(own), standard.raw):
-                raise self._both(gauge, own, standard, "both were edited")
-            return own
-        if standard.raw.shape != own.shape:
+        if not _is(as_single, written, nearly=True):
+            self._check_agree(gauge, double, as_single, standard, "both were edited")
+            return double
+        if standard.raw.shape != double.shape:
             return standard.value
-        return np.where(rounded(own) == standard.raw, own, standard.value)
+        return np.where(as_single == standard.raw, double, standard.value)
 
-    def _both(self, gauge: Usd.Attribute, own: FloatArray, other: StoredValue, why: str) -> AssetError:
-        return self.fault(
-            gauge,
-            f"is {_shown(own)} but {other.place} is {_shown(other.value)}: {why}; make them agree, or delete the first",
-        )
+    def _check_agree(
+        self, gauge: Usd.Attribute, double: FloatArray, as_single: FloatArray, other: StoredValue, why: str
+    ) -> None:
+        """Raise an error unless a double and a standard value agree in single precision."""
+        if not _agree(as_single, other.raw):
+            values = f"is {_shown(double)} but {other.place} is {_shown(other.value)}"
+            raise self.fault(gauge, f"{values}: {why}; make them agree, or delete the first")
 
     def _agreed(self, readings: Sequence[StoredValue]) -> StoredValue:
         first = readings[0]

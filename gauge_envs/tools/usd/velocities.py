@@ -56,14 +56,14 @@ def read_velocities(source: Source, prim: Usd.Prim, frame: Frame, pose: Pose, sh
         source.reading(api.GetAngularVelocityAttr(), (3,)),
     ]
     doubles = [prim.GetAttribute(f"gauge:{name}") for name in NAMES]
-    own = [source.numbers(attribute, (3,)) for attribute in doubles]
-    has_own, has_standard = any(one is not None for one in own), any(one is not None for one in readings)
-    exact = np.array([np.zeros(3) if one is None else one for one in own])
+    stored = [source.numbers(attribute, (3,)) for attribute in doubles]
+    has_doubles, has_standard = any(one is not None for one in stored), any(one is not None for one in readings)
+    exact = np.array([np.zeros(3) if one is None else one for one in stored])
     if not has_standard:
         return exact
     standard = np.array([np.zeros(3) if one is None else one.value for one in readings])
     world = _world_velocities(frame.pose, pose, shape, standard)
-    if not has_own:
+    if not has_doubles:
         return world
     raw = np.array([np.zeros(3) if one is None else one.raw for one in readings])
     written = next(attribute.GetCustomDataByKey(WRITTEN) for attribute in doubles if attribute)

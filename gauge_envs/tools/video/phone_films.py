@@ -96,21 +96,30 @@ class FrontalFilm(Frames):
     """
 
     def __init__(self, source: Frames, view: PlaneView) -> None:
-        self.name, self.fps, self.size_px, self._source = source.name, source.fps, REFERENCE_SIZE_PX, source
         if source.size_px != view.size_px:
-            raise VideoError(f"{self.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}")
-        self._views = _board_views(source, view, view.source) if isinstance(view.source, Board) else None
-        self.camera = view if self._views is None else self._views[0] or view
+            raise VideoError(
+                f"{source.name}: it has {source.size_px} pixels, and the camera file states {view.size_px}"
+            )
+        self.name = source.name
+        self.fps = source.fps
+        self.size_px = REFERENCE_SIZE_PX
+        self._source = source
+        self.camera = view
+        self._views: list[PlaneView | None] | None = None
+        if isinstance(view.source, Board):
+            self._views = _board_views(source, view, view.source)
+            self.camera = self._views[0] or view
         width, height = source.size_px
         border = np.array([[0, 0], [0.5, 0], [1, 0], [1, 0.5], [1, 1], [0.5, 1], [0, 1], [0, 0.5]]) * (width, height)
-        places = self.camera.to_plane_m(border)
-        low, high = places.min(axis=0), places.max(axis=0)
+        places_m = self.camera.to_plane_m(border)
+        extent_m = places_m.max(axis=0) - places_m.min(axis=0)
         # What a slanted view shows far away would leave few pixels for the rest.
-        finest = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
-        self.scale = min(float(((high - low) / REFERENCE_SIZE_PX).max()), MOST_COARSE * finest)
-        self._blur = 0.4 * self.scale / finest * width / REFERENCE_SIZE_PX[0]
-        middle = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
-        self._origin = 0.5 * np.array(REFERENCE_SIZE_PX) - middle * (1.0, -1.0) / self.scale
+        finest_m_per_px = float(self.camera.grid_scale_m_per_px(0.5 * np.array([REFERENCE_SIZE_PX]))[0])
+        whole_m_per_px = float((extent_m / REFERENCE_SIZE_PX).max())
+        self.scale = min(whole_m_per_px, MOST_COARSE * finest_m_per_px)
+        self._blur_px = 0.4 * self.scale / finest_m_per_px * width / REFERENCE_SIZE_PX[0]
+        middle_m = self.camera.to_plane_m(border.mean(axis=0, keepdims=True))[0]
+        self._origin_px = 0.5 * np.array(REFERENCE_SIZE_PX) - middle_m * (1.0, -1.0) / self.scale
         self._canvas: Picture = np.zeros((*REFERENCE_SIZE_PX[::-1], 3), np.uint8)
         # What a moving camera uncovers is seen from the start, so that the scene stays the same.
         for _ in self.native():
@@ -128,7 +137,7 @@ class FrontalFilm(Frames):
     def native(self) -> Iterator[Picture]:
         """Yield the frontal pictures of the frames that show the board; what a frame does not show stays."""
         frontal = np.array(
-            [[1.0 / self.scale, 0.0, self._origin[0]], [0.0, -1.0 / self.scale, self._origin[1]], [0, 0, 1]]
+            [[1.0 / self.scale, 0.0, self._origin_px[0]], [0.0, -1.0 / self.scale, self._origin_px[1]], [0, 0, 1]]
         )
         maps: Any = None
         for number, picture in enumerate(self._source.native()):
@@ -139,18 +148,18 @@ class FrontalFilm(Frames):
                 lens = (np.eye(3), np.zeros(4)) if view.lens is None else view.lens.coefficients
                 plane = view.source.to_plane(view.lens)
                 maps = cv2.initUndistortRectifyMap(*lens, plane, frontal, REFERENCE_SIZE_PX, cv2.CV_32FC1)
-            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur) if self._blur > 0.5 else picture
+            smooth = cv2.GaussianBlur(picture, (0, 0), self._blur_px) if self._blur_px > 0.5 else picture
             cv2.remap(smooth, *maps, cv2.INTER_LINEAR, dst=self._canvas, borderMode=cv2.BORDER_TRANSPARENT)
             yield self._canvas.copy()
 
     def to_grid_px(self, points_px: FloatArray) -> FloatArray:
         """Return places on the frontal grid of places in the first frame [px], both of shape [count, 2]."""
-        return self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale + self._origin
+        return self.camera.to_plane_m(points_px) * (1.0, -1.0) / self.scale + self._origin_px
 
     def seen(self, track: Track) -> Track:
         """Return a track of the frontal film as the first camera sees it, on the reference grid of the film."""
         places = np.full(track.points_px.shape, np.nan)
-        plane_m = (track.points_px[track.is_found] - self._origin) * (self.scale, -self.scale)
+        plane_m = (track.points_px[track.is_found] - self._origin_px) * (self.scale, -self.scale)
         shrinkage = np.array(REFERENCE_SIZE_PX) / self._source.size_px
         places[track.is_found] = self.camera.to_picture_px(plane_m) * shrinkage
         return replace(track, points_px=places, size_ratio=np.full(len(places), np.nan), registration=None)
@@ -170,7 +179,7 @@ class FrontalFilm(Frames):
             size_m=size * self.scale,
             size_px=size,
             centre_px=(float(centre[0]), float(centre[1])),
-            pivot_px=None if pivot is None else tuple(pivot * (1.0, -1.0) / self.scale + self._origin),
+            pivot_px=None if pivot is None else tuple(pivot * (1.0, -1.0) / self.scale + self._origin_px),
             real={},
         )
 

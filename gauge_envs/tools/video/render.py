@@ -109,8 +109,10 @@ def film(
     simulation = engine.build(scene, settings)
     try:
         simulation.reset(seed)
-        held = round(release_s * SAMPLE_RATE_HZ)
-        frames = list(_frames(simulation, scene, chosen, held, round(lasts_s * SAMPLE_RATE_HZ), int(samples_per_frame)))
+        release_samples = round(release_s * SAMPLE_RATE_HZ)
+        frames = list(
+            _frames(simulation, scene, chosen, release_samples, round(lasts_s * SAMPLE_RATE_HZ), int(samples_per_frame))
+        )
     finally:
         simulation.close()
     track = Track(
@@ -124,7 +126,7 @@ def film(
 
 
 def _frames(
-    simulation: Simulation, scene: Scene, task: VideoTask, held: int, count: int, samples_per_frame: int
+    simulation: Simulation, scene: Scene, task: VideoTask, release_samples: int, count: int, samples_per_frame: int
 ) -> Iterator[tuple[NDArray[np.uint8], FloatArray]]:
     """Yield pictures, and the place of the object in each [px]; a frame is exposed in the first half of its time."""
     view = _view(scene, task)
@@ -136,12 +138,12 @@ def _frames(
     pictures: list[NDArray[np.uint8]] = []
     places: list[FloatArray] = []
     try:
-        for sample in range(held + count):
-            if sample > held:
-                paths.advance(simulation, sample - held - 1)
+        for sample in range(release_samples + count):
+            if sample > release_samples:
+                paths.advance(simulation, sample - release_samples - 1)
             if sample % samples_per_frame < exposed:
                 states = simulation.body_states(names)
-                if sample <= held and pictures:
+                if sample <= release_samples and pictures:
                     pictures.append(pictures[-1])
                 else:
                     pictures.append(renderer.picture(dict(zip(names, states[:, :7], strict=True)), {}))
@@ -150,7 +152,7 @@ def _frames(
             if sample % samples_per_frame == exposed - 1:
                 mean = np.mean(pictures, axis=0, dtype=np.float32)
                 yield np.asarray(mean.round(), dtype=np.uint8), np.mean(places, axis=0)
-                if sample >= held:
+                if sample >= release_samples:
                     pictures.clear()
                 else:
                     pictures = pictures[-1:]

@@ -245,11 +245,11 @@ def _moving_part(task: VideoTask) -> NDArray[np.bool_]:
 def _twins(candidates: list[list[Sight]], path: list[Sight], task: VideoTask) -> list[Event]:
     """Return the event of a second object that looks like the first one."""
     frames = []
-    for number, (ones, own) in enumerate(zip(candidates, path, strict=True)):
+    for number, (ones, chosen) in enumerate(zip(candidates, path, strict=True)):
         for one in ones:
-            is_far = not np.linalg.norm(one.place - own.place) < task.size_px
+            is_far = not np.linalg.norm(one.place - chosen.place) < task.size_px
             # Where an object cannot be, it is seen for another one although its own place is unknown.
-            is_other = own.likeness > 0.0 or not _is_allowed(one, task)
+            is_other = chosen.likeness > 0.0 or not _is_allowed(one, task)
             if is_far and is_other and one.likeness >= TWIN_LIKENESS and not _is_neighbour(one, task):
                 frames.append(number)
                 break

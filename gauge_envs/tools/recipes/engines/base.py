@@ -147,14 +147,14 @@ def stated_by(preset: SteppedSettings) -> Callable[[type[Class]], type[Class]]:
     settings = native_settings(type(preset))
 
     def decorate(cls: type[Class]) -> type[Class]:
-        own = {name: settings[name] for name in cls.model_fields if name in settings and name != "timestep_s"}
+        natives = {name: settings[name] for name in cls.model_fields if name in settings and name != "timestep_s"}
         fields: dict[str, Any] = {}
-        for name, setting in own.items():
+        for name, setting in natives.items():
             if cls.model_fields[name].is_required():
                 field = type(preset).model_fields[setting]
                 fields[name] = Annotated[(field.annotation, *field.metadata, Native(name))], getattr(preset, setting)
         made = create_model(cls.__name__, __base__=cls, __module__=cls.__module__, __doc__=cls.__doc__, **fields)
-        made.natives = own
+        made.natives = natives
         return made
 
     return decorate

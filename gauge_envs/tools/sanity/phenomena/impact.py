@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gauge_envs.evaluation.estimators import restitution_of_bounce
+from gauge_envs.evaluation.estimators import first_bounce
 from gauge_envs.evaluation.metrics.events import momentum_transfer_efficiency
 from gauge_envs.references.published import published_baselines
 from gauge_envs.runs.rollout import Rollout
@@ -84,9 +84,10 @@ def _rebound_ratio(rollout: Rollout, name: str) -> float:
     heights_m = 1e-3 * _height_mm(rollout, name)
     drop_m = float(heights_m[0])
     gravity = rollout.scene.gravity_m_per_s2
-    ratio = restitution_of_bounce(rollout.times_s, heights_m, gravity_m_per_s2=gravity, released_m=drop_m)
-    hop_mm = 1e3 * ratio**2 * drop_m
-    return ratio if hop_mm > CLEAR_MM else 0.0
+    bounce = first_bounce(rollout.times_s, heights_m, gravity_m_per_s2=gravity, released_m=drop_m)
+    if bounce is None or 1e3 * bounce.restitution**2 * drop_m <= CLEAR_MM:
+        return 0.0
+    return bounce.restitution
 
 
 def rebound() -> Phenomenon:

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from gauge_envs.backends.mujoco.model_settings import COLUMNS
+from gauge_envs.backends.mujoco.model_settings import COLUMNS, can_move
 from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.tools.sanity.model import VISIBLE_WITHIN, Cause, PhenomenonResult, Reality, RealityKind, Verdict
 from gauge_envs.tools.sanity.phenomena.base import facts
-from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, first_moving_body, geom_name, support_m
+from gauge_envs.tools.sanity.robot.mujoco_feet import SOLE_WITHIN, Standing, geom_name, support_m
 from gauge_envs.tools.sanity.robot.robot import Robot
 
 NOT_STANDING = "no robot of the model stands on the ground under its own weight"
@@ -68,6 +68,11 @@ def row(name: str) -> Callable[[Callable[[Robot], Finding]], Callable[[Robot], F
         return function
 
     return keep
+
+
+def largest(findings: list[Finding], reason: str) -> Finding:
+    """Return the first finding with the largest value; without any, one that does not apply for a reason."""
+    return max(findings, key=lambda one: one.value, default=Finding(declined=reason))
 
 
 def standing_of(robot: Robot) -> Standing:
@@ -149,29 +154,28 @@ def _extent(robot: Robot, body: int) -> tuple[float, float, float]:
 def _density(robot: Robot) -> Finding:
     model, worst, found = robot.model, 0.0, Finding(declined="the shape of no link is known")
     changes: dict[str, Any] = {}
-    total = float(model.body_mass[robot.bodies].sum())
+    total_kg = float(model.body_mass[robot.bodies].sum())
     low, high = facts("robot_rows")["robot-density"]["interval"]
     for body in robot.bodies:
-        mass = float(model.body_mass[body])
-        largest, hull, _ = _extent(robot, body)
-        if not (mass > 0.0 and largest > 0.0):
+        mass_kg = float(model.body_mass[body])
+        geom_m3, hull_m3, _ = _extent(robot, body)
+        if not (mass_kg > 0.0 and geom_m3 > 0.0):
             continue
-        # The lightest that its geoms allow, and the heaviest that the room around them does.
-        light, heavy = mass / largest, mass / max(hull, largest)
-        value, ratio = (light if light < low else max(heavy, low)), max(low / light, heavy / high)
-        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / value / one)))
+        # The largest density that its largest geom allows, and the least one in the room around all of them [kg/m^3].
+        dense, thin = mass_kg / geom_m3, mass_kg / max(hull_m3, geom_m3)
+        density = dense if dense < low else max(thin, low)
+        ratio = max(low / dense, thin / high)
+        factor = min(UNIT_ERRORS, key=lambda one: abs(np.log(1000.0 / density / one)))
+        remark = f"{body_name(robot, body)} with {mass_kg:.3g} kg of {total_kg:.3g} kg"
         if ratio > 1.0:
-            changes |= {
-                f"body_{key}[{body}]": getattr(model, f"body_{key}")[body] * factor for key in ("mass", "inertia")
-            }
+            remark += f": {UNIT_ERRORS[factor]}?"
+            changes[f"body_mass[{body}]"] = model.body_mass[body] * factor
+            changes[f"body_inertia[{body}]"] = model.body_inertia[body] * factor
         if found.declined or ratio > worst:
-            name = body_name(robot, body)
             worst = ratio
-            found = Finding(
-                value=value,
-                remark=f"{name} with {mass:.3g} kg of {total:.3g} kg" + f": {UNIT_ERRORS[factor]}?" * (ratio > 1.0),
-                advice=f"multiply mass and inertia, or the density, of {name} and links like it by {factor:g}",
-            )
+            links = f"{body_name(robot, body)} and links like it"
+            advice = f"multiply mass and inertia, or the density, of {links} by {factor:g}"
+            found = Finding(value=density, remark=remark, advice=advice)
     return replace(found, changes=changes)
 
 
@@ -186,11 +190,13 @@ def _bound(robot: Robot) -> Finding:
         model = bare.compile()
     except ValueError:
         return Finding(declined="without them a body has no mass: MuJoCo needs them")
-    masses, own = robot.model.body_mass[robot.bodies], model.body_mass[robot.bodies]
-    inertia, light = robot.model.body_inertia[robot.bodies].max(axis=1), model.body_inertia[robot.bodies].max(axis=1)
-    share = float((masses - own).sum() / own.sum())
-    raised = [body for body, now, was in zip(robot.bodies, inertia, light, strict=True) if now > 1.02 * was]
-    weight = float(own[[robot.bodies.index(body) for body in raised]].sum() / own.sum()) if raised else 0.0
+    masses, stated_masses = robot.model.body_mass[robot.bodies], model.body_mass[robot.bodies]
+    inertias = robot.model.body_inertia[robot.bodies].max(axis=1)
+    stated_inertias = model.body_inertia[robot.bodies].max(axis=1)
+    share = float((masses - stated_masses).sum() / stated_masses.sum())
+    is_raised = inertias > 1.02 * stated_inertias
+    raised = np.asarray(robot.bodies)[is_raised].tolist()
+    weight = float(stated_masses[is_raised].sum() / stated_masses.sum()) if raised else 0.0
     names = ", ".join(body_name(robot, body) for body in raised[:3])
     changes = {f"{key}[{b}]": getattr(model, key)[b] for b in robot.bodies for key in ("body_mass", "body_inertia")}
     remark = f"{len(raised)} links have more inertia than their geoms or their inertial element state: {names}"
@@ -220,21 +226,23 @@ def _gravcomp(robot: Robot) -> Finding:
 
 @row("robot-inertia")
 def _inertia(robot: Robot) -> Finding:
-    found = Finding(declined="the shape of no link is known")
+    findings = []
     for body in robot.bodies:
-        mass, reach = float(robot.model.body_mass[body]), _extent(robot, body)[2]
-        if not (mass > 0.0 and reach > 0.0):
+        mass_kg, reach_m = float(robot.model.body_mass[body]), _extent(robot, body)[2]
+        if not (mass_kg > 0.0 and reach_m > 0.0):
             continue
-        radius = float(np.sqrt(0.5 * robot.model.body_inertia[body].sum() / mass))
-        if found.declined or radius / reach > found.value:
-            share = (0.5 * reach / radius) ** 2
-            found = Finding(
-                value=radius / reach,
-                remark=f"{body_name(robot, body)} of {mass:.3g} kg: {radius:.3g} m of {reach:.3g} m",
-                advice=f"give {body_name(robot, body)} the inertia of its geoms, about {share:.2g} of the stated one",
-                changes={f"body_inertia[{body}]": robot.model.body_inertia[body] * share},
-            )
-    return found
+        name, inertia = body_name(robot, body), robot.model.body_inertia[body]
+        # The sum of the principal moments is twice the mass times the square of the polar radius of gyration.
+        radius_m = float(np.sqrt(0.5 * inertia.sum() / mass_kg))
+        share = (0.5 * reach_m / radius_m) ** 2
+        finding = Finding(
+            value=radius_m / reach_m,
+            remark=f"{name} of {mass_kg:.3g} kg: {radius_m:.3g} m of {reach_m:.3g} m",
+            advice=f"give {name} the inertia of its geoms, about {share:.2g} of the stated one",
+            changes={f"body_inertia[{body}]": inertia * share},
+        )
+        findings.append(finding)
+    return largest(findings, "the shape of no link is known")
 
 
 # --- feet on the ground ----------------------------------------------------------------------------------------------
@@ -339,17 +347,15 @@ def _floor_tilt(robot: Robot) -> Finding:
     model, gravity = robot.model, robot.model.opt.gravity
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
-    fixed = [first_moving_body(model, int(body)) for body in model.geom_bodyid]
-    planes = [
-        g
-        for g in range(model.ngeom)
-        if int(model.geom_type[g]) == int(mujoco.mjtGeom.mjGEOM_PLANE) and not model.body_dofnum[fixed[g]]
-    ]
-    planes = [g for g in planes if model.geom_contype[g] or model.geom_conaffinity[g]]
+    is_colliding = (model.geom_contype != 0) | (model.geom_conaffinity != 0)
+    is_plane = is_colliding & (model.geom_type == int(mujoco.mjtGeom.mjGEOM_PLANE)) & ~can_move(model)
+    planes = np.flatnonzero(is_plane).tolist()
     if not planes or not gravity.any():
         return Finding(declined="the model has no plane, or no gravity")
-    normals = {g: data.geom_xmat[g].reshape(3, 3)[:, 2] for g in planes}
-    cosines = {g: float(-normals[g] @ gravity / np.linalg.norm(gravity)) for g in planes}
+    cosines = {}
+    for plane in planes:
+        normal = data.geom_xmat[plane].reshape(3, 3)[:, 2]
+        cosines[plane] = float(-normal @ gravity / np.linalg.norm(gravity))
     # Walls and ramps beside a floor are no fault.
     geom = max(cosines, key=lambda g: cosines[g])
     angle = float(np.degrees(np.arccos(np.clip(cosines[geom], -1.0, 1.0))))
@@ -475,22 +481,23 @@ def _torque(robot: Robot) -> Finding:
     if not robot.is_floating:
         return Finding(declined=NOT_STANDING)
     model, data, standing = robot.model, start(robot), standing_of(robot)
-    found = Finding(declined="no joint states the limit of its torque")
+    limits_nm = {dof: limit for dof, limit in driven_dofs(robot) if np.isfinite(limit)}
+    if not limits_nm:
+        return Finding(declined="no joint states the limit of its torque")
+    weights_nm = {dof: abs(float(data.qfrc_bias[dof])) for dof in limits_nm}
+    ratios = {dof: min(limit / max(weights_nm[dof], 1e-3), 1e6) for dof, limit in limits_nm.items()}
+    weakest = min(ratios, key=lambda dof: ratios[dof])
     # Twice what a foot carries, at the height of the robot.
     load_n = float(model.body_mass[robot.bodies].sum()) * GRAVITY_M_PER_S2 / len(standing.feet)
-    fair = 2.0 * load_n * standing.height_m
-    actuators = [int(a) for a in np.flatnonzero(model.actuator_forcelimited)]
-    for dof, limit in driven_dofs(robot):
-        weight = abs(float(data.qfrc_bias[dof]))
-        if np.isfinite(limit) and (found.declined or limit / max(weight, 1e-3) < found.value):
-            joint = joint_name(robot, dof)
-            found = Finding(
-                value=min(limit / max(weight, 1e-3), 1e6),
-                remark=f"{joint}: {limit:.3g} Nm against {weight:.3g} Nm",
-                advice=f"a forcerange of {joint} and joints like it from {fair:.2g} Nm on",
-                changes={f"actuator_forcerange[{a}]": np.array([-fair, fair]) for a in actuators},
-            )
-    return found
+    fair_nm = 2.0 * load_n * standing.height_m
+    limited = np.flatnonzero(model.actuator_forcelimited).tolist()
+    joint = joint_name(robot, weakest)
+    return Finding(
+        value=ratios[weakest],
+        remark=f"{joint}: {limits_nm[weakest]:.3g} Nm against {weights_nm[weakest]:.3g} Nm",
+        advice=f"a forcerange of {joint} and joints like it from {fair_nm:.2g} Nm on",
+        changes={f"actuator_forcerange[{actuator}]": np.array([-fair_nm, fair_nm]) for actuator in limited},
+    )
 
 
 def stiffness(model: mujoco.MjModel, dof: int) -> float:

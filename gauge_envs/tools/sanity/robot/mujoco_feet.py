@@ -120,8 +120,8 @@ def find_standing(model: mujoco.MjModel, pairs: ContactPairs, up: tuple[float, f
     robot = max(standing, key=lambda body: (model.body_subtreemass[body], -body))
     support = {geom: support_m(model, stance, geom) for geom in touching if robot_of[geom] == robot}
     lowest = {geom: float(point[2]) for geom, point in support.items()}
-    own = [geom for geom, body in enumerate(robot_of) if body == robot]
-    top = float((stance.positions_m[own, 2] + model.geom_rbound[own]).max())
+    robot_geoms = [geom for geom, body in enumerate(robot_of) if body == robot]
+    top = float((stance.positions_m[robot_geoms, 2] + model.geom_rbound[robot_geoms]).max())
     height = max(top - min(lowest.values()), 1e-3)
     standing_geoms = {g: z for g, z in lowest.items() if z <= min(lowest.values()) + STANDS_WITHIN * height}
     feet = _feet(model, standing_geoms, SOLE_WITHIN * height)
@@ -325,10 +325,10 @@ def _sets(
 ) -> tuple[str, ...]:
     """Return the names of the judged sets of contact constants that feet have on the ground."""
     rows = [row for row in ground_rows(pairs) if set(pairs.geoms[row].tolist()) & feet]
-    own = [contact_settings(model, pairs.constants[row]) for row in rows]
+    foot_settings = [contact_settings(model, pairs.constants[row]) for row in rows]
     names: dict[str, str] = {}
     for group in groups:
         # Groups with the same settings are one set, with the name of the first.
-        if group.is_used and group.settings in own:
+        if group.is_used and group.settings in foot_settings:
             names.setdefault(repr(group.settings), group.geoms)
     return tuple(names.values())

@@ -29,7 +29,7 @@ from gauge_envs.scene import GRAVITY_M_PER_S2
 from gauge_envs.scene.geometry import vector
 from gauge_envs.tools.sanity.model import ContactGroup, Need, TrainingConfiguration
 from gauge_envs.tools.sanity.robot.mujoco_feet import NoFootError, find_standing, geom_name, read_foot, shortened
-from gauge_envs.tools.sanity.robot.robot import Robot, held_kinds, never_touches
+from gauge_envs.tools.sanity.robot.robot import Robot, grasp_kinds, never_touches
 from gauge_envs.tools.sanity.scenario import check_settings
 
 GRAVITY_TOLERANCE = 0.01
@@ -167,8 +167,8 @@ def _groups(
 
     Used are the groups with the constants `used`, and with `all_on_ground` all groups of the first kind.
     """
-    held = all_on_ground * held_kinds(model, pairs)
-    keys = np.column_stack([pairs.kinds, held, pairs.constants])
+    grasped = all_on_ground * grasp_kinds(model, pairs)
+    keys = np.column_stack([pairs.kinds, grasped, pairs.constants])
     _, inverse = np.unique(keys, axis=0, return_inverse=True)
     groups = []
     for number in range(inverse.max() + 1):
@@ -183,8 +183,8 @@ def _groups(
             pair_count=len(rows),
             constants=named | {"condim": int(constants[0])},
             is_used=is_used or (all_on_ground and kind == pairs.kinds.min()),
-            is_held=bool(held[rows[0]]),
-            is_point=bool(held[rows[0]] == 2),
+            is_held=bool(grasped[rows[0]]),
+            is_point=bool(grasped[rows[0]] == 2),
             settings=contact_settings(model, constants),
         )
         groups.append((kind, -len(rows), number, group))

@@ -113,7 +113,7 @@ class Robot:
     @cached_property
     def grounded(self) -> set[int]:
         """Geoms that can touch the ground, those of the ground, and those of a hand and of what it can hold."""
-        rows = [*ground_rows(self.pairs), *np.flatnonzero(held_kinds(self.model, self.pairs))]
+        rows = [*ground_rows(self.pairs), *np.flatnonzero(grasp_kinds(self.model, self.pairs))]
         return set(np.unique(self.pairs.geoms[rows]).tolist())
 
     def needs_default(self, name: str, value: Any) -> bool:
@@ -127,15 +127,15 @@ class Robot:
         Options are set; attributes of geoms reach those that take them from the default class, and each geom on the
         ground that states its own is changed too. A name such as `geom_condim[3]` changes a row of an array.
         """
-        model, own = self._colliding(changes), {}
+        model, stating = self._colliding(changes), {}
         for name, value in changes.items():
             if name in GEOM_FIELDS:
                 array = getattr(model, f"geom_{GEOM_FIELDS[name]}")
                 reached = self.reached_by_default(name)
                 others = self.grounded - set(reached)
-                own[name] = sorted(geom for geom in others if not np.array_equal(array[geom], value))
+                stating[name] = sorted(geom for geom in others if not np.array_equal(array[geom], value))
                 # The margins and gaps of two geoms add up.
-                array[[*reached, *own[name]]] = (
+                array[[*reached, *stating[name]]] = (
                     value if name not in ("contact_margin_m", "contact_gap_m") else value / 2
                 )
             elif found := ELEMENT.fullmatch(name):
@@ -146,7 +146,7 @@ class Robot:
             mujoco.mj_setConst(model, mujoco.MjData(model))
         except mujoco.FatalError as error:
             raise TargetError(f"the change needs the model's file: {error}") from None
-        return model, {name: geoms for name, geoms in own.items() if geoms}
+        return model, {name: geoms for name, geoms in stating.items() if geoms}
 
     def _colliding(self, changes: Mapping[str, Any]) -> mujoco.MjModel:
         """Return a copy of the model, compiled again where geoms are to collide that were not compiled for it."""
@@ -182,7 +182,7 @@ def _set_option(model: mujoco.MjModel, name: str, value: Any) -> None:
         option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_OVERRIDE)
 
 
-def held_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
+def grasp_kinds(model: mujoco.MjModel, pairs: ContactPairs) -> NDArray[np.int_]:
     """Return for each pair 1 where a part whose joints have motors can hold a free body, 2 if at a point, or else 0."""
     roots = model.body_rootid
     motors = model.actuator_trnid[model.actuator_trntype == int(mujoco.mjtTrn.mjTRN_JOINT), 0]

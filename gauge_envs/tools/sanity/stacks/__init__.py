@@ -85,8 +85,8 @@ def dialect(name: str) -> Dialect:
     return next(one for stack in STACKS for one in getattr(_stack(stack), "DIALECTS", ()) if one.name == name)
 
 
-def _readers(stacks: Sequence[str] = STACKS) -> Iterator[Reader]:
-    for stack in stacks:
+def _readers(stacks: Sequence[str] = ()) -> Iterator[Reader]:
+    for stack in stacks or STACKS:
         yield from _stack(stack).READERS
 
 

@@ -110,8 +110,8 @@ def _add_bodies(spec: mujoco.MjSpec, target: Any) -> None:
 def _names(target: Any, count: int) -> list[str]:
     """Return a unique name for each geom: its own, or its number."""
     texts, addresses = getattr(target, "names", b""), getattr(target, "name_geomadr", ())
-    own = [bytes(texts)[int(start) :].split(b"\0", 1)[0].decode() for start in addresses]
-    return [own[geom] if geom < len(own) and own[geom] else f"geom {geom}" for geom in range(count)]
+    known = [bytes(texts)[int(start) :].split(b"\0", 1)[0].decode() for start in addresses]
+    return [known[geom] if geom < len(known) and known[geom] else f"geom {geom}" for geom in range(count)]
 
 
 def _set_options(spec: mujoco.MjSpec, option: Any) -> None:

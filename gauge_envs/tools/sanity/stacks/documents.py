@@ -201,20 +201,6 @@ class Table:
             return value
         raise self._wrong(key, value, "a text")
 
-    def entries(self, key: str) -> tuple[Any, ...]:
-        """Return a list of values of any kind; an empty one when it is absent."""
-        value = self.value(key) or ()
-        if isinstance(value, list | tuple):
-            return tuple(value)
-        raise self._wrong(key, value, "a list")
-
-    def texts(self, key: str) -> tuple[str, ...]:
-        """Return a list of texts; an empty one when it is absent."""
-        value = self.entries(key)
-        if all(isinstance(one, str) for one in value):
-            return value
-        raise self._wrong(key, value, "a list of texts")
-
     def choice(self, key: str, known: Collection[str]) -> str | None:
         """Return one of some texts."""
         value = self.value(key)

@@ -40,9 +40,9 @@ def _read_vector(vector: VectorEnv[Any, Any, Any], pair: GeomPair | None) -> Tra
 
 
 def _read_id(name: str, pair: GeomPair | None, kwargs: Mapping[str, Any] | None = None) -> TrainingConfiguration:
-    own = {variant.name: variant.id for variant in variants()}
+    suite_ids = {variant.name: variant.id for variant in variants()}
     try:
-        env = gymnasium.make(own.get(name, name), **(kwargs or {}))
+        env = gymnasium.make(suite_ids.get(name, name), **(kwargs or {}))
     except Exception as error:  # Other environments raise exceptions of any kind.
         cause = " ".join(str(error).split())
         raise NotATargetError(f"{name!r}: gymnasium.make fails: {cause} ({type(error).__name__})") from error

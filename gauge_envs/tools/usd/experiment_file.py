@@ -15,7 +15,14 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError, model_validator
 
 from gauge_envs.errors import AssetError, TaskFileError
-from gauge_envs.experiments.experiment import ASSET_NAME, Asset, AssetKind, Experiment, driver_provenance
+from gauge_envs.experiments.experiment import (
+    ASSET_NAME,
+    EXPERIMENT_NAME,
+    Asset,
+    AssetKind,
+    Experiment,
+    driver_provenance,
+)
 from gauge_envs.experiments.scene_source import check_fit, contents_sha256, read_bytes
 from gauge_envs.experiments.tables import Camera, DriverSpec, Fraction, JointConstants, MotorSpec, hinge_terms
 from gauge_envs.experiments.task_files import task_file_error
@@ -26,14 +33,11 @@ from gauge_envs.references.bands import Band, BandSidecar, BandSpec, read_band
 from gauge_envs.references.metrics import METRICS, BaselineMetric
 from gauge_envs.references.published import PUBLISHED_ENGINES, Baseline, Reference
 from gauge_envs.references.tables import FileModel
-from gauge_envs.registry import scene_files
 from gauge_envs.scene import Contact, ContactMode, Hinge, Markers, Motion, Scene
 from gauge_envs.scene.drivers import Driver
 from gauge_envs.scene.geometry import NonNegative, Positive, Vector
 from gauge_envs.scene.timing import FRAME_RATE_HZ, MOST_FRAMES
-
-EXPERIMENT_NAME = "[A-Za-z0-9][A-Za-z0-9_-]{0,99}"
-"""Pattern of the name of an experiment file, which is part of ids and of file names."""
+from gauge_envs.tools.usd.reader import read_points, read_usd
 
 
 class PairSpec(FileModel):
@@ -258,9 +262,7 @@ def _scene(path: Path, layer: Path, definition: ExperimentFile) -> tuple[Scene, 
     """Return the layer's scene with the additions of the file, the recorded bodies, and the layer's files."""
     duration_s = (definition.frames - 1) / FRAME_RATE_HZ
     has_markers = definition.markers is None
-    found = scene_files(layer.suffix).read_scene(
-        layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers
-    )
+    found = read_usd(layer, duration_s=duration_s, friction=definition.friction, has_markers=has_markers)
     scene = replace(found.scene, duration_s=duration_s)
     names = _names(path, layer, found.paths)
     for index, pair in enumerate(definition.contacts):
@@ -296,7 +298,7 @@ def _markers(path: Path, layer: Path, names: Names, spec: FileMarkersSpec) -> Ma
     stated = spec.model_dump(exclude={"prim"})
     if spec.prim is not None:
         try:
-            stated["positions_m"] = scene_files(layer.suffix).read_points(layer, spec.prim).tolist()
+            stated["positions_m"] = read_points(layer, spec.prim).tolist()
         except AssetError as error:
             raise AssetError(path, "markers.prim", f"{error.place} of {layer.name}: {error.reason}") from None
     try:
