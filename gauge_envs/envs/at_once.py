@@ -37,8 +37,11 @@ class EpisodesAtOnce(EpisodesOneByOne):
 
     def __init__(self, episodes: Sequence[Episode], worlds: Worlds) -> None:
         super().__init__(episodes, worlds)
-        first, count = episodes[0], len(episodes)
-        experiment, scenes = first.experiment, [episode.experiment.scene for episode in episodes]
+        first = episodes[0]
+        experiment = first.experiment
+        scenes = [episode.experiment.scene for episode in episodes]
+        count = len(episodes)
+        frame_count = experiment.frame_count
         self._recorded = experiment.recorded
         self._dynamic = tuple(body.name for body in scenes[0].dynamic_bodies)
         self._rows = [self._dynamic.index(name) for name in self._recorded]
@@ -50,15 +53,15 @@ class EpisodesAtOnce(EpisodesOneByOne):
         ]
         observers = [one.observer for one in episodes if isinstance(one.observer, ObserverMarkers)]
         self._markers = MarkersOfWorlds(observers, worlds) if observers else None
-        frames = experiment.frame_count + first.later_limit
-        self._drivers = [DriverPathOfWorlds(driver, scenes, frames) for driver in scenes[0].drivers]
-        self._commands = motor_commands(scenes[0], frames * SAMPLES_PER_FRAME)
+        driven_frames = frame_count + first.later_limit
+        self._drivers = [DriverPathOfWorlds(driver, scenes, driven_frames) for driver in scenes[0].drivers]
+        self._commands = motor_commands(scenes[0], driven_frames * SAMPLES_PER_FRAME)
         self._driven = tuple(driver.body for driver in scenes[0].drivers)
         # Time comes first, so that a sample of all worlds is one block of memory.
         sample_count, width = first.sample_shape
         self._samples = np.full((sample_count, count, width), np.nan)
-        self._bodies = np.full((experiment.frame_count, count, len(self._recorded), 13), np.nan)
-        self._markers_m = np.full((experiment.frame_count, count, *first.observer.markers_m.shape), np.nan)
+        self._bodies = np.full((frame_count, count, len(self._recorded), 13), np.nan)
+        self._markers_m = np.full((frame_count, count, *first.observer.markers_m.shape), np.nan)
         self._driver_states = np.full((count, len(self._driven), 13), np.nan)
         for number, episode in enumerate(episodes):
             episode.record_in(self._samples[:, number], self._bodies[:, number], self._markers_m[:, number])
@@ -67,8 +70,10 @@ class EpisodesAtOnce(EpisodesOneByOne):
         self._shown = np.zeros(count, dtype=np.intp)
         # Worlds with other constants may have bands of their own.
         bands = {id(episode.reward_band): episode.reward_band for episode in episodes}
-        numbers = np.array([list(bands).index(id(episode.reward_band)) for episode in episodes])
-        self._rewards = [(_BatchReward(band), numbers == number) for number, band in enumerate(bands.values())]
+        self._rewards = []
+        for key, band in bands.items():
+            has_band = np.array([id(episode.reward_band) == key for episode in episodes])
+            self._rewards.append((_BatchReward(band), has_band))
         self._frame = 0
         self._faults: dict[int, str] = {}
         self._diverged = np.zeros(count, dtype=np.bool_)
@@ -91,7 +96,10 @@ class EpisodesAtOnce(EpisodesOneByOne):
     def begin(self, seed: int) -> None:
         """Return all worlds to their starts, and record frame 0."""
         self.worlds.reset(seed)
-        self.ran, self._frame, self._faults, self._is_behind = self._every, 0, {}, False
+        self.ran = self._every
+        self._frame = 0
+        self._faults = {}
+        self._is_behind = False
         self._diverged[:] = False
         for driver in self._drivers:
             driver.reset()

@@ -114,7 +114,8 @@ class Episode:
         self._world = world
         is_aligned = band is not None and band.grade.is_real and experiment.trial is None
         self._later_frames = LATER_FRAMES if is_aligned else 0
-        self._later, self._later_limit = 0, self._later_frames
+        self._later = 0
+        self._later_limit = self._later_frames
         self._last_view: View | None = None
         self._drivers = DriverPaths(scene, (experiment.frame_count + self._later_frames) / FRAME_RATE_HZ)
         self._driven = tuple(driver.body for driver in scene.drivers)
@@ -129,24 +130,28 @@ class Episode:
         self._rigid_bounds = RigidBounds(scene)
         self.deformable_bounds = [DeformableBounds(name, scene, rest) for name, rest in self.rest_nodes_m.items()]
         observable = experiment.score.observable
-        self.observer: Observer = (
-            ObserverPositions(experiment.recorded)
-            if observable is Observable.POSITION
-            else ObserverMarkers(scene, observable, world, marker_proxy)
-        )
+        self.observer: Observer
+        if observable is Observable.POSITION:
+            self.observer = ObserverPositions(experiment.recorded)
+        else:
+            self.observer = ObserverMarkers(scene, observable, world, marker_proxy)
         self._grade = BandGrade.NONE.value if band is None else band.grade.value
+        reward_grade = self._grade if self.reward_band is None else self.reward_band.grade.value
+        # What `info` states of every frame.
         self._origin: dict[str, Any] = {
-            "reference": self._grade if self.reward_band is None else self.reward_band.grade.value,
+            "reference": reward_grade,
             "reference_source": experiment.reference_source.value,
             "drivers": experiment.drivers.value,
-            **({"edited": True} if experiment.edited else {}),
-            **({} if experiment.trial is None else {"trial": experiment.trial}),
         }
-        frames, bodies = experiment.frame_count, len(experiment.recorded)
-        sample_count = (frames - 1 + self._later_frames) * SAMPLES_PER_FRAME + 1
+        if experiment.edited:
+            self._origin["edited"] = True
+        if experiment.trial is not None:
+            self._origin["trial"] = experiment.trial
+        frame_count = experiment.frame_count
+        sample_count = (frame_count - 1 + self._later_frames) * SAMPLES_PER_FRAME + 1
         self._samples = np.full((sample_count, self.observer.width), np.nan)
-        self._bodies = np.full((frames, bodies, 13), np.nan)
-        self._markers_m = np.full((frames, *self.observer.markers_m.shape), np.nan)
+        self._bodies = np.full((frame_count, len(experiment.recorded), 13), np.nan)
+        self._markers_m = np.full((frame_count, *self.observer.markers_m.shape), np.nan)
         self.action_space = action_space_of(experiment)
         self.observation_space = observation_space_of(experiment)
 
@@ -176,8 +181,11 @@ class Episode:
     def restart(self) -> None:
         """Return to frame 0 without recording it, for a caller that records it in the arrays of `record_in`."""
         self._drivers.reset()
-        self.frame, self.fault = 0, None
-        self._later, self._later_limit, self._last_view = 0, self._later_frames, None
+        self.frame = 0
+        self.fault = None
+        self._later = 0
+        self._later_limit = self._later_frames
+        self._last_view = None
 
     @property
     def no_rates(self) -> FloatArray:
@@ -406,8 +414,10 @@ class Episode:
     def info(self) -> dict[str, Any]:
         """Return frame, time, grade of the reference, sources of reference and driven motion, and any divergence."""
         frame = self.frame or 0
-        diverged = {} if self.fault is None else {"diverged": self.fault}
-        return {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin, **diverged}
+        info = {"frame": frame, "time_s": frame / FRAME_RATE_HZ, **self._origin}
+        if self.fault is not None:
+            info["diverged"] = self.fault
+        return info
 
     def reward(self) -> float:
         """Return minus the mean over band coordinates of |z| at the frame; 0 where the band knows nothing.

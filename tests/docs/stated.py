@@ -291,15 +291,13 @@ def control() -> list[str]:
     durations = [task.DURATION_S for task in (*family.values(), slope)]
     uncertain = of("references.sensitivities.input_uncertainties")().friction
     slip, rest = of("tools.control.friction.SLIP_SPEED_M_PER_S"), of("tools.control.least_time.REST_M_PER_S")
-    tolerance_m, tolerance_rad = (
-        of("tools.control.least_time.TOLERANCE_M"),
-        of("tools.control.least_time.TOLERANCE_RAD"),
-    )
+    tolerance_m = of("tools.control.least_time.TOLERANCE_M")
+    tolerance_rad = of("tools.control.least_time.TOLERANCE_RAD")
     push = family["Push"]
     braking = (
         of("tools.control.limit.pair_friction")(load_experiment("SlopeSlider-3-wood").scene, "cube", "board") * 9.80665
     )
-    fling = family["Fling"]()
+    fling = family["Fling"]("satin")
     (cloth,) = fling.experiment.scene.deformables
     # A hanging strip of length L sinks by rho g L^2 / (3 K) on average, and gravity stretches it with half of its work.
     stretch = 9.80665 * cloth.size_m[0] * (cloth.areal_density_kg_per_m2 / cloth.stretch_stiffness_n_per_m / 3) ** 0.5

@@ -144,11 +144,16 @@ def experiment_envelope(
             else:
                 values.append(float(np.sqrt(np.mean(np.sum((frames - path) ** 2, axis=1)))))
         notify(len(values))
+    quantity, unit = "deviation", experiment.score.observable.unit
+    if is_scored and experiment.trial is None:
+        quantity, unit = "normalized RMSE", "1"
+    elif is_scored:
+        quantity = "RMSE"
     return Envelope(
         id=experiment.id,
         backend=backend,
-        quantity="deviation" if not is_scored else "normalized RMSE" if experiment.trial is None else "RMSE",
-        unit="1" if is_scored and experiment.trial is None else experiment.score.observable.unit,
+        quantity=quantity,
+        unit=unit,
         policy="none",
         parameters=parameters,
         sigmas=sigmas,
@@ -171,13 +176,13 @@ def _batch(
         while not over.all():
             _, _, terminations, truncations, _ = envs.step(actions)
             over |= terminations | truncations
-        return [
-            (
-                None if score is None else score.rmse_normalized if experiment.trial is None else score.rmse,
-                None if episode.fault is not None else episode.trajectory().frames,
-            )
-            for score, episode in zip(envs.scores(), envs.episodes, strict=True)
-        ]
+        found = []
+        for score, episode in zip(envs.scores(), envs.episodes, strict=True):
+            distance = None
+            if score is not None:
+                distance = score.rmse_normalized if experiment.trial is None else score.rmse
+            found.append((distance, None if episode.fault is not None else episode.trajectory().frames))
+        return found
     finally:
         envs.close()
 
