@@ -59,8 +59,8 @@ def native_settings(settings: type[SteppedSettings]) -> dict[str, str]:
     """Return the name of each setting by its name in the engine's own interface."""
     names: dict[str, str] = {}
     for name, field in settings.model_fields.items():
-        own = (one.name for one in field.metadata if isinstance(one, Native))
-        names[next(own, name)] = name
+        native = (one.name for one in field.metadata if isinstance(one, Native))
+        names[next(native, name)] = name
     return names
 
 
@@ -75,12 +75,19 @@ def read_presets(module: str, group: str = "presets") -> dict[str, dict[str, Any
         group: First part of the names of the tables.
     """
     presets: dict[str, dict[str, Any]] = {}
-    for name, own in tomllib.loads(Path(module).with_name("presets.toml").read_text(encoding="utf-8"))[group].items():
-        if "steps_per_s" in own:
-            own["timestep_s"] = 1 / own.pop("steps_per_s")
-        unset = dict.fromkeys(own.pop("unset", ()))
-        presets[name] = (presets[own.pop("like")] if "like" in own else {}) | own | unset
+    text = Path(module).with_name("presets.toml").read_text(encoding="utf-8")
+    for name, values in tomllib.loads(text)[group].items():
+        if "steps_per_s" in values:
+            values["timestep_s"] = 1 / values.pop("steps_per_s")
+        unset = dict.fromkeys(values.pop("unset", ()))
+        base = presets[values.pop("like")] if "like" in values else {}
+        presets[name] = base | values | unset
     return presets
+
+
+def load_presets(settings: type[Settings], module: str) -> dict[str, Settings]:
+    """Return the presets that `presets.toml` beside an engine's module states, as its settings, by name."""
+    return {name: settings(preset=name, **values) for name, values in read_presets(module).items()}
 
 
 def resolve_settings(

@@ -343,8 +343,8 @@ def readers() -> dict[str, list[str]]:
             f"| {mb('runs.result_file.MAX_RESULT_BYTES')}; arrays of an NPZ file "
             f"{mb('evaluation.trajectory_file.MOST_ARRAY_BYTES')} |",
             f"| {mb('files.MOST_TOML_BYTES')}, {files[1]:,} frames; {mb('references.tables.MOST_TABLE_BYTES')} |",
-            f"| USD | {mb('scene.usd.source.MOST_FILE_BYTES')}, text layers {mb('scene.usd.source.MOST_TEXT_BYTES')}; "
-            f"{of('scene.usd.source.MOST_PRIMS'):,} prims, {of('scene.usd.reader.MOST_BODIES'):,} bodies |",
+            f"| USD | {mb('tools.usd.source.MOST_FILE_BYTES')}, text layers {mb('tools.usd.source.MOST_TEXT_BYTES')}; "
+            f"{of('tools.usd.source.MOST_PRIMS'):,} prims, {of('tools.usd.reader.MOST_BODIES'):,} bodies |",
             f"| MJCF | {mb('tools.mjcf.reader.MOST_FILE_BYTES')}, a time step of at least "
             f"{of('tools.mjcf.reader.SHORTEST_STEP_S'):.0e} s |".replace("e-07", "e-7"),
             f"of `gauge sanity` | {mb('tools.sanity.stacks.documents.MOST_YAML_BYTES')}; "

@@ -11,7 +11,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from gauge_envs.backends.settings import SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import SteppedSettings, load_presets, resolve_settings
 from gauge_envs.backends.shared.spring_damper import impact_speed_m_per_s
 from gauge_envs.scene import Box, ContactMode, ConvexUnion, Cylinder, Motion, Plane, Scene, Sphere
 
@@ -62,7 +62,7 @@ class SettingsDrake(SteppedSettings):
     tether_rate: float = Field(default=0.2, gt=0.0, le=1.0)
 
 
-PRESETS = {name: SettingsDrake(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsDrake, __file__)
 
 LARGE_STACK = 20
 """Number of dynamic bodies from which a scene gets the cheaper preset `stack`."""

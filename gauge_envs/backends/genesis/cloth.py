@@ -30,7 +30,7 @@ from gauge_envs.backends.genesis.settings import (
 )
 from gauge_envs.backends.shared.attachments import RigidAttachment, rigid_attachments
 from gauge_envs.backends.shared.bundled import replaced
-from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.backends.shared.rigid import DrivenMotion
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Cloth, Motion, Scene
@@ -52,7 +52,7 @@ class _Sheet:
         rest_m: World positions of the particles at the start [m], shape [particle_count, 3].
         entity: Its entity in the Genesis scene.
         attachments: Its attached regions.
-        held: Attachment of each held particle, by index.
+        attached: Attachment of each held particle, by index.
     """
 
     def __init__(self, cloth: Cloth, attachments: Sequence[RigidAttachment], settings: SettingsPBD, cell_m: float):
@@ -60,7 +60,7 @@ class _Sheet:
         self.grid = ClothGrid(cloth, cell_m)
         self.rest_m = self.grid.rest_m
         self.entity: Any = None
-        self.held: dict[int, RigidAttachment] = {}
+        self.attached: dict[int, RigidAttachment] = {}
         self.attachments = attachments
         self._settings = settings
 
@@ -92,18 +92,18 @@ class _Sheet:
             self.entity = scene.add_entity(material=material, morph=gs.morphs.Mesh(file=str(path)))
         if not is_grid:
             self.rest_m = np.asarray(self.entity._particles, dtype=np.float64)
-            self.held = self._held_by_place()
+            self.attached = self._held_by_place()
             return
         springs = grid_springs(self.grid)
         ends = self.grid.plane_m[springs]
         self.entity._edges = springs.astype(gs.np_int)
         self.entity._edges_len_rest = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).astype(gs.np_float)
         self.entity._particles = self.rest_m.astype(gs.np_float)
-        self.held = held_vertices(self.grid, self.cloth, self.attachments)
+        self.attached = attached_vertices(self.grid, self.cloth, self.attachments)
 
     def _held_by_place(self) -> dict[int, RigidAttachment]:
         """Return the attachment of each particle of a mesh of any shape that lies in an attached region."""
-        held: dict[int, RigidAttachment] = {}
+        attached: dict[int, RigidAttachment] = {}
         local = self.cloth.pose.to_body(self.rest_m)
         for attachment in reversed(self.attachments):
             axis = "xy".index(attachment.region.axis)
@@ -111,8 +111,8 @@ class _Sheet:
             low = local[:, axis] + 0.5 * size
             inward = low if attachment.region.side == "low" else size - low
             inside = np.flatnonzero(inward <= attachment.region.depth_m + 1e-4 * size)
-            held |= dict.fromkeys(inside.tolist(), attachment)
-        return held
+            attached |= dict.fromkeys(inside.tolist(), attachment)
+        return attached
 
     def masses_kg(self) -> NDArray[np.float64]:
         """Return the masses of the particles [kg]: the area around each on a grid, equal ones otherwise."""
@@ -127,7 +127,7 @@ class _Sheet:
         springs = np.asarray(self.entity._edges, dtype=np.intp)
         if self._settings.stiffness == "nominal":
             return np.full(len(springs), 1.0 / self.cloth.stretch_stiffness_n_per_m)
-        lag = inverse_masses(self.masses_kg(), self.held)[springs].sum(axis=1) * self._settings.timestep_s**2
+        lag = inverse_masses(self.masses_kg(), self.attached)[springs].sum(axis=1) * self._settings.timestep_s**2
         compliances = 1.0 / grid_stiffnesses(self.cloth, self.grid, springs) - lag
         if np.any(compliances <= 0.0):
             raise ParameterError(
@@ -201,10 +201,10 @@ class ClothPart(DeformablePart):
             # Genesis always collides particles, which takes more than a third of a step.
             solver._kernel_solve_collision = lambda _: None
         for sheet in sheets:
-            if sheet.held:
-                sheet.entity.fix_particles(np.array(list(sheet.held)))
+            if sheet.attached:
+                sheet.entity.fix_particles(np.array(list(sheet.attached)))
             for attachment in sheet.attachments:
-                rows = np.array([index for index, by in sheet.held.items() if by is attachment], dtype=np.intp)
+                rows = np.array([index for index, by in sheet.attached.items() if by is attachment], dtype=np.intp)
                 if attachment.motion is Motion.KINEMATIC:
                     self.pin(attachment, sheet.particles.start + rows, sheet.rest_m[rows])
         self._start = self.state()

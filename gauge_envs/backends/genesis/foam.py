@@ -300,8 +300,9 @@ class _MPMRow(_Row):
         first = len(self.points_m)
         gripped = {id(attachment): nodes for attachment, nodes in self.soft_row.gripped(nodes_m)}
         for attachment, points in self.grips:
-            held = gripped[id(attachment)]
-            for node, row in zip(held, _affine(nodes_m[held]) @ np.linalg.pinv(_affine(points)), strict=True):
+            nodes = gripped[id(attachment)]
+            rows = _affine(nodes_m[nodes]) @ np.linalg.pinv(_affine(points))
+            for node, row in zip(nodes, rows, strict=True):
                 weights[node] = 0.0
                 weights[node, first : first + len(points)] = row
             first += len(points)

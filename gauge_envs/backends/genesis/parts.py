@@ -166,10 +166,10 @@ def coupled_geoms(built: Any, scene: Scene, touches: Mapping[str, float]) -> Ite
             continue
         count = len(getattr(body.shape, "pieces_m", (None,)))
         if body.motion is Motion.FIXED:
-            own = [geom for _, geom in zip(range(count), fixed, strict=False)]
+            of_body = [geom for _, geom in zip(range(count), fixed, strict=False)]
         else:
-            own = [geom for geom in geoms if geom.link.name == body_label(index)]
-        found += [(geom, touches[body.name]) for geom in own]
+            of_body = [geom for geom in geoms if geom.link.name == body_label(index)]
+        found += [(geom, touches[body.name]) for geom in of_body]
     if len(found) != len(geoms):
         raise BackendError(f"Genesis made {len(geoms)} coupled geoms of {list(touches)}: check the bodies' shapes")
     yield from found

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.settings import SteppedSettings, read_presets
+from gauge_envs.backends.settings import SteppedSettings, load_presets
 from gauge_envs.backends.shared.cells import CellSize
 from gauge_envs.backends.shared.cloth_grid import ClothGrid
 from gauge_envs.backends.shared.soft_rows import lame_constants
@@ -88,7 +88,7 @@ class SettingsGenesis(SteppedSettings):
         return self
 
 
-PRESETS = {name: SettingsGenesis(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsGenesis, __file__)
 
 
 SOFT_CELL_M = 0.0125
@@ -348,15 +348,15 @@ def grid_stiffnesses(cloth: Cloth, grid: ClothGrid, springs: NDArray[np.intp]) -
     return stiffnesses
 
 
-def inverse_masses(masses_kg: NDArray[np.float64], held: Collection[int]) -> NDArray[np.float64]:
-    """Return the inverse masses of particles [1/kg], 0 for held ones.
+def inverse_masses(masses_kg: NDArray[np.float64], fixed: Collection[int]) -> NDArray[np.float64]:
+    """Return the inverse masses of particles [1/kg], 0 for fixed ones.
 
     Args:
         masses_kg: Masses, shape [particle_count].
-        held: Indices of the held particles.
+        fixed: Indices of these particles.
     """
     inverse = 1.0 / masses_kg
-    inverse[list(held)] = 0.0
+    inverse[list(fixed)] = 0.0
     return inverse
 
 

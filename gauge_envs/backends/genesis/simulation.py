@@ -210,15 +210,15 @@ class SimulationGenesis(_WorldGenesis, Simulation):
         """Return every array that a step reads, with its origin."""
         model = self._lent.model
         rigid = None if model.fresh is None else model.solver.__getstate__()
-        own = (self.driven, self.placed, self.wrenches)
-        return self._origin.state((*copy.deepcopy((rigid, own)), model.part.state() if model.part else None))
+        inputs = (self.driven, self.placed, self.wrenches)
+        return self._origin.state((*copy.deepcopy((rigid, inputs)), model.part.state() if model.part else None))
 
     def restore(self, state: Snapshot) -> None:
         """Restore a state."""
         model = self._lent.model
         values: tuple[Any, ...] = self._origin.values(state)
-        rigid, own = copy.deepcopy(values[:2])
-        self.driven, self.placed, self.wrenches = own
+        rigid, inputs = copy.deepcopy(values[:2])
+        self.driven, self.placed, self.wrenches = inputs
         if rigid is not None:
             model.solver.__setstate__(rigid)
         if model.part is not None:

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from gauge_envs.backends.mujoco.flex import FlexPart, Points, collide_with_nothing, flex_table
 from gauge_envs.backends.shared.attachments import RigidAttachment
-from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.errors import ParameterError
 from gauge_envs.scene import Air, Cloth, Scene
 
@@ -97,11 +97,11 @@ def add_cloth(
             f"cloth {cloth.name!r} would collide with a thickness of {2e3 * contact_radius_m:g} mm, but its cells of "
             f"{1e3 * min(grid.cell_m):.3g} mm must be larger: reduce cloth_fold_radius_m or increase cell_m"
         )
-    held = held_vertices(grid, cloth, attachments)
+    attached = attached_vertices(grid, cloth, attachments)
     rest = grid.rest_m
     names = [f"{cloth.name}/{index}" for index in range(len(rest))]
     for index, mass in enumerate(cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()):
-        if index in held:
+        if index in attached:
             continue
         body = spec.worldbody.add_body(name=names[index], pos=rest[index])
         body.explicitinertial = True
@@ -113,7 +113,7 @@ def add_cloth(
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
 
     flex = spec.add_flex(name=cloth.name, dim=2)
-    points = Points(names, rest, held)
+    points = Points(names, rest, attached)
     flex.vertbody, flex.vert = points.carriers()
     flex.elem = grid.triangles.ravel().tolist()
     flex.elastic2d = ELASTIC_BOTH
@@ -178,9 +178,9 @@ class FoldWatch:
         """Return whether the cloth cannot touch itself in the next seconds."""
         places = self._part.points.positions()
         soon = places + self._part.points.velocities() * seconds
-        most_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
-        if self._seen_m is None or _rest_m(self._seen_m, soon) >= most_m:
-            self._seen_m = places if _rest_m(places, soon) < most_m and self._is_apart() else None
+        limit_m = 0.5 * (self._apart_m - LARGEST_ACCELERATION_M_PER_S2 * seconds**2)
+        if self._seen_m is None or _rest_m(self._seen_m, soon) >= limit_m:
+            self._seen_m = places if _rest_m(places, soon) < limit_m and self._is_apart() else None
         return self._seen_m is not None
 
     def _is_apart(self) -> bool:

@@ -81,11 +81,11 @@ def add_flex_contact(
             part.flex.solimp = _cloth_solimp(part, settings)
         for collider, (key, value) in product(colliders, given_constants(settings).items()):
             setattr(collider, key, value)
-        is_own = contact.friction == _own_friction(scene, name)
-        for carrier in colliders if is_own else rigid:
+        carries_friction = contact.friction == _flex_friction(scene, name)
+        for carrier in colliders if carries_friction else rigid:
             carrier.condim = constants.condim
             carrier.friction = [sliding, torsional, rolling]
-            carrier.priority = 1 if is_own else 2
+            carrier.priority = 1 if carries_friction else 2
             carrier.solref, carrier.solimp = list(colliders[0].solref), list(colliders[0].solimp)
         if name in contact.first and name in contact.second:
             part.flex.selfcollide = mujoco.mjtFlexSelf.mjFLEXSELF_AUTO
@@ -115,7 +115,7 @@ def _rigid_names(scene: Scene, contact: Contact) -> set[str]:
     return {*contact.first, *contact.second} - _deformable_names(scene, contact) - seams
 
 
-def _own_friction(scene: Scene, name: str) -> float:
+def _flex_friction(scene: Scene, name: str) -> float:
     """Return the friction of a deformable body's flex: that of its self-contact, or of its first contact."""
     groups = [{body.name for body in bodies} for bodies in bonded_soft_bodies(scene)]
     members = next((group for group in groups if name in group), {name})
@@ -127,7 +127,7 @@ def _frictions_in_conflict(scene: Scene) -> Iterator[str]:
     """Yield one sentence for each contact whose friction neither a flex nor a rigid geom can carry."""
     for contact in scene.contacts:
         soft = _deformable_names(scene, contact)
-        if all(contact.friction == _own_friction(scene, name) for name in soft):
+        if all(contact.friction == _flex_friction(scene, name) for name in soft):
             continue
         if len(soft) > 1:
             yield f"{sorted(soft)} touch each other and other bodies with different friction: make it equal"

@@ -19,30 +19,32 @@ class Points:
     Args:
         names: Name of each point's body; those of attached points are unused.
         rest_m: World positions at the start [m], shape [point_count, 3].
-        held: Attachment of each attached point, by point index.
+        attached: Attachment of each attached point, by point index.
 
     Attributes:
         free: Indices of the points that are not attached, shape [free_count].
         dofs: Their degrees of freedom in the compiled model, shape [free_count, 3]; `bind` sets it.
     """
 
-    def __init__(self, names: Sequence[str], rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]) -> None:
+    def __init__(
+        self, names: Sequence[str], rest_m: NDArray[np.float64], attached: Mapping[int, RigidAttachment]
+    ) -> None:
         self._names = list(names)
         self._rest_m = rest_m
-        self._held = dict(held)
-        self.free = np.array([index for index in range(len(rest_m)) if index not in self._held], dtype=np.intp)
+        self._attached = dict(attached)
+        self.free = np.array([index for index in range(len(rest_m)) if index not in self._attached], dtype=np.intp)
 
     def carriers(self) -> tuple[list[str], list[float]]:
         """Return each point's body, and the positions of all points in the frames of their bodies [m], in a row."""
         owners, places = list(self._names), np.zeros_like(self._rest_m)
-        for index, attachment in self._held.items():
+        for index, attachment in self._attached.items():
             owners[index] = attachment.body
             places[index] = attachment.pose.to_body(self._rest_m[index])
         return owners, places.ravel().tolist()
 
-    def delete_held(self, spec: mujoco.MjSpec) -> None:
+    def delete_attached(self, spec: mujoco.MjSpec) -> None:
         """Delete the bodies of attached points; a flex that still refers to one of them would be deleted too."""
-        for index in self._held:
+        for index in self._attached:
             spec.delete(spec.body(self._names[index]))
 
     def bind(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -55,13 +57,13 @@ class Points:
         self._qpos = data.qpos
         self._qvel = data.qvel
         rows_by_body: dict[str, list[int]] = {}
-        for index, attachment in self._held.items():
+        for index, attachment in self._attached.items():
             if attachment.motion is not Motion.FIXED:
                 rows_by_body.setdefault(attachment.body, []).append(index)
         # Attached points, their positions in the frame of their body [m], and views of its pose and its velocity.
         self._moving = []
         for body, rows in rows_by_body.items():
-            arms_m = self._held[rows[0]].pose.to_body(self._rest_m[rows])
+            arms_m = self._attached[rows[0]].pose.to_body(self._rest_m[rows])
             self._moving.append((rows, arms_m, *free_joint_views(model, data, body)))
 
     def positions(self) -> NDArray[np.float64]:

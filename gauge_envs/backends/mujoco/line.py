@@ -91,8 +91,8 @@ def add_rope(
     count = max(2, round(rope.length_m / cell_m))
     rest_m = points_on_axis(rope, np.linspace(-0.5, 0.5, count + 1) * rope.length_m)
     flex = _add_flex(spec, rope, rest_m, rope.mass_kg)
-    held = {0 if side == "low" else count: attachment for side, attachment in ends.items()}
-    return LinePartMuJoCo(flex, rest_m, _hold(spec, flex, rest_m, held))
+    attached = {0 if side == "low" else count: attachment for side, attachment in ends.items()}
+    return LinePartMuJoCo(flex, rest_m, _hold(spec, flex, rest_m, attached))
 
 
 def add_rod(
@@ -125,13 +125,13 @@ def add_rod(
     rest_m = points_on_axis(rod, start + segment * np.arange(count + 1))
     flex = _add_flex(spec, rod, rest_m, rod.mass_kg * segment * count / rod.length_m)
     flex.young, flex.damping = rod.young_modulus_pa, damping_s
-    held: dict[int, RigidAttachment] = {}
+    attached: dict[int, RigidAttachment] = {}
     for side, attachment in ends.items():
-        held |= dict.fromkeys([0, 1] if side == "low" else [count - 1, count], attachment)
-    points = _hold(spec, flex, rest_m, held)
+        attached |= dict.fromkeys([0, 1] if side == "low" else [count - 1, count], attachment)
+    points = _hold(spec, flex, rest_m, attached)
     geoms = []
     for index, name in enumerate(flex.vertbody):
-        if index in held:
+        if index in attached:
             continue
         # At a free end the sphere stays within the rod; contact forces still act on the node, at the full length.
         inward = {0: rod.radius_m, count: -rod.radius_m}.get(index, 0.0)
@@ -177,12 +177,12 @@ def _add_flex(spec: mujoco.MjSpec, line: Rope | Rod, rest_m: NDArray[np.float64]
 
 
 def _hold(
-    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], held: Mapping[int, RigidAttachment]
+    spec: mujoco.MjSpec, flex: mujoco.MjsFlex, rest_m: NDArray[np.float64], attached: Mapping[int, RigidAttachment]
 ) -> Points:
     """Replace the bodies of attached nodes by points of the rigid bodies that hold them."""
-    points = Points(list(flex.vertbody), rest_m, held)
+    points = Points(list(flex.vertbody), rest_m, attached)
     flex.vertbody, flex.vert = points.carriers()
     # A line needs no `nodebody`, which refers to the bodies of attached nodes.
     flex.nodebody = []
-    points.delete_held(spec)
+    points.delete_attached(spec)
     return points

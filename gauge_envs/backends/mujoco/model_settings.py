@@ -69,11 +69,11 @@ def contact_pairs(model: mujoco.MjModel) -> ContactPairs:
     explicit_rows = np.flatnonzero(moves[explicit].any(axis=1))
     explicit = explicit[explicit_rows]
     # An explicit pair replaces the implicit one.
-    stated = set(map(tuple, explicit.tolist()))
+    explicit_pairs = set(map(tuple, explicit.tolist()))
     implicit = _implicit_pairs(model)
-    implicit = implicit[[tuple(row) not in stated for row in implicit.tolist()]]
+    implicit = implicit[[tuple(row) not in explicit_pairs for row in implicit.tolist()]]
 
-    constants = np.vstack([_mixed_constants(model, *implicit.T), _stated_constants(model, explicit_rows)])
+    constants = np.vstack([_mixed_constants(model, *implicit.T), _explicit_constants(model, explicit_rows)])
     if overrides_contacts(model):
         _override(model, constants)
     friction = constants[:, COLUMNS["friction"]]
@@ -156,7 +156,7 @@ def _share(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[n
     return np.where(both, first / np.where(both, first + second, 1.0), alone)
 
 
-def _stated_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+def _explicit_constants(model: mujoco.MjModel, rows: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return constants of explicit pairs, shape [pair_count, 17]."""
     columns = (
         *(model.pair_dim[:, None], model.pair_friction, model.pair_solref, model.pair_solreffriction),

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator
 
 from gauge_envs.backends.mujoco.versions import check_installed
-from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, read_presets, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells, common_cell_m
 from gauge_envs.scene import Cloth, Rod, Rope, Scene, SoftBody
 
@@ -154,7 +154,7 @@ class SettingsMuJoCo(SteppedSettings):
         return softness
 
 
-PRESETS = {name: SettingsMuJoCo(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsMuJoCo, __file__)
 
 TRAINING = "training"
 """Preset for many episodes; its numbers depend on the preset of the scene."""

@@ -30,7 +30,7 @@ BONDED_CELLS = (2, 1)
 """Default cells along and across each body of a soft row; twice as many make its swing 1 % slower at four times the
 cost."""
 
-MOST_LAYERS = 12
+LAYER_LIMIT = 12
 """Largest number of layers of cells in the longest body of a soft row whose bodies are not equally long."""
 
 POINT_SPACING_M = 0.0125
@@ -245,20 +245,20 @@ def add_soft(
     for node, mass in zip(flex.nodebody, lattice.node_masses(densities * np.prod(lattice.cell_m)), strict=True):
         spec.body(node).mass = mass
     sections = np.moveaxis(np.arange(len(lattice.rest_m)).reshape(lattice.shape), axis, 0)
-    held: dict[int, RigidAttachment] = {}
+    attached: dict[int, RigidAttachment] = {}
     grips = []
     for side, attachment in soft_row.ends.items():
         section = sections[0 if side == "low" else -1].ravel().tolist()
         if attachment.motion is Motion.FIXED:
-            held |= dict.fromkeys(section, attachment)
+            attached |= dict.fromkeys(section, attachment)
         else:
             grips.append(Grip(attachment.body, [flex.nodebody[index] for index in section]))
             for name in grips[-1].names:
                 spec.body(name).mass, spec.body(name).gravcomp = grip_mass_kg, 1.0
         _add_gripped_material(spec, flex, soft_row, side)
-    points = Points(list(flex.nodebody), lattice.rest_m, held)
+    points = Points(list(flex.nodebody), lattice.rest_m, attached)
     flex.nodebody, flex.node = points.carriers()
-    points.delete_held(spec)
+    points.delete_attached(spec)
     return SoftPartMuJoCo(flex, lattice, soft_row, points, layers, grips)
 
 
@@ -272,18 +272,18 @@ def _cells_of_a_block(blocks: Sequence[Block], axis: int, cell_m: float | None) 
     return tuple(max(1, ceil(edge / cell_m - 1e-6)) for edge in edges)
 
 
-def _layers_of_blocks(blocks: Sequence[Block], axis: int, most: int) -> tuple[int, ...]:
+def _layers_of_blocks(blocks: Sequence[Block], axis: int, layer_count: int) -> tuple[int, ...]:
     """Return the number of layers of cells of each block along the row; the cells of a row are all equally long.
 
     Args:
         blocks: Blocks of the row.
         axis: Index of the world axis of the row.
-        most: Number of layers of the longest block that its desired cells make.
+        layer_count: Number of layers of the longest block that its desired cells make.
     """
     lengths = np.array([block.high_m[axis] - block.low_m[axis] for block in blocks])
     if np.ptp(lengths) <= TOLERANCE_M:
-        return (most,) * len(blocks)
-    for count in range(most, MOST_LAYERS + 1):
+        return (layer_count,) * len(blocks)
+    for count in range(layer_count, LAYER_LIMIT + 1):
         layers = np.rint(lengths / lengths.max() * count)
         # Where blocks meet, the sum of these errors counts.
         error_m = np.abs(np.cumsum(layers * lengths.sum() / layers.sum() - lengths))
@@ -291,7 +291,7 @@ def _layers_of_blocks(blocks: Sequence[Block], axis: int, most: int) -> tuple[in
             return tuple(int(layer) for layer in layers)
     raise UnsupportedSceneError(
         f"bonded soft bodies {[block.body.name for block in blocks]} have free lengths of "
-        f"{', '.join(f'{1e3 * length:.4g}' for length in lengths)} mm: equal cells would need more than {MOST_LAYERS} "
+        f"{', '.join(f'{1e3 * length:.4g}' for length in lengths)} mm: equal cells would need more than {LAYER_LIMIT} "
         "layers in the longest; make the lengths multiples of a longer one"
     )
 

@@ -172,8 +172,8 @@ def add_line(
     half = 0.5 * length_m
     low = [_Anchor(body=link, place_m=(0.0, 0.0, -half), start=rotation) for link in links]
     high = [_Anchor(body=link, place_m=(0.0, 0.0, half), start=rotation) for link in links]
-    first = _held(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
-    last = _held(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
+    first = _anchor_on(ends["low"], bodies, nodes_m[0]) if "low" in ends else low[0]
+    last = _anchor_on(ends["high"], bodies, nodes_m[-1]) if "high" in ends else high[-1]
     # The holder of an end comes first in its pair, because Newton accepts the world only as parent.
     anchors = list(zip([first, *high[:-1], last], [*low, high[-1]], strict=True))
     stiffness = _stiffness(line, length_m, segments, settings, load_n)
@@ -241,7 +241,7 @@ def _gripped_tip(
     if side not in ends or ends[side].region.depth_m == 0.0:
         return np.zeros((0, 3)), []
     place_m = points_on_axis(line, np.array([-0.5 if side == "low" else 0.5]) * line.length_m)
-    tip = _held(ends[side], bodies, place_m[0])
+    tip = _anchor_on(ends[side], bodies, place_m[0])
     return place_m, [(tip, tip)]
 
 
@@ -250,7 +250,7 @@ def _poses(state: newton.State) -> NDArray[np.float64]:
     return np.vstack([state.body_q.numpy().astype(np.float64), [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]]])
 
 
-def _held(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
+def _anchor_on(attachment: RigidAttachment, bodies: Mapping[str, int], point_m: NDArray[np.float64]) -> _Anchor:
     """Return the point of the rigid body that holds an end."""
     index = bodies[attachment.body]
     if index == WORLD:

@@ -27,7 +27,7 @@ from gauge_envs.backends.newton.kernels import carry, hold
 from gauge_envs.backends.newton.settings import CLOTH_CELL_M, SOFT_CELL_M, SettingsVBD
 from gauge_envs.backends.shared.attachments import RigidAttachment
 from gauge_envs.backends.shared.cells import grid_points
-from gauge_envs.backends.shared.cloth_grid import ClothGrid, held_vertices
+from gauge_envs.backends.shared.cloth_grid import ClothGrid, attached_vertices
 from gauge_envs.backends.shared.soft_rows import (
     TOLERANCE_M,
     Block,
@@ -212,7 +212,7 @@ def add_cloth(
         settings: Size of the cells and damping.
     """
     grid = ClothGrid(cloth, settings.cell_m or CLOTH_CELL_M)
-    held = held_vertices(grid, cloth, attachments)
+    attached = attached_vertices(grid, cloth, attachments)
     constants = vbd_constants(Fabric.of(cloth)).constants
     start = len(builder.particle_q)
     builder.add_cloth_mesh(
@@ -232,11 +232,11 @@ def add_cloth(
         label=cloth.name,
     )
     masses = cloth.areal_density_kg_per_m2 * grid.vertex_areas_m2()
-    masses[list(held)] = 0.0
+    masses[list(attached)] = 0.0
     builder.particle_mass[start : start + len(masses)] = masses.tolist()
     pins: list[Pin] = []
     for attachment in attachments:
-        rows = np.array([index for index, by in held.items() if by is attachment], dtype=np.intp)
+        rows = np.array([index for index, by in attached.items() if by is attachment], dtype=np.intp)
         pins += pins_of(attachment, bodies, start + rows, grid.rest_m[rows])
     return ClothPartNewton(grid, start, pins)
 

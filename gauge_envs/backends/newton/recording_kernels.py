@@ -57,7 +57,7 @@ def align(
     known: wp.array2d[wp.float64],
     samples_per_frame: int,
     last_known: int,
-    most: int,
+    shift_limit: int,
     last: wp.array[wp.int32],
     shifts: wp.array[wp.float64],
     squares: wp.array[wp.float64],
@@ -70,7 +70,7 @@ def align(
     n = wp.tid()
     zero = wp.float64(0.0)
     end = last[n]
-    least = -wp.clamp(end - last_known, 0, most)
+    least = -wp.clamp(end - last_known, 0, shift_limit)
     best = zero
     for t in range(mean.shape[0]):
         for c in range(mean.shape[1]):
@@ -78,7 +78,7 @@ def align(
             best += apart * apart
     found = zero
     # From the smallest shift on, so that of equally good shifts the smallest is kept.
-    for first in range(most):
+    for first in range(shift_limit):
         for side in range(2):
             sign = 1 - 2 * side
             here_here = zero

@@ -202,12 +202,12 @@ KINDS: dict[str, type[SettingsNewton]] = {
 """Settings of each solver, by the `kind` of a preset."""
 
 PAPER_PRESETS = {
-    body: KINDS[own.pop("kind")](preset=PAPER, **own) for body, own in read_presets(__file__, "paper").items()
+    body: KINDS[values.pop("kind")](preset=PAPER, **values) for body, values in read_presets(__file__, "paper").items()
 }
 """Settings of preset `paper` for each kind of scene."""
 
 PRESETS = {
-    **{name: KINDS[own.pop("kind")](preset=name, **own) for name, own in read_presets(__file__).items()},
+    **{name: KINDS[values.pop("kind")](preset=name, **values) for name, values in read_presets(__file__).items()},
     PAPER: PAPER_PRESETS["rigid"],
 }
 
@@ -298,8 +298,8 @@ def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> Sett
     A stiff and light fabric needs a shorter time step than that of its preset for the same iterations. The time step is
     halved until the iterations are enough, unless the changes define it.
     """
-    own = PRESETS[_preset_name(scene)]
-    training = own.model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[own.preset])
+    values = PRESETS[_preset_name(scene)]
+    training = values.model_copy(update={"preset": TRAINING} | TRAINING_CHANGES[values.preset])
     is_paper = isinstance(changes, Mapping) and changes.get("preset") == PAPER
     presets = PRESETS | {TRAINING: training} | ({PAPER: _paper_preset(scene)} if is_paper else {})
     settings = _with_cells(

@@ -60,8 +60,8 @@ def passing_pairs(
     """
     pairs = [np.zeros((0, 2), dtype=np.intp)]
     for rigid, through in contacts.passed.items():
-        held = [indices for name, indices in particles.items() if name not in through]
-        free = np.setdiff1d(np.concatenate([particles[name] for name in through]), np.concatenate(held))
+        colliding = [indices for name, indices in particles.items() if name not in through]
+        free = np.setdiff1d(np.concatenate([particles[name] for name in through]), np.concatenate(colliding))
         pairs.extend(np.column_stack([free, np.full_like(free, shape)]) for shape in shapes[rigid])
     return np.concatenate(pairs)
 

@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, resolve_settings
 from gauge_envs.scene import Scene
 
 STACK_BODIES = 20
@@ -80,7 +80,7 @@ class SettingsPhysX(SteppedSettings):
         return self
 
 
-PRESETS = {name: SettingsPhysX(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsPhysX, __file__)
 
 
 def settings_for(scene: Scene, changes: Mapping[str, Any] | None = None) -> SettingsPhysX:

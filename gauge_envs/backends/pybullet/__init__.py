@@ -127,15 +127,15 @@ def _unsupported_rope(scene: Scene, rope: Rope) -> Iterator[str]:
     except UnsupportedSceneError as error:
         yield str(error)
         return
-    held = [scene.body(attachment.body) for attachment in ends.values()]
-    driven = [body.name for body in held if body.motion is Motion.KINEMATIC]
+    bodies = [scene.body(attachment.body) for attachment in ends.values()]
+    driven = [body.name for body in bodies if body.motion is Motion.KINEMATIC]
     if driven:
         yield f"{rope.name!r} is attached to {driven[0]!r}, which is driven: chains start at fixed or dynamic bodies"
-    if len(held) == 2 and (held[0].motion is Motion.FIXED is held[1].motion or held[0] is held[1]):
+    if len(bodies) == 2 and (bodies[0].motion is Motion.FIXED is bodies[1].motion or bodies[0] is bodies[1]):
         yield f"{rope.name!r} is held at both ends, so that its chain is a loop, which this backend does not build"
     jointed = {joint.body for joint in scene.joints}
     others = {one.to for one in scene.attachments if one.deformable != rope.name}
-    for body in held:
+    for body in bodies:
         if body.motion is Motion.DYNAMIC and body.name in jointed | others:
             yield f"{body.name!r} is attached to {rope.name!r} and has another joint or rope"
 

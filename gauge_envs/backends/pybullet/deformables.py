@@ -103,11 +103,11 @@ class RopeEnds:
 
 def rope_ends(scene: Scene, rope: Rope) -> RopeEnds:
     """Return the bodies on the ends of a rope; the chain starts at a fixed body if there is one."""
-    held = {
+    bodies = {
         side: scene.body(attachment.body)
         for side, attachment in attached_ends(rope, rigid_attachments(scene, rope.name)).items()
     }
-    low, high = held.get("low"), held.get("high")
+    low, high = bodies.get("low"), bodies.get("high")
     if low is None or (high is not None and high.motion is Motion.FIXED):
         return RopeEnds(from_low=high is None, root=high, tip=low)
     return RopeEnds(from_low=True, root=low, tip=high)
@@ -252,9 +252,9 @@ def add_soft_body(
     )
     for attachment in attachments:
         # An anchor keeps the node where it now is in the frame of the body.
-        held_by = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
+        holder = GROUND if attachment.motion is Motion.FIXED else world.handles[attachment.body].body
         for node in nodes_in(nodes_m, attachment.region).tolist():
-            world.call("createSoftBodyAnchor", number, node, held_by, -1)
+            world.call("createSoftBodyAnchor", number, node, holder, -1)
     return int(number)
 
 

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, field_validator
 
-from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, resolve_settings
 from gauge_envs.backends.shared.cells import CellSize, check_cells
 from gauge_envs.scene import ContactMode, Scene, SoftBody
 
@@ -114,7 +114,7 @@ class SettingsPyBullet(SteppedSettings):
         return damping
 
 
-PRESETS = {name: SettingsPyBullet(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsPyBullet, __file__)
 
 STACK_BODY_COUNT = 20
 """Number of dynamic bodies from which a scene counts as a stack."""

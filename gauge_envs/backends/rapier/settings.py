@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from gauge_envs.backends.settings import Native, SteppedSettings, read_presets, resolve_settings
+from gauge_envs.backends.settings import Native, SteppedSettings, load_presets, resolve_settings
 from gauge_envs.scene import Scene
 
 
@@ -67,7 +67,7 @@ class SettingsRapier(SteppedSettings):
     threads: int = Field(default=1, ge=1, le=256)
 
 
-PRESETS = {name: SettingsRapier(preset=name, **own) for name, own in read_presets(__file__).items()}
+PRESETS = load_presets(SettingsRapier, __file__)
 """Presets by name. Both are for every scene."""
 
 

@@ -53,16 +53,16 @@ class _SceneWorld(PlacedWorld):
 
     def set_velocity(self, body: str, velocity: Sequence[float] | NDArray[np.float64]) -> None:
         """Give a driven body a velocity, by which Rapier moves it in the next step."""
-        held = self._bodies[body]
-        held.linvel, held.angvel = tuple(velocity[:3]), tuple(velocity[3:])
+        rigid_body = self._bodies[body]
+        rigid_body.linvel, rigid_body.angvel = tuple(velocity[:3]), tuple(velocity[3:])
 
     def apply_wrench(self, body: str, wrench: NDArray[np.float64]) -> None:
         """Apply a force and a torque to a dynamic body; see `World.apply_wrench`."""
-        held = self._bodies[body]
-        held.reset_forces()
-        held.reset_torques()
-        held.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
-        held.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
+        rigid_body = self._bodies[body]
+        rigid_body.reset_forces()
+        rigid_body.reset_torques()
+        rigid_body.add_force(tuple(wrench[:3] / MASS_UNIT_KG))
+        rigid_body.add_torque(tuple(wrench[3:] / MASS_UNIT_KG))
 
     def command(self, values: NDArray[np.float64]) -> None:
         """Set what the motors follow; see `World.command`."""
@@ -233,25 +233,25 @@ class WorldsRapier(Worlds):
             parts = [_SceneWorld(scene, one, settings) for scene, one in zip(share, layouts, strict=True)]
             self._shares.append((world.snapshot(), parts))
         self.worlds = [part for _, parts in self._shares for part in parts]
-        self._held: list[rapier.PhysicsWorld] = []
+        self._worlds: list[rapier.PhysicsWorld] = []
         self.reset(0)
 
     def reset(self, seed: int) -> None:
         """Return all worlds to their starts. Rapier draws no random numbers, so the seed has no effect."""
-        self._held = []
+        self._worlds = []
         for start, parts in self._shares:
-            self._held.append(_restored(start, self._threads))
+            self._worlds.append(_restored(start, self._threads))
             for part in parts:
-                part.hold(self._held[-1], {})
+                part.hold(self._worlds[-1], {})
 
     def advance(self, seconds: float) -> None:
         """Step the worlds."""
-        for world, (_, parts) in zip(self._held, self._shares, strict=True):
+        for world, (_, parts) in zip(self._worlds, self._shares, strict=True):
             _advance(world, parts, seconds, self._timestep_s)
 
     def close(self) -> None:
         """Free the worlds."""
-        self._held, self._shares = [], []
+        self._worlds, self._shares = [], []
         for part in self.worlds:
             assert isinstance(part, _SceneWorld)
             part.release()

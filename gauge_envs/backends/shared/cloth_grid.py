@@ -81,9 +81,11 @@ class ClothGrid:
         return float(np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).mean())
 
 
-def held_vertices(grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]) -> dict[int, RigidAttachment]:
+def attached_vertices(
+    grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAttachment]
+) -> dict[int, RigidAttachment]:
     """Return the attachment of each attached vertex, by vertex index; the first attachment of several counts."""
-    held: dict[int, RigidAttachment] = {}
+    attached: dict[int, RigidAttachment] = {}
     for attachment in reversed(attachments):
         if attachment.motion is Motion.DYNAMIC:
             raise UnsupportedSceneError(
@@ -94,5 +96,5 @@ def held_vertices(grid: ClothGrid, cloth: Cloth, attachments: Sequence[RigidAtta
             raise UnsupportedSceneError(
                 f"cloth {cloth.name!r} is attached to {attachment.body!r} by its face: give a region along axis x or y"
             )
-        held |= dict.fromkeys(np.flatnonzero(grid.within(attachment.region)).tolist(), attachment)
-    return held
+        attached |= dict.fromkeys(np.flatnonzero(grid.within(attachment.region)).tolist(), attachment)
+    return attached

@@ -157,9 +157,9 @@ class StateOrigin:
             self._refuse(f"scene {state.scene[:12]}", f"scene {self._scene_hash()[:12]} ({_names(self._scene)})")
         return state.values
 
-    def _refuse(self, its: str, own: str) -> None:
+    def _refuse(self, theirs: str, ours: str) -> None:
         raise BackendError(
-            f"the state is from a simulation with {its}, this one has {own}. "
+            f"the state is from a simulation with {theirs}, this one has {ours}. "
             "A state continues only in the same engine, settings and scene: build that simulation, or start again."
         )
 
