@@ -3,11 +3,13 @@
 import warnings
 from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, replace
-from os import PathLike
+from enum import Enum
+from os import PathLike, fspath
 from typing import Any, TypedDict
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 
 from gauge_envs.backends.registry import backend_names, is_bundled, support_of
 from gauge_envs.errors import ActionError, GaugeError, NoRewardWarning, ParameterError, UnsupportedSceneError, chosen
@@ -110,6 +112,33 @@ class EnvKeywords(TypedDict, total=False):
     reference: DataSource | str
     use_withheld: bool
     asset: str | PathLike[str] | None
+
+
+def plain_spec(spec: EnvSpec | None) -> EnvSpec | None:
+    """Return a copy of a spec whose arguments `EnvSpec.to_json` accepts."""
+    if spec is None:
+        return None
+    return replace(spec, kwargs={name: _plain(name, value) for name, value in spec.kwargs.items()})
+
+
+def _plain(name: str, value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _plain(f"{name}[{key!r}]", entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        entries = [_plain(name, entry) for entry in value]
+        return tuple(entries) if isinstance(value, tuple) else entries
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, Enum):
+        return value.value
+    if isinstance(value, PathLike):
+        return fspath(value)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    raise ParameterError(
+        f"argument {name} = {value!r} cannot be stored in the spec of an environment. "
+        "Give numbers, text, paths, or lists and mappings of them."
+    )
 
 
 NO_RATES = np.zeros(0)

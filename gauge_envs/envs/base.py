@@ -8,13 +8,14 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.core import ActType, ObsType
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from gauge_envs.backends.base import Backend, Simulation
 from gauge_envs.backends.registry import backend_for, versions_of
-from gauge_envs.envs.arguments import check_support
+from gauge_envs.envs.arguments import check_support, plain_spec
 from gauge_envs.envs.pictures import RENDER_MODES, Pictures
 from gauge_envs.errors import BackendError, EpisodeError, ParameterError
 from gauge_envs.experiments.experiment import Experiment
@@ -43,6 +44,7 @@ class EngineEnvironment:
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": [*RENDER_MODES], "render_fps": int(FRAME_RATE_HZ)}
+    _spec: EnvSpec | None = None
 
     def __init__(
         self, experiment: Experiment, pictures: Pictures, *, backend: str, settings: Mapping[str, Any] | None
@@ -59,6 +61,15 @@ class EngineEnvironment:
     @property
     def _engine(self) -> Backend:
         return backend_for(self.backend_name, self.experiment.model_file)
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """How Gymnasium makes this environment again; `EnvSpec.to_json` accepts its arguments."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: EnvSpec | None) -> None:
+        self._spec = plain_spec(spec)
 
     @property
     def _label(self) -> str:
