@@ -39,8 +39,8 @@ RUN_ELSEWHERE = {
     "ecosystem.md",
 }
 """Pages whose code other tests run, as it needs an example package or takes long."""
-COMPILED_ONLY = {"sanity.md", "sanity_stacks.md"}
-"""Pages whose code needs a user's own environment, or an engine that may be absent."""
+COMPILED_ONLY = {"sanity.md", "sanity_stacks.md", "sweeps.md"}
+"""Pages whose code needs a user's own environment or results, or an engine that may be absent."""
 
 README_WORDS = 900
 NOTE_WORDS = 600
